@@ -1,7 +1,6 @@
 """Dynamics: linear, by frequency response, piecewise affine and piecewise smooth."""
 
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.formulas.nodes import time_of
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
@@ -21,5 +20,4 @@ __all__ = [
     "PulseTrain",
     "SmoothMode",
     "SmoothPiece",
-    "time_of",
 ]

@@ -20,7 +20,7 @@ BENCHMARKS = (
     *("solvers", "memory", "structured", "layers", "choice"),
     *("frequencies", "wave_energy", "shapers", "minimum_time"),
     *("many", "loop", "embedded", "explore", "proof"),
-    *("levels", "modes", "nonlinear", "newton", "commits"),
+    *("levels", "modes", "nonlinear", "formula_costs", "newton", "commits"),
 )
 
 

@@ -19,6 +19,7 @@ modes        ten piecewise-affine problems by enumeration, branch and bound, SCI
              seven steps against all mode sequences, solved one by one by plain Clarabel
 nonsmooth    Examples 2 and 3 of the paper from cold starts, a minute for every global bound, and SCIP on short ones
 smooth       random smooth problems without bounds, against IPOPT, and eigenvalues of the dense projected Hessian
+formulas     random problems with costs and time by formulas, against IPOPT and by differences of the cost
 answers      linear problems by the sparse program and by the structured method, compared with each other, or with the
              answers of another state of the code (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
@@ -56,6 +57,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "modes": 300,
     "nonsmooth": None,
     "smooth": 1000,
+    "formulas": 300,
     "loop": 10_000,
     "embedded": 10_000,
     "frequencies": 200,

@@ -105,7 +105,8 @@ class SecondOrder:
 class Judgement:
     """The result of the judge of one kind of dynamics.
 
-    ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, None if not computed.
+    ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, None if not computed;
+    ``bound`` is a bound of another kind than that of the extremal.
     """
 
     conditions: tuple[Condition, ...]
@@ -114,6 +115,7 @@ class Judgement:
     extremal: Extremal | None = None
     cost_scale: float | None = None
     second_order: SecondOrder | None = None
+    bound: Bound | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +320,7 @@ def judge(
     with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
         judgement = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
         scale = cost_scale(problem, trajectory) if judgement.cost_scale is None else judgement.cost_scale
-        bound, normal, worth = None, multipliers.eta_C == 1, judgement.cost_of_residuals
+        bound, normal, worth = judgement.bound, multipliers.eta_C == 1, judgement.cost_of_residuals
         if judgement.extremal is not None and normal:
             bound = best_bound(judgement.extremal, max(GAP_TOLERANCE, tolerance) * scale)
         parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x

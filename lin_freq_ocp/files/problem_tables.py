@@ -18,9 +18,9 @@ from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text, read_definitions, require_formula, with_definitions
+from lin_freq_ocp.problem.costs.formula_cost import SmoothCost
 from lin_freq_ocp.problem.costs.norms import L1Cost, LInfCost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum, QuadraticCost
-from lin_freq_ocp.problem.costs.smooth import SmoothCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -381,8 +381,10 @@ def _row_values(rows: StageRows) -> FileTable:
 STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
 
 
-def _rate_limit(limit: FileValue, previous: FileValue = None, following: FileValue = None) -> FileTable:
-    return {"limit": limit, "previous": previous, "following": following}
+def _rate_limit(
+    limit: FileValue = None, previous: FileValue = None, following: FileValue = None, price: FileValue = 0.0
+) -> FileTable:
+    return {"limit": limit, "previous": previous, "following": following, "price": price}
 
 
 def _problem(schema: int, rate_limit: FileTable | None = None, **fields: FileValue) -> OptimalControlProblem:

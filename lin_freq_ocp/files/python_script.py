@@ -169,7 +169,7 @@ class _Script:
         texts = [*(entries.get("let") or {}).values()]
         texts += [text for mode in entries["modes"] for key in FORMULA_KEYS for text in getattr(mode, key)]
         if any(re.search(r"\bt\b", text) for text in texts):
-            self.names.add(("lin_freq_ocp.dynamics", "time_of"))
+            self.names.add(("lin_freq_ocp.formulas", "time_of"))
             self.definitions.append(f"t = time_of(({state_dim}, {control_dim}))")
         self.definitions += [f"{name} = {self._formula(text)}" for name, text in (entries.get("let") or {}).items()]
         return [

@@ -2,6 +2,6 @@
 
 from lin_freq_ocp.formulas.casadi import from_casadi
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
-from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals
+from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals, time_of
 
-__all__ = ["DifferentiableFunction", "Formula", "from_casadi", "maximum", "minimum", "norm", "signals"]
+__all__ = ["DifferentiableFunction", "Formula", "from_casadi", "maximum", "minimum", "norm", "signals", "time_of"]

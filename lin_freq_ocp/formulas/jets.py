@@ -15,7 +15,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.formulas.intervals import Interval, outward
 from lin_freq_ocp.formulas.nodes import Formula, evaluate
-from lin_freq_ocp.formulas.operations import OPERATIONS, Box, Points
+from lin_freq_ocp.formulas.operations import OPERATIONS, BoxAtTime, Points
 
 # Sums of a few products of numbers that are not negative are widened by this part.
 OUTWARD_SUM = 64 * float(np.finfo(np.float64).eps)
@@ -81,7 +81,7 @@ def interval_jets(
     Without ``curved`` the Hessians are not computed: they are zeros. UnsupportedError: a function has no enclosures.
     """
     boxes, k = lower.shape
-    shape, box = (boxes, len(formulas)), Box(lower, upper, time)
+    shape, box = (boxes, len(formulas)), BoxAtTime(lower, upper, time)
     with np.errstate(all="ignore"):
         results = evaluate(
             formulas, lambda node, arguments: OPERATIONS[node.kind].interval_jet(node, arguments, box, curved)

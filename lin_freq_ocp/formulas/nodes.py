@@ -225,7 +225,7 @@ def time_of(dimensions: tuple[int, int]) -> Formula:
     Examples
     --------
     >>> x, u = lfo.signals(1, 1)
-    >>> print(lfo.dynamics.time_of((1, 1)) * x[0])
+    >>> print(lfo.formulas.time_of((1, 1)) * x[0])
     Formula(t * (x_0))
     """
     return Formula(dimensions, operations.TIME)
@@ -400,12 +400,12 @@ def with_states(formulas: Sequence[Formula], added: int) -> list[Formula]:
         return []
     n, m = formulas[0].dimensions
 
-    def moved(node: Formula, arguments: list[Formula]) -> Formula:
+    def renumber(node: Formula, arguments: list[Formula]) -> Formula:
         i = node.data[0] if node.kind == operations.VARIABLE else -1.0
         data = (i + added,) if i >= n else node.data
         return replace(node, dimensions=(n + added, m), arguments=tuple(arguments), data=data)
 
-    return evaluate(formulas, moved)
+    return evaluate(formulas, renumber)
 
 
 def require_times(field: str, formulas: Sequence[Formula], horizon: int) -> None:

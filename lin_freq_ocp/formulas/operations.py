@@ -71,7 +71,7 @@ class Points:
     calls: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict[Hashable, tuple[Array, ...]])
 
 
-class Box(NamedTuple):
+class BoxAtTime(NamedTuple):
     """Boxes lower <= (x, u) <= upper, (boxes, n + m), at a time; None: at all times."""
 
     lower: Array
@@ -104,7 +104,7 @@ class Operation:
         """Return the values with first and second derivatives, points along the last axis."""
         raise self._refusal(node)
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         """Return enclosures over boxes of (x, u); ``curved``: also of the Hessian."""
         raise self._refusal(node)
 
@@ -131,7 +131,7 @@ class _Variable(Operation):
         slope[int(node.data[0])] = 1.0
         return self.value(node, (), at), slope, None
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         i = int(node.data[0])
         slope = np.zeros(box.lower.shape)
         slope[:, i] = 1.0
@@ -155,7 +155,7 @@ class _OfTime(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return self.value(node, (), at), np.zeros(at.y.shape[::-1]), None
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         if box.time is None:
             least, largest = (min(node.data), max(node.data)) if node.data else (0.0, np.inf)
         else:
@@ -181,7 +181,7 @@ class _Sum(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return sum_rule(node.data[:-1], arguments, node.data[-1], at.y.shape[::-1])
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         return intervals.sum_rule(node.data[:-1], arguments, node.data[-1], box[:2])
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
@@ -210,7 +210,7 @@ class _Product(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return product_rule(arguments[0], arguments[1])
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         return intervals.product_rule(arguments[0], arguments[1], curved)
 
     def affine(self, node: Node, rows: Sequence[Array]) -> Array | None:
@@ -234,7 +234,7 @@ class _Quotient(Operation):
         d = under[0]
         return product_rule(over, chain_rule(under, 1 / d, -(d**-2.0), 2 * d**-3.0))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         over, under = arguments
         once = inverse(under[0])
         twice = multiply(once, once)
@@ -255,7 +255,7 @@ class _Power(Operation):
         p, base = node.data[0], arguments[0][0]
         return chain_rule(arguments[0], base**p, p * base ** (p - 1), p * (p - 1) * base ** (p - 2))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         p, base = int(node.data[0]), arguments[0][0]
         first, second = scale(p, power(base, p - 1)), scale(p * (p - 1), power(base, p - 2))
         return intervals.chain_rule(arguments[0], power(base, p), first, second, curved)
@@ -273,7 +273,7 @@ class _Norm(Operation):
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
         return norm_rule(arguments, at.selections.get(node))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         return intervals.norm_rule(arguments, curved)
 
 
@@ -284,7 +284,8 @@ class _Angle(Operation):
         return np.where(np.hypot(*arguments) > 0, np.arctan2(*arguments), np.nan)
 
     def jet(self, node: Node, arguments: Sequence[Jet], at: Points) -> Jet:
-        (a, b), square = (jet[0] for jet in arguments), sum(jet[0] ** 2 for jet in arguments)
+        a, b = (jet[0] for jet in arguments)
+        square = a**2 + b**2
         first = np.stack([b, -a], axis=-1) / square[:, None]
         across = np.stack([-2 * a * b, a**2 - b**2, a**2 - b**2, 2 * a * b], axis=-1) / (square**2)[:, None]
         value = self.value(node, [a, b], at)
@@ -292,7 +293,7 @@ class _Angle(Operation):
         found = compose_jets(stacked, value[:, None], first[:, None], across.reshape(-1, 1, 2, 2))
         return found[0][0], found[1][0], found[2][0]
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         raise UnsupportedError("a global bound: arctan2 jumps and has no bounds over boxes; write it with arctan.")
 
 
@@ -330,7 +331,7 @@ class _ExternalOutput(Operation):
         value, slope, hessian = at.calls[key]
         return value[output], slope[output], hessian[output]
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         name = _call(node)[0].title
         raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
 
@@ -355,7 +356,7 @@ class ScalarFunction(Operation):
         value = self.function(arguments[0][0])
         return chain_rule(arguments[0], value, *self.derivatives(arguments[0][0], value))
 
-    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: Box, curved: bool) -> IntervalJet:
+    def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         """Return enclosures, by the chain rule."""
         return intervals.chain_rule(arguments[0], *self.enclosures(arguments[0][0]), curved)
 

@@ -13,8 +13,8 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.costs.formula_cost import with_cost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
-from lin_freq_ocp.problem.costs.smooth import with_cost
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics

@@ -243,6 +243,24 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
 class OwnStates(Inverse):
     """The way back from a problem in the states (x, w), w without cost, to the one in x."""
 
+    @property
+    def own_values(self) -> dict[str, Mask]:
+        """Return which values of terms are of x and u, (dim,), by the names of terms that have further values of w."""
+        n, sizes, found = (
+            self.given.state_dim,
+            {term.name: term.shape[1] for term in self.given.terms},
+            dict[str, Mask](),
+        )
+        for term in self.problem.terms:
+            count = term.shape[1]
+            if count > sizes.get(term.name, np.inf):
+                form = term.map.stage_form(self.problem.state_dim, self.given.control_dim)
+                found[term.name] = np.arange(count) < sizes[term.name]
+                if form is not None:
+                    matrix = form[0][0]
+                    found[term.name] = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+        return found
+
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return the trajectory without w."""
         return Trajectory(reduced.x[:, : self.given.state_dim], reduced.u)
@@ -254,15 +272,9 @@ class OwnStates(Inverse):
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers without those of w; rows on x and w keep theirs."""
         n, stage = self.given.state_dim, dict(reduced.stage)
-        sizes = {term.name: term.shape[1] for term in self.given.terms}
-        for term in self.problem.terms:
-            if term.name in stage and stage[term.name].shape[1] > sizes.get(term.name, np.inf):
-                # the values of x and u: w has bounds of its own
-                form, own = term.map.stage_form(self.problem.state_dim, self.given.control_dim), slice(sizes[term.name])
-                if form is not None:
-                    matrix = form[0][0]
-                    own = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
-                stage[term.name] = stage[term.name][:, own]
+        for name, own in self.own_values.items():
+            if name in stage:
+                stage[name] = stage[name][:, own]
         return replace(reduced, eta=reduced.eta[:, :n], mu=reduced.mu[:, :n], rho_x=reduced.rho_x[:, :n], stage=stage)
 
 
@@ -270,9 +282,13 @@ RATE_LIMIT = "rate limit"  # of the added rows
 
 
 def rate_limited(
-    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None, following: ArrayLike | None = None
+    problem: OptimalControlProblem,
+    limit: Bound = None,
+    previous: ArrayLike | None = None,
+    following: ArrayLike | None = None,
+    price: ArrayLike = 0.0,
 ) -> OptimalControlProblem:
-    """Return the problem with |u_t - u_{t-1}| <= limit, in the states (x, u_{t-1}).
+    """Return the problem with |u_t - u_{t-1}| <= limit, or with a price on changes, in the states (x, u_{t-1}).
 
     A move that starts and ends at rest without a jump of the control has ``previous=0`` and ``following=0``. With
     ``following=0``, a control of zero can follow the move, so that ``minimum_time`` needs few solves.
@@ -280,35 +296,44 @@ def rate_limited(
     Parameters
     ----------
     problem : OptimalControlProblem
-    limit : float or (m,)
+    limit : float or (m,), optional
         Largest change per step, zero or above; None or inf: no limit on that control. A single number holds for all.
     previous : (m,), or a number for all controls, optional
-        The control before the first, u_{-1}; without it, the first control is free of the limit.
+        The control before the first, u_{-1}; without it, the first control is free of limit and price.
     following : (m,), or a number for all controls, optional
         The control after the last, u_T; without it, the last control is free of the limit.
+    price : float or (m,)
+        Of changes, zero or above: the cost has sum_t price/2 (u_t - u_{t-1})^2 of each control, t < T, in addition.
 
     Returns
     -------
     OptimalControlProblem
-        With one more state for each limited control, named after it, and stage rows "rate limit".
+        With one more state for each control with a limit or a price, named after it, and stage rows "rate limit".
 
     Raises
     ------
     ProblemError
-        If the limit, the previous or the following control does not fit the problem.
+        If the limit, the price, the previous or the following control does not fit the problem.
 
     Examples
     --------
     >>> problem = lfo.rate_limited(lfo.library.double_integrator(), 0.5)
     >>> problem.state_dim
     3
+    >>> smoother = lfo.rate_limited(lfo.library.double_integrator(), price=100.0, previous=0.0)
+    >>> lfo.solve(smoother).status
+    'optimal'
     """
     require_problem(problem)
-    return rate_limit(problem, limit, previous, following).problem
+    return rate_limit(problem, limit, previous, following, price).problem
 
 
 def rate_limit(
-    problem: OptimalControlProblem, limit: Bound, previous: ArrayLike | None = None, following: ArrayLike | None = None
+    problem: OptimalControlProblem,
+    limit: Bound,
+    previous: ArrayLike | None = None,
+    following: ArrayLike | None = None,
+    price: ArrayLike = 0.0,
 ) -> OwnStates:
     """Return the problem of ``rate_limited``, and the way back to its own states.
 
@@ -320,10 +345,14 @@ def rate_limit(
     if limits.shape not in ((), (m,)) or (limits < 0).any():
         expected = f"one number, zero or above, or one for each of the {m} controls"
         raise ProblemError("rate_limit", brief(limit), expected)
-    limits = np.broadcast_to(limits, m)
-    limited = np.flatnonzero(np.isfinite(limits))
+    prices = real_array("price", price)
+    if prices.shape not in ((), (m,)) or (prices < 0).any():
+        raise ProblemError("price", brief(price), f"one number, zero or above, or one for each of the {m} controls")
+    limits, prices = np.broadcast_to(limits, m), np.broadcast_to(prices, m)
+    limited = np.flatnonzero(np.isfinite(limits) | (prices > 0))
     if not len(limited):
-        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", "Leave it out for none.")
+        advice = "Leave it out for none, or give a price."
+        raise ProblemError("rate_limit", brief(limit), "a limit on at least one control", advice)
     if any(rows.name == RATE_LIMIT for rows in problem.stage_rows):
         raise ProblemError("rate_limit", "a problem with one", f"a problem without stage rows named '{RATE_LIMIT}'")
     k, chosen = len(limited), np.eye(m)[limited]
@@ -338,6 +367,9 @@ def rate_limit(
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]
     added = AddedStates(np.zeros((k, k)), chosen, before, np.full(k, -np.inf), names, after)
     remembering = add_states(problem, added)
+    if prices.any():
+        cost = _with_price_of_changes(remembering.quadratic, prices, chosen, problem.horizon)
+        remembering = replace(remembering, cost=CostSum([cost, *remembering.cost.norms]))
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -345,7 +377,27 @@ def rate_limit(
         np.tile(limits[limited], 2),
         name=RATE_LIMIT,
     )
+    if not np.isfinite(limits).any():
+        return OwnStates(problem, remembering)
     return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
+
+
+def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, horizon: int) -> QuadraticCost:
+    """Return a cost of (x, w) and u, w = ``chosen`` u_{t-1}, with 1/2 sum of prices (u_t - u_{t-1})^2 besides.
+
+    In deviations from u_ref, (u - u_ref) - (w - u_ref) is the change; so u_ref is the reference of w, too.
+    """
+    k, n = len(chosen), len(cost.p) - len(chosen)
+    P = np.diag(prices)
+    of_w, mixed = np.zeros((n + k, n + k)), np.vstack([np.zeros((n, len(prices))), chosen @ P])
+    of_w[n:, n:] = chosen @ P @ chosen.T
+    w_ref = cost.u_ref @ chosen.T
+    if w_ref.ndim == 2:
+        w_ref = np.vstack([w_ref, w_ref[-1:]])
+    times = (horizon + 1,) if w_ref.ndim == 2 or cost.x_ref.ndim == 2 else ()
+    x_ref = np.array(np.broadcast_to(cost.x_ref, (*times, n + k)))
+    x_ref[..., n:] = w_ref
+    return replace(cost, Q=cost.Q + of_w, R=cost.R + P, S=cost.S - mixed, x_ref=x_ref)
 
 
 def _outer_control(field: str, value: ArrayLike, m: int) -> Array:

@@ -1,16 +1,20 @@
-"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, boxes, stop bands and a quadratic cost."""
+"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, boxes, stop bands, and costs.
+
+Costs are quadratic or by formulas without kinks.
+"""
 
 from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.formulas.nodes import Formula, evaluate
-from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, VARIABLE
+from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks
+from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, TABLE, TIME, VARIABLE
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -35,24 +39,39 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
         warnings.simplefilter("ignore", DeprecationWarning)  # of the types that CasADi's binding makes
         casadi = import_module("casadi")
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    X, U, step = casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T), map_of(casadi, problem)
+    one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
+    mode = piecewise_smooth(problem).modes[0]
+    tables = list(dict.fromkeys(kinks((*mode.f, *mode.cost, *mode.region), TIME, TABLE)))
+    w, data = casadi.SX.sym("w", len(tables)), np.array([node.data or range(T) for node in tables], dtype=float)
+    of_time = dict(zip(tables, casadi.vertsplit(w) if len(tables) else [], strict=True))
+    arguments = casadi.vertcat(X[:, :T], U), data.reshape(len(tables), T)
+
+    def along(formulas: Sequence[Formula]) -> Any:
+        function = casadi.Function("f", [one, w], [_expression(casadi, formulas, one, of_time)])
+        return function.map(T)(*arguments)
+
     parts = [np.kron(real_rows(T, problem.control_stop[:, j]), np.eye(1, m, j)) for j in range(m)]
     rows = np.concatenate(parts)
-    constraints = [casadi.vec(X[:, 1:] - step.map(T)(casadi.vertcat(X[:, :T], U)))]
+    constraints = [casadi.vec(X[:, 1:] - along(mode.f))]
     if len(rows):
         constraints.append(casadi.DM(rows) @ casadi.vec(U))
-    equations, mode = casadi.vertcat(*constraints).numel(), piecewise_smooth(problem).modes[0]
+    equations = casadi.vertcat(*constraints).numel()
     if mode.region:  # switching functions, which are at most zero
-        y = casadi.SX.sym("y", n + m)
-        region = casadi.Function("region", [y], [_expression(casadi, mode.region, y)])
-        constraints.append(casadi.vec(region.map(T)(casadi.vertcat(X[:, :T], U))))
+        constraints.append(casadi.vec(along(mode.region)))
     lower = np.full(casadi.vertcat(*constraints).numel(), -np.inf)
     lower[:equations] = 0.0
     unknowns = casadi.vertcat(casadi.vec(X), casadi.vec(U))
     tubes = problem.state_tube, problem.control_tube
     bounds = {f"{side}bx": np.concatenate([getattr(tube, name).ravel() for tube in tubes])
               for side, name in (("l", "lower"), ("u", "upper"))}  # fmt: skip
-    program = {"x": unknowns, "f": cost_of_signals(casadi, problem, X, U), "g": casadi.vertcat(*constraints)}
+    cost = cost_of_signals(casadi, problem, X, U)
+    if mode.cost:
+        cost += casadi.sum2(along(mode.cost))
+    for formula in problem.cost.formulas[1:]:
+        if formula is not None:
+            last = casadi.Function("c", [one], [_expression(casadi, [formula], one, {})])
+            cost += last(casadi.vertcat(X[:, T], np.zeros(m)))
+    program = {"x": unknowns, "f": cost, "g": casadi.vertcat(*constraints)}
     quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes"}
     solver = casadi.nlpsol("s", "ipopt", program, {**quiet, "ipopt.tol": TOLERANCE, "ipopt.max_iter": most_steps})
     begun = time.process_time()
@@ -67,7 +86,7 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
 def map_of(casadi: Any, problem: OptimalControlProblem) -> Any:
     """Return the map of a problem as a function of a column (x, u)."""
     y = casadi.SX.sym("y", problem.state_dim + problem.control_dim)
-    return casadi.Function("f", [y], [_expression(casadi, piecewise_smooth(problem).modes[0].f, y)])
+    return casadi.Function("f", [y], [_expression(casadi, piecewise_smooth(problem).modes[0].f, y, {})])
 
 
 def cost_of_signals(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any) -> Any:
@@ -84,13 +103,15 @@ def cost_of_signals(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any)
     return total + casadi.sum1(casadi.sum2(linear.T * y)) + casadi.dot(casadi.DM(cost.p), end)
 
 
-def _expression(casadi: Any, formulas: tuple[Formula, ...], y: Any) -> Any:
-    """Return formulas as an expression of a column y."""
+def _expression(casadi: Any, formulas: Sequence[Formula], y: Any, of_time: Mapping[Formula, Any]) -> Any:
+    """Return formulas as an expression of a column y and of symbols for what depends on time."""
     functions = {"arctan": "atan"}
 
     def rule(node: Formula, a: list[Any]) -> Any:
         if node.kind == VARIABLE:
             return y[int(node.data[0])]
+        if node in of_time:
+            return of_time[node]
         if node.kind == SUM:
             return sum((factor * one for factor, one in zip(node.data[:-1], a, strict=True)), casadi.SX(node.data[-1]))
         if node.kind in (PRODUCT, QUOTIENT):

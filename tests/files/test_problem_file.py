@@ -196,6 +196,8 @@ def test_a_rate_limit_of_a_file_is_that_of_rate_limited(tmp_path):
     table = {"limit": 0.5, "previous": 0.0, "following": 0.0}
     read = lfo.read_problem(tmp_path / "move.toml", {"rate_limit": table})
     assert lfo.solve(read).cost == lfo.solve(lfo.rate_limited(plain, 0.5, 0.0, 0.0)).cost
+    read = lfo.read_problem(tmp_path / "move.toml", {"rate_limit": {"price": 2.0, "previous": 0.0}})
+    assert lfo.solve(read).cost == lfo.solve(lfo.rate_limited(plain, None, 0.0, price=2.0)).cost
     with pytest.raises(lfo.errors.ProblemError, match=re.escape("move.toml: rate_limit.following: got shape (2,)")):
         lfo.read_problem(tmp_path / "move.toml", {"rate_limit": table | {"following": [0.0, 0.0]}})
 

@@ -192,6 +192,7 @@ BAD: dict[str, tuple[str, Any]] = {
     "rows with no price": ("stage_rows.penalty", 0.0),
     "rate limit without a limit": ("rate_limit.limit", ...),
     "rate limit below zero": ("rate_limit.limit", -1.0),
+    "price of changes below zero": ("rate_limit.price", -1.0),
     "rate limit with a typo": ("rate_limit.next", 0.0),
     "rate limit from text": ("rate_limit.previous", "rest"),
     "vibration relative to a number": ("control_spectrum[5].relative", 1),

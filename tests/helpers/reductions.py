@@ -14,6 +14,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.methods.spectral.reductions import row_form, soft_bins, soft_bounds
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.reductions import Reduction
 from lin_freq_ocp.problem.reformulations import RATE_LIMIT, rate_limit, sampled_masks, translated_by, translation_of
@@ -135,6 +136,12 @@ def with_levels(**changes) -> Problem:
     return Problem(dynamics, 6, cost, **given)
 
 
+def with_formula(stage: str) -> lfo.OptimalControlProblem:
+    """Return a problem of one state with a cost by a formula, without bounds: a global bound declines it at once."""
+    cost = lfo.costs.SmoothCost(stage=stage)
+    return lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, initial_state=[1.0])
+
+
 REDUCTIONS = {
     "soft bins": Entry(
         Reduction(soft_bins),
@@ -198,6 +205,10 @@ REDUCTIONS = {
     "few samples between levels": Entry(
         Reduction(few_between_levels),
         {"pulse pattern": partial(lfo.library.pulse_pattern, samples=32), "no state cost": duty_cycles},
+    ),
+    "cost by formulas as a state": Entry(
+        Reduction(cost_as_state),
+        {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")},
     ),
     "fixed modes": Entry(
         Reduction(lambda problem: fixed_modes(problem, lfo.solve(problem).sequence)),

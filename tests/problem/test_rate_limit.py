@@ -34,7 +34,12 @@ def problem_of(**changes: Any) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(**(fields | changes))
 
 
-def by_hand(limit: np.ndarray, previous: np.ndarray | None, plants: list[np.ndarray] | None = None) -> float:
+def by_hand(
+    limit: np.ndarray,
+    previous: np.ndarray | None,
+    plants: list[np.ndarray] | None = None,
+    prices: np.ndarray | None = None,
+) -> float:
     """Return the optimal cost of a program that knows nothing of further states."""
     x, u = cp.Variable((T + 1, N)), cp.Variable((T, M))
     plants = plants or [A] * T
@@ -49,6 +54,9 @@ def by_hand(limit: np.ndarray, previous: np.ndarray | None, plants: list[np.ndar
             constraints.append(cp.abs(u[0, j] - previous[j]) <= limit[j])
     deviation = u - np.tile([0.2, 0.0], (T, 1))
     cost = sum(0.5 * cp.quad_form(x[s], Q) + 0.5 * cp.quad_form(deviation[s], R) for s in range(T))
+    for j, price in enumerate([] if prices is None else prices):
+        cost += price / 2 * cp.sum_squares(u[1:, j] - u[:-1, j])
+        cost += 0 if previous is None else price / 2 * cp.square(u[0, j] - previous[j])
     program = cp.Problem(cp.Minimize(cost), constraints)
     program.solve(solver="CLARABEL")
     assert program.status == "optimal"
@@ -81,6 +89,64 @@ def test_the_optimum_is_that_of_a_program_written_by_hand(name, method):
     if previous is not None:
         assert (np.abs(result.control[0] - previous) <= np.array(numbers) + 1e-8).all()
     assert result.method == ("spectral" if method == "auto" else "convex")
+
+
+PRICES = {  # name: limit, previous control, price as given, as numbers
+    "one price": (None, [0.0, 0.1], 5.0, [5.0, 5.0]),
+    "each its own": (None, None, [0.0, 8.0], [0.0, 8.0]),
+    "beside a limit": ([0.15, None], [0.0, 0.1], [2.0, 3.0], [2.0, 3.0]),
+}
+
+
+@pytest.mark.parametrize("name", PRICES)
+def test_a_price_on_changes_is_that_of_a_program_written_by_hand(name):
+    given, previous, price, prices = PRICES[name]
+    limited = lfo.rate_limited(problem_of(), given, previous, price=price)
+    result = lfo.solve(limited)
+    limits = np.array([np.inf, np.inf] if given is None else [np.inf if one is None else one for one in given])
+    before = None if previous is None else np.array(previous)
+    assert result.cost == pytest.approx(by_hand(limits, before, prices=np.array(prices)), rel=1e-6)
+    assert result.certificate.globally_optimal
+    u, first = result.control, result.trajectory.x[0, N:]  # a first control without one before costs nothing
+    chosen = np.isfinite(limits) | (np.array(prices) > 0)
+    changes = np.diff(np.vstack([first, u[:, chosen]]), axis=0)
+    plain = problem_of().value(result.trajectory.x[:, :N], u)
+    assert result.cost == pytest.approx(plain + 0.5 * (np.array(prices)[chosen] * changes**2).sum(), rel=1e-9)
+
+
+def test_a_price_on_changes_of_references_per_time():
+    """A control that follows its reference pays for the steps of the reference."""
+    u_ref = np.random.default_rng(0).standard_normal((T, M))
+    problem = problem_of(cost=lfo.QuadraticCost(R=1.0, u_ref=u_ref, x_ref=np.ones((T + 1, N))))
+    x, u = np.zeros((T + 1, N)), u_ref
+    limited = lfo.rate_limited(problem, None, u_ref[0], price=[2.0, 3.0])
+    before = np.vstack([u_ref[0], u])
+    steps = 0.5 * (np.diff(u, axis=0) ** 2 * [2.0, 3.0]).sum()
+    assert limited.value(np.hstack([x, before]), u) == pytest.approx(steps)
+
+
+def test_a_loop_pays_for_changes_from_the_control_before():
+    """Each step of a receding horizon begins with the control that was applied: a high price makes it slow."""
+    plain = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 10, lfo.QuadraticCost(Q=1.0, R=0.1), initial_state=[1.0]
+    )
+    priced = lfo.rate_limited(plain, None, previous=0.0, price=50.0)
+    fast = float(lfo.RecedingHorizon(plain).step([1.0])[0])
+    controller, state, before = lfo.RecedingHorizon(priced), 1.0, 0.0
+    for _ in range(8):
+        u = float(controller.step([state, before])[0])
+        expected = lfo.solve(lfo.rate_limited(plain.with_ends(initial_state=[state]), None, before, price=50.0))
+        assert u == pytest.approx(expected.control[0, 0], abs=1e-8)
+        assert abs(u - before) < 0.3 * abs(fast)
+        state, before = state + u, u
+
+
+def test_smooth_dynamics_have_prices_on_changes():
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["x_0 + sin(u_0)"], 1, 1)
+    problem = lfo.OptimalControlProblem(dynamics, 10, lfo.QuadraticCost(Q=1.0), initial_state=[1.0])
+    result = lfo.solve(lfo.rate_limited(problem, 0.3, previous=0.0, price=1.0), "nonsmooth")
+    assert result.certificate.pmp == "satisfied"
+    assert np.abs(np.diff(result.control[:, 0], prepend=0.0)).max() <= 0.3 + 1e-8
 
 
 def test_further_states_are_the_controls_before_and_the_others_as_they_were():
@@ -180,6 +246,13 @@ def test_what_does_not_fit_is_refused_by_name(limit, previous, field):
     with pytest.raises(lfo.errors.ProblemError) as caught:
         lfo.rate_limited(problem_of(), limit, previous)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("price", [-1.0, [1.0], [1.0, np.nan], "dear", [0.0, -2.0]])
+def test_a_bad_price_is_refused_by_name(price):
+    with pytest.raises(lfo.errors.ProblemError) as caught:
+        lfo.rate_limited(problem_of(), 0.1, price=price)
+    assert caught.value.field.startswith("price")
 
 
 def test_a_problem_is_limited_once():

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
@@ -25,10 +26,14 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
     stationarity_scale,
 )
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
-from lin_freq_ocp.certificate.sizes import floors, trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate.response_bound import best_bound
+from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
+from lin_freq_ocp.formulas.convexity import is_convex, least_curvature
+from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
+from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -67,7 +72,55 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     require_fitting(problem, multipliers)
     inverse = cost_as_state(problem, trajectory)
     assert inverse is not None  # there is a cost by formulas
-    return judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers))
+    found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers))
+    return replace(found, bound=convex_bound(problem, trajectory, multipliers))
+
+
+def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
+    """Return the global bound of a convex problem with costs by formulas; None if it is not proven to be convex.
+
+    At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
+    over the sets. The problem with these in its place has a quadratic cost, and the bound of one: a lower bound for the
+    given problem, which is close if its multipliers fit.
+    """
+    stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
+    if stated.mode_names or multipliers.eta_C != 1:
+        return None
+    cost, (states, controls) = problem.quadratic, (problem.state_tube, problem.control_tube)
+    # slopes and least curvatures of all times; at T the controls are zeros
+    points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))])
+    lower, upper = (
+        np.hstack([x, np.pad(u, ((0, 1), (0, 0)))])
+        for x, u in ((states.lower, controls.lower), (states.upper, controls.upper))
+    )
+    slopes, curved = np.zeros_like(points), np.zeros_like(points)
+    for formula, times in zip(problem.cost.formulas, (slice(T), slice(T, T + 1)), strict=True):
+        if formula is None:
+            continue
+        if not is_convex(formula, lower[times], upper[times]):
+            return None
+        slopes[times] = jets([formula], points[times]).slopes[:, 0]
+        curved[times] = np.maximum(least_curvature(formula, lower[times], upper[times]), 0.0)
+    x, u = cost.deviations(trajectory.x, trajectory.u)
+    slopes -= curved * np.hstack([x, np.pad(u, ((0, 1), (0, 0)))])  # the parabola has no slope at the trajectory
+    minorant = replace(
+        cost,
+        Q=cost.Q + curved[:T, :n, None] * np.eye(n),
+        R=cost.R + curved[:T, n:, None] * np.eye(m),
+        q=cost.q + slopes[:T, :n],
+        r=cost.r + slopes[:T, n:],
+        P=cost.P + np.diag(curved[T, :n]),
+        p=cost.p + slopes[T, :n],
+    )
+    below = replace(problem, dynamics=stated, cost=CostSum([minorant, *problem.cost.without_formulas.norms]))
+    extremal = extremal_at(below, trajectory, replace(multipliers, weights=None))
+    scale = cost_scale(problem, trajectory)
+    bound = best_bound(extremal, GAP_TOLERANCE * scale)
+    if bound is None:
+        return None
+    constant = problem.value(trajectory.x, trajectory.u) - extremal.cost
+    rounding = ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory))
+    return replace(bound, value=bound.value + constant - rounding)
 
 
 def _judge_norms(

@@ -82,14 +82,12 @@ class Cost(ABC):
     @property
     def formulas(self) -> tuple[Formula | None, Formula | None]:
         """Return the formulas of the stage and of the terminal cost, None for none; in a problem."""
-        stages, ends = zip((None, None), *(norm.formulas for norm in self.norms), strict=True)
-        stage, end = ([one for one in given if one is not None] for given in (stages, ends))
-        return sum(stage[1:], stage[0]) if stage else None, sum(end[1:], end[0]) if end else None
+        return None, None
 
     @property
     def has_formulas(self) -> bool:
         """Whether a part of it is a formula."""
-        return any(one is not None for one in self.formulas)
+        return False
 
     @property
     def without_formulas(self) -> Cost:
@@ -98,7 +96,7 @@ class Cost(ABC):
 
     def formula_values(self, x: Array, u: Array) -> Array:
         """Return the costs by formulas of every time, (T+1,), for x (T+1, n) and u (T, m)."""
-        return sum((norm.formula_values(x, u) for norm in self.norms), np.zeros(len(x)))
+        return np.zeros(len(x))
 
     def __add__(self, other: Cost) -> CostSum:
         return CostSum([self, other])
@@ -120,13 +118,6 @@ class NonsmoothCost(Cost):
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
         return (self,)
-
-    @property
-    def formulas(self) -> tuple[Formula | None, Formula | None]:
-        return None, None
-
-    def formula_values(self, x: Array, u: Array) -> Array:
-        return np.zeros(len(x))
 
     def with_signals(self, n: int, m: int, horizon: int, field: str) -> NonsmoothCost:
         """Return the cost with its formulas, if it has any, as those of n states and m controls."""
@@ -438,6 +429,27 @@ class CostSum(Cost):
     @property
     def norms(self) -> tuple[NonsmoothCost, ...]:
         return self.nonsmooth
+
+    @property
+    def formulas(self) -> tuple[Formula | None, Formula | None]:
+        pairs = [norm.formulas for norm in self.nonsmooth if norm.has_formulas]
+        stage, terminal = ([pair[i] for pair in pairs if pair[i] is not None] for i in range(2))
+        return _total(stage), _total(terminal)
+
+    @property
+    def has_formulas(self) -> bool:
+        return any(norm.has_formulas for norm in self.nonsmooth)
+
+    def formula_values(self, x: Array, u: Array) -> Array:
+        return sum((norm.formula_values(x, u) for norm in self.nonsmooth), np.zeros(len(x)))
+
+
+def _total(formulas: Sequence[Formula | None]) -> Formula | None:
+    """Return the sum of formulas, None for none."""
+    total: Formula | None = None
+    for formula in formulas:
+        total = formula if total is None or formula is None else total + formula
+    return total
 
 
 def _eigenvalues(matrices: Array) -> Array:

@@ -1,6 +1,6 @@
 """Dynamics and controls with modes, kinks or levels, and search trees as data."""
 
-from lin_freq_ocp.problem.costs.smooth import PRICED
+from lin_freq_ocp.problem.costs.formula_cost import PRICED
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics

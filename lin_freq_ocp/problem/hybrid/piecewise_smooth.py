@@ -100,13 +100,13 @@ def affine_formulas(rows: Array, offset: Array, dimensions: tuple[int, int]) -> 
         varies = values.ndim and (values != values[0]).any()
         return time_of(dimensions).look_up(values) if varies else float(values.flat[0])
 
-    return [
-        sum(
-            (coefficient(rows[..., i, j]) * y[j] for j in range(len(y)) if rows[..., i, j].any()),
-            zero + coefficient(offset[..., i]),
-        )
-        for i in range(rows.shape[-2])
-    ]
+    formulas = list[Formula]()
+    for i in range(rows.shape[-2]):
+        total = zero + coefficient(offset[..., i])
+        for j in np.flatnonzero(rows[..., i, :].reshape(-1, len(y)).any(axis=0)):
+            total = total + coefficient(rows[..., i, j]) * y[j]
+        formulas.append(total)
+    return formulas
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,14 +17,15 @@ from lin_freq_ocp.base.arrays import Array, assign, brief, with_columns
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, signals, translate_formulas, with_states
+from lin_freq_ocp.problem.costs.formula_cost import PRICED
 from lin_freq_ocp.problem.costs.quadratic import CostSum
-from lin_freq_ocp.problem.costs.smooth import PRICED
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for, require_form, signal_labels, unique_names
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode, affine_formulas
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -123,10 +124,15 @@ class CostState(OwnStates):
 
     def with_adjoint(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers of the given problem with those of z: -eta_C."""
-        eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), with_columns(multipliers.rho_x, 1)
+        eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), np.pad(multipliers.rho_x, ((0, 0), (0, 1)))
         mu[0, -1] = -multipliers.eta_C
         price = np.full((len(eta), 1), -multipliers.eta_C)
-        return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x)
+        stage = dict(multipliers.stage)
+        for name, own in self.own_values.items():
+            if name in stage:
+                stage[name] = np.zeros((len(stage[name]), len(own)))
+                stage[name][:, own] = multipliers.stage[name]
+        return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x, stage=stage)
 
 
 def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) -> CostState | None:
@@ -148,7 +154,7 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
         f, region, domain, cost = (with_states(part, 1) for part in (mode.f, mode.region, mode.domain, mode.cost))
         modes.append(SmoothMode([*f, sum(cost, cost_so_far)], region, domain, mode.name))
     labels = dynamics.sampling_time, [*dynamics.state_names, "cost so far"], dynamics.control_names
-    stripped = replace(problem, cost=problem.cost.without_formulas)
+    stripped = replace_fields(problem, cost=problem.cost.without_formulas)
     with_state = PiecewiseSmoothDynamics(modes, n + 1, m, *labels)
     zero, free = np.zeros(1), np.full(1, -np.inf)
     augmented = augment_states(stripped, with_state, Box(zero, zero), free, problem.quadratic)
@@ -156,4 +162,4 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
     if terminal is not None and at is not None:
         slope[:n] += jets([terminal], np.append(at.x[-1], np.zeros(m))[None]).slopes[0, 0, :n]
     cost = CostSum([replace(augmented.quadratic, p=slope), *augmented.cost.norms])
-    return CostState(problem, replace(augmented, cost=cost))
+    return CostState(problem, replace_fields(augmented, cost=cost.at_dimensions(n + 1, m, problem.horizon)))

@@ -15,6 +15,9 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.hybrid.smooth import convex_bound
+from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
@@ -149,7 +152,11 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
         given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
         refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]), end)
         trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
-        return trajectory, multipliers, judge(problem, trajectory, multipliers)
+        if refined[0] is not given[0]:
+            return trajectory, multipliers, judge(problem, trajectory, multipliers)
+        cost, scale = problem.value(trajectory.x, trajectory.u), cost_scale(problem, trajectory)
+        bound = convex_bound(problem, trajectory, multipliers)
+        return local.trajectory, multipliers, replace(refined[2], cost=cost, cost_scale=scale, bound=bound)
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
@@ -210,6 +217,9 @@ class _Bounding:
         message = ""
         if cost_is_never_negative(self.search.problem):
             self.best, self.sets = 0.0, NEVER_NEGATIVE
+        known = self.judged[2].bound
+        if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
+            self.best, self.sets = known.value, known.sets
         try:
             while not self._proven and self._improve():
                 pass
@@ -293,9 +303,11 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         if search.best is not None:
             nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
-    status = judged[2].status_within(0.0)
+    status = judged[2].status_within(GAP_TOLERANCE)
+    if status == Status.OPTIMAL:
+        return status, ""
     facts = facts_where_modes_meet(judged[2])
-    if facts is not None and facts.gaps and not judged[2].globally_optimal:
+    if facts is not None and facts.gaps:
         holds = "hold" if facts.stationary_on_rims else "do not hold"
         advice = f"the map is not defined beyond it, and the conditions {holds} with the region as a constraint"
         return status, f"{facts.touched_gaps}; {advice} (docs/borders.md, Gaps)"

@@ -175,7 +175,7 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
         box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
         for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
             raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
-        images = [interval_jets(mode.f, *box, time=t).values for mode in piecewise_smooth(problem).modes]
+        images = [interval_jets(mode.f, box[0], box[1], time=t).values for mode in piecewise_smooth(problem).modes]
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
         upper = np.maximum(lower, upper)  # where that is empty, no image will meet the cell

@@ -240,8 +240,9 @@ class BackwardStep:
         possible, (y, r) = np.ones(len(boxes.cell), dtype=bool), (boxes.centre, boxes.radius)
         for formulas, inside in ((mode.region, 1.0), (mode.domain, -1.0)):
             if formulas:
-                jets = (interval_jets(formulas, *box, curved=False, time=self._t) for box in ((y, y), (y - r, y + r)))
-                low, high = enclose(*jets, r)
+                centre = interval_jets(formulas, y, y, curved=False, time=self._t)
+                whole = interval_jets(formulas, y - r, y + r, curved=False, time=self._t)
+                low, high = enclose(centre, whole, r)
                 possible &= ~(low > 0 if inside > 0 else high <= 0).any(axis=1)
         boxes = boxes.take(possible)
         y, r = boxes.centre, boxes.radius

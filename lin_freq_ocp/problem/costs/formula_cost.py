@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, assign
 from lin_freq_ocp.base.errors import ProblemError
@@ -55,14 +56,14 @@ class SmoothCost(NonsmoothCost):
 
     label: ClassVar[str] = "cost by formulas"
 
-    stage: Any  # a Formula or None in a problem
-    terminal: Any
-    let: Any
+    stage: object  # a Formula or None in a problem
+    terminal: object
+    let: object
 
     def __init__(
         self,
         stage: Formulas | None = None,
-        terminal: Formulas | Callable[[Any], object] | None = None,
+        terminal: Formulas | Callable[[NDArray[np.object_]], object] | None = None,
         let: Mapping[str, str] | None = None,
     ):
         if stage is None and terminal is None:
@@ -92,7 +93,13 @@ class SmoothCost(NonsmoothCost):
     @property
     def formulas(self) -> tuple[Formula | None, Formula | None]:
         """Return the formulas of the stage and of the terminal cost, None for none."""
-        return self.stage, self.terminal
+        stage, terminal = (one if isinstance(one, Formula) else None for one in (self.stage, self.terminal))
+        return stage, terminal
+
+    @property
+    def has_formulas(self) -> bool:
+        """Return True."""
+        return True
 
     def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
         """Return none: its formulas are not terms h(L(x, u))."""
@@ -105,19 +112,21 @@ class SmoothCost(NonsmoothCost):
 
     def augmented(self, n: int, k: int) -> SmoothCost:
         """Return the cost of (x, w), w in R^k without cost."""
-        return SmoothCost(*(one if one is None else with_states([one], k)[0] for one in self.formulas))
+        stage, terminal = (None if one is None else with_states([one], k)[0] for one in self.formulas)
+        return SmoothCost(stage, terminal)
 
     def translated(self, origin: Array) -> SmoothCost:
         """Return the cost of x - origin, origin (n,)."""
-        return SmoothCost(*(one if one is None else translate_formulas([one], origin)[0] for one in self.formulas))
+        stage, terminal = (None if one is None else translate_formulas([one], origin)[0] for one in self.formulas)
+        return SmoothCost(stage, terminal)
 
     def formula_values(self, x: Array, u: Array) -> Array:
         """Return the cost of every time, (T+1,), for x (T+1, n) and u (T, m)."""
-        y, values = np.hstack([x[:-1], u]).astype(np.float64), np.zeros(len(x))
-        if self.stage is not None:
-            values[:-1] = values_of([self.stage], y)[:, 0]
-        if self.terminal is not None:
-            values[-1] = values_of([self.terminal], np.append(x[-1], np.zeros(u.shape[1]))[None])[0, 0]
+        (stage, terminal), values = self.formulas, np.zeros(len(x))
+        if stage is not None:
+            values[:-1] = values_of([stage], np.hstack([x[:-1], u]).astype(np.float64))[:, 0]
+        if terminal is not None:
+            values[-1] = values_of([terminal], np.append(x[-1], np.zeros(u.shape[1]))[None].astype(np.float64))[0, 0]
         return values
 
 

@@ -1,0 +1,71 @@
+"""Whether formulas are convex in (x, u): by the rules of convex compositions, else by enclosures of the Hessian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import partial
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.formulas.jets import interval_jets, values_of
+from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, POWER, PRODUCT, SUM, VARIABLE
+
+
+class Shape(IntEnum):
+    """What is known of a function of (x, u) at each time."""
+
+    CONSTANT = 0
+    AFFINE = 1
+    CONVEX = 2
+    UNKNOWN = 3
+
+
+def is_convex(formula: Formula, lower: Array, upper: Array) -> bool:
+    """Whether a formula is proven to be convex on boxes lower <= (x, u) <= upper at the times 0, 1, ..., (T, n + m).
+
+    It has no kinks then.
+    """
+    shape = evaluate([formula], partial(_shape, len(lower)))[0]
+    return shape <= Shape.CONVEX or bool((least_curvature(formula, lower, upper) >= 0).all())
+
+
+def least_curvature(formula: Formula, lower: Array, upper: Array) -> Array:
+    """Return diagonals below the Hessian on boxes, (T, n + m), by Gershgorin's circles; -inf where none is known."""
+    found = np.full(lower.shape, -np.inf)
+    if next(kinks([formula], MAXIMUM, MINIMUM, NORM), None) is not None:
+        return found
+    used = np.zeros(lower.shape[1], dtype=bool)  # enclosures of derivatives by others are not exactly zero
+    used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True
+    diagonal = np.arange(lower.shape[1])
+    for t in range(len(lower)):
+        try:
+            low, high = interval_jets([formula], lower[t : t + 1], upper[t : t + 1], time=t).curvatures
+        except UnsupportedError:
+            return found
+        sizes = np.where(used, np.maximum(np.abs(low), np.abs(high))[0, 0], 0.0)
+        sizes[diagonal, diagonal] = 0.0
+        found[t] = np.where(used, low[0, 0, diagonal, diagonal] - sizes.sum(axis=1), 0.0)
+    return np.nan_to_num(found, nan=-np.inf, posinf=0.0)
+
+
+def _shape(horizon: int, node: Formula, parts: Sequence[Shape]) -> Shape:
+    """Return what follows for a node from its arguments, at the times before the horizon."""
+    most = max(parts, default=Shape.CONSTANT)
+    if node.kind == VARIABLE:
+        return Shape.AFFINE
+    if most == Shape.CONSTANT or (node.kind == SUM and most == Shape.AFFINE):
+        return most
+    if node.kind == SUM and most == Shape.CONVEX:
+        falling = (part == Shape.CONVEX and factor < 0 for part, factor in zip(parts, node.data[:-1], strict=True))
+        return Shape.UNKNOWN if any(falling) else Shape.CONVEX
+    if node.kind == PRODUCT and min(parts) == Shape.CONSTANT and most <= Shape.CONVEX:
+        factor = values_of([node.arguments[parts.index(Shape.CONSTANT)]], np.zeros((horizon, sum(node.dimensions))))
+        return most if most == Shape.AFFINE or (factor >= 0).all() else Shape.UNKNOWN
+    even = node.kind == POWER and node.data[0] % 2 == 0
+    if (most == Shape.AFFINE and (even or node.kind == "cosh")) or (most <= Shape.CONVEX and node.kind == "exp"):
+        return Shape.CONVEX
+    return Shape.UNKNOWN

@@ -1,0 +1,74 @@
+"""Random problems with smooth costs and time by formulas, against IPOPT from the same start, and by differences.
+
+Every accepted answer must be stationary by central differences of its cost (tests/helpers/checks/formula_costs.py).
+Answers of convex problems must have IPOPT's cost. Of others, worse local optima than IPOPT's are counted, and better
+ones.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from benchmark.ipopt import solved_by_ipopt
+from rich.console import Console
+from rich.table import Table
+
+import lin_freq_ocp as lfo
+from helpers.checks.formula_costs import Checked, check, random_problem
+from verify.seeded import check_all
+
+SAME = 1e-6  # relative difference of costs
+
+
+class Compared(NamedTuple):
+    """An answer, and the cost of IPOPT's, not a number if it claims none."""
+
+    ours: Checked
+    other: float
+
+    @property
+    def difference(self) -> float:
+        """Return our cost less IPOPT's, relative to S or so."""
+        return (self.ours.cost - self.other) / max(1.0, abs(self.other))
+
+    @property
+    def passed(self) -> bool:
+        """Whether ours is right, and a convex one as cheap as IPOPT's."""
+        return self.ours.passed and not (self.ours.convex and abs(self.difference) > SAME)
+
+
+def compare(seed: int) -> Compared:
+    """Return our answer of a random problem, and IPOPT's from our first start: controls in the middle of their box."""
+    problem = random_problem(seed)
+    tube = problem.control_tube
+    bounded = np.isfinite(tube.lower)
+    middle = np.where(bounded, 0.5 * (np.where(bounded, tube.lower, 0.0) + np.where(bounded, tube.upper, 0.0)), 0.0)
+    claim = solved_by_ipopt(problem, lfo.simulate(problem, middle))
+    return Compared(check(seed), claim.cost if claim.status == "Solve_Succeeded" else float("nan"))
+
+
+def verify(console: Console, seeds: range, processes: int) -> bool:
+    """Compare the problems of these seeds and print a summary; return whether all are right."""
+    found = check_all(compare, seeds, processes, "comparing")
+    table = Table("costs by formulas", "problems", title="random problems by formulas, against IPOPT")
+    for heading in ("accepted", "same cost", "better", "worse", "slope left", "wrong"):
+        table.add_column(heading, justify="right")
+    for name, convex in (("convex", True), ("others", False)):
+        some = [one for one in found if one.ours.convex == convex]
+        accepted = [one for one in some if one.ours.satisfied]
+        table.add_row(
+            name,
+            str(len(some)),
+            str(len(accepted)),
+            str(sum(abs(one.difference) <= SAME for one in accepted)),
+            str(sum(one.difference < -SAME for one in accepted)),
+            str(sum(one.difference > SAME for one in accepted)),
+            f"{max((one.ours.left for one in accepted), default=0.0):.1e}",
+            str(sum(not one.passed for one in some)),
+        )
+    console.print(table)
+    for one in found:
+        if not one.passed or one.difference > SAME:
+            console.print(one)
+    return all(one.passed for one in found)

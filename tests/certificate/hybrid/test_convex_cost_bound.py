@@ -1,0 +1,66 @@
+"""The global bound of convex problems with costs by formulas, from any multipliers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+A = np.array([[1.0, 0.1, 0.0, 0.0], [0.0, 1.0, 0.1, 0.0], [0.0, 0.0, 0.9, 0.1], [0.0, 0.0, 0.0, 0.8]])
+B = np.array([[0.0], [0.0], [0.1], [1.0]])
+
+
+def stated(cost, **fields):
+    """Return a convex problem of four states: too many for dynamic programming."""
+    fields = {"control_set": lfo.Box(-2, 2), "initial_state": [1.0, -0.5, 0.2, 0.0]} | fields
+    return lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 15, cost, **fields)
+
+
+PROBLEMS = {
+    "quartic": stated(lfo.QuadraticCost(R=0.1, Q=0.01) + lfo.costs.SmoothCost(stage="(x_0 - 0.3*x_1)**4")),
+    "exponentials": stated(lfo.costs.SmoothCost(stage="exp(x_0) + exp(-x_1) + cosh(u_0)", terminal="exp(x_0)")),
+    "beside a norm": stated(
+        lfo.QuadraticCost(R=0.1) + lfo.costs.L1Cost(x=0.2) + lfo.costs.SmoothCost(stage="exp(x_0 + x_1)")
+    ),
+    "low pass": stated(
+        lfo.QuadraticCost(R=0.1, u_ref=0.1, x_ref=[0.1, 0.0, 0.0, 0.0], Q=0.1)
+        + lfo.costs.SmoothCost(stage="(x_0 - sin(t))**2 + 0.1*t*x_1**2", terminal="x_0**2 + x_2**4"),
+        control_spectrum=lfo.low_pass(1.5),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+def test_a_convex_problem_is_proven_to_be_optimal(name):
+    result = lfo.solve(PROBLEMS[name])
+    assert result.status == "optimal"
+    assert result.certificate.bound.kind == "rigorous"
+    assert abs(result.gap) <= 1e-8
+    again = lfo.certify(result.problem, result.trajectory, result.multipliers)
+    assert again.globally_optimal
+
+
+@pytest.mark.parametrize("name", list(PROBLEMS))
+@pytest.mark.parametrize("seed", range(4))
+def test_the_bound_of_any_multipliers_and_trajectory_is_below_the_optimum(name, seed):
+    problem, rng = PROBLEMS[name], np.random.default_rng(seed)
+    result = lfo.solve(problem)
+    y, size = result.multipliers, 10.0 ** rng.uniform(-4, 0)
+    moved = lfo.simulate(problem, result.trajectory.u + size * rng.normal(size=result.trajectory.u.shape))
+    other = replace(y, eta=y.eta + size * rng.normal(size=y.eta.shape))
+    for trajectory, multipliers in ((result.trajectory, other), (moved, y), (moved, other)):
+        certificate = lfo.certify(problem, trajectory, multipliers)
+        if certificate.bound is not None and certificate.bound.kind == "rigorous":
+            assert certificate.bound.value <= result.cost + 1e-12 * certificate.cost_scale
+
+
+def test_a_problem_that_is_not_convex_has_no_such_bound():
+    for cost in ("cos(x_0)", "x_0*u_0", "x_0**4 - x_0**2"):
+        result = lfo.solve(stated(lfo.QuadraticCost(R=0.1, Q=0.01) + lfo.costs.SmoothCost(stage=cost)), "nonsmooth")
+        assert result.certificate.bound is None
+        assert result.status == "locally_optimal"
+    message = lfo.solve(stated(lfo.QuadraticCost(R=0.1) + lfo.costs.SmoothCost(stage="cos(x_0)"))).message
+    assert "got 4 states; expected at most 3" in message
