@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Literal
 
 from lin_freq_ocp.api.receding_horizon import RecedingHorizon
 from lin_freq_ocp.base.arrays import brief, positive_number
@@ -17,7 +16,7 @@ from lin_freq_ocp.loop.log import CertifiedLog
 def generate(
     controller: RecedingHorizon,
     folder: str | PathLike[str],
-    real: Literal["double", "float"] = "double",
+    real: str = "double",
     changes: int | None = None,
     memory: int | str | None = None,
     references: bool = False,

@@ -62,7 +62,7 @@ def generate_command(
 ) -> int:
     """Write a receding-horizon controller as C into a folder, with a test."""
     controller = controller_of(problem, settings, soft, delay)
-    written = generate(controller, folder, real, changes, memory, references)  # type: ignore[arg-type]
+    written = generate(controller, folder, real, changes, memory, references)
     console.print_lines(str(written))
     console.say(f"next: make -C {folder}")
     return console.PROVEN

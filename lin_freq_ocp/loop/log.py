@@ -24,7 +24,7 @@ STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some k
 
 
 class StepStatus(IntEnum):
-    """What a generated step returned, as in controller.h."""
+    """The status of a generated step, as in controller.h."""
 
     PLANNED = 0
     SOFTENED = 1
@@ -34,7 +34,7 @@ class StepStatus(IntEnum):
 
 
 class LogFinding(StrEnum):
-    """What is known of a logged step."""
+    """The finding about a logged step."""
 
     PROVEN = "proven"  # the control is the first one of a plan that is proven optimal
     INFEASIBLE = "infeasible, proven"  # and the plan before was applied
@@ -61,7 +61,7 @@ class ControllerLog:
 
 @dataclass(frozen=True, eq=False)
 class CertifiedLog(ControllerLog):
-    r"""The log of a generated controller with what is proven of its steps.
+    r"""The log of a generated controller with the proofs of its steps.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class _Verdict:
 
     @classmethod
     def of(cls, outcome: Outcome) -> _Verdict:
-        """Return what is proven of an outcome."""
+        """Return the proven status of an outcome."""
         certificate = outcome.certificate
         if outcome.status is Status.INFEASIBLE or certificate is None:
             return cls(Status.INFEASIBLE if outcome.status is Status.INFEASIBLE else None)
@@ -235,7 +235,7 @@ class _Verdict:
 
 
 def _finding_of_step(status: StepStatus, verdict: Status | None, agrees: bool) -> LogFinding:
-    """Return what is known of a step from its status, what is proven of its problem, and whether controls agree."""
+    """Return the finding about a step from its status, the proven status of its problem, and whether controls agree."""
     if status is StepStatus.NO_STATE:
         return LogFinding.NO_STATE
     if status is StepStatus.CAPPED:

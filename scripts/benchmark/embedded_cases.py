@@ -16,7 +16,7 @@ PENALTY = 1e3  # of the state set, where it is hard otherwise
 
 @dataclass(frozen=True)
 class Case:
-    """A problem, the largest push of each of its states, the standard deviation of their noise, and what is soft."""
+    """A problem, the largest pushes and the standard deviations of its states, and whether its bounds are hard."""
 
     problem: lfo.OptimalControlProblem
     push: np.ndarray

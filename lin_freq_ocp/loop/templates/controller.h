@@ -1,7 +1,7 @@
 /* {{ title }}
 
    {{ integers.n }} states, {{ integers.m }} controls, horizon {{ integers["T"] }}, {{ integers.r }} unknowns, {{ real.name }}.
-   Written by lin_freq_ocp {{ version }}; README.md says what it computes and needs. */
+   Written by lin_freq_ocp {{ version }}; README.md has its problem, its sizes and its use. */
 #ifndef CONTROLLER_H
 #define CONTROLLER_H
 
@@ -21,7 +21,7 @@ extern "C" {
 #define CONTROLLER_LARGEST {{ real.literal(largest) }} /* of a state{{ " or reference" if references }}, in its unit */
 #define CONTROLLER_TABLE_BYTES {{ summary.flash }}
 
-/* What a step returns. */
+/* The status of a step. */
 enum {
   CONTROLLER_PLANNED = 0,    /* u is the first control of a plan that satisfies all rows */
   CONTROLLER_SOFTENED = 1,   /* the same, and soft rows are violated; controller_plan says by how much */

@@ -26,7 +26,7 @@ static lfo_real dot(const lfo_real *a, const lfo_real *b, int count) {
 #pragma omp simd reduction(+ : sum)
   for (int i = 0; i < count; i++) sum += a[i] * b[i];
   return sum;
-#else /* four sums, of which none waits for another */
+#else /* four independent sums */
   lfo_real s0 = 0, s1 = 0, s2 = 0, s3 = 0;
   int i = 0;
   for (; i + 3 < count; i += 4) {
