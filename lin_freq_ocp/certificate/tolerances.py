@@ -1,6 +1,6 @@
 """Tolerances of the judge. All are relative, and none depends on the units of a problem."""
 
-import numpy as np
+import sys
 
 # Satisfied conditions
 CONDITION_TOLERANCE = 1e-6  # residual over scale: good solvers reach 1e-9, a wrong sign or row gives 1e-3 or more
@@ -19,15 +19,11 @@ DATA_ROUNDING = (
     1e-12  # deviations, relative to sizes, that solvers and printed data leave; gaps below their cost do not count
 )
 
-HESSIAN_ROUNDING = 4 * float(
-    np.finfo(np.float64).eps
-)  # of entries of Q, R, S, P: these may be products of rounded data
-STATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of x and of A x + B u + d, relative to their terms
+HESSIAN_ROUNDING = 4 * sys.float_info.epsilon  # of entries of Q, R, S, P: these may be products of rounded data
+STATE_ROUNDING = 4 * sys.float_info.epsilon  # of x and of A x + B u + d, relative to their terms
 
 # Bounds
-ARITHMETIC_ROUNDING = 16 * float(
-    np.finfo(np.float64).eps
-)  # of a few operations in double precision, relative to their terms
+ARITHMETIC_ROUNDING = 16 * sys.float_info.epsilon  # of a few operations in double precision, relative to their terms
 EIGENVALUE_ERROR = 1e-12  # by which a computed smallest eigenvalue of a correlation matrix may be too large
 NUMERICAL_REACH = 10.0  # sizes of an unbounded component that a merely numerical bound covers
 RADIUS_MARGIN = 1.0 + 1e-9  # factor by which computed radii are enlarged to cover their own rounding

@@ -222,13 +222,19 @@ def time_of(dimensions: tuple[int, int]) -> Formula:
     -------
     Formula
 
+    Raises
+    ------
+    ProblemError
+        If a number is not a positive integer.
+
     Examples
     --------
     >>> x, u = lfo.signals(1, 1)
     >>> print(lfo.formulas.time_of((1, 1)) * x[0])
     Formula(t * (x_0))
     """
-    return Formula(dimensions, operations.TIME)
+    n, m = (positive_integer("dimensions", count) for count in dimensions)
+    return Formula((n, m), operations.TIME)
 
 
 def norm(components: Formula | Sequence[Formula | float] | NDArray[np.object_]) -> Formula:

@@ -109,10 +109,10 @@ class Controller:
         x = self.measured("state", state, self.problem.state_dim)
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
-        started = now()
-        for repeated in () if self._remembers else self._trees:
+        started, plain = now(), preview == Preview()
+        for repeated in self._trees if plain and not self._remembers else ():
             repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
-        quick = self._plan_uncertified(x, started) if self._later and preview == Preview() else None
+        quick = self._plan_uncertified(x, started) if self._later and plain else None
         if quick is not None:
             self._record(replace(quick, solve_seconds=now() - started))
             return self._steps[-1], None

@@ -220,8 +220,8 @@ def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
         PiecewiseSmoothDynamics.jets_at,
     )
 
-    def wrong(self, *given):
-        found = right(self, *given)
+    def wrong(self, *given, **options):
+        found = right(self, *given, **options)
         return replace(found, f=tuple(replace(one, slopes=1.05 * one.slopes) for one in found.f))
 
     monkeypatch.setattr(PiecewiseSmoothDynamics, "jets_at", wrong)

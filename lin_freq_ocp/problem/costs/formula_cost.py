@@ -48,7 +48,7 @@ class SmoothCost(NonsmoothCost):
 
     Examples
     --------
-    >>> cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage=lambda t, x, u: np.sin(x[0]) ** 2)
+    >>> cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="sin(x_0)**2")
     >>> problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 9, cost, initial_state=[1.5])
     >>> lfo.solve(problem, "nonsmooth").certificate.pmp
     'satisfied'

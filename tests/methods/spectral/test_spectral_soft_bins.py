@@ -95,7 +95,7 @@ def test_a_loop_with_softened_blocks_stays_in_the_fourier_domain():
         x = step(0, x, controller.step(x))
     log = controller.log
     assert "softened problem" in log.sources
-    assert {one.method for one in log.steps} == {"spectral", "condensed"}
+    assert {one.method for one in log.steps} <= {"spectral", "condensed"}
     assert log.satisfied.all()
 
 
