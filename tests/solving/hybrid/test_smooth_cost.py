@@ -156,6 +156,29 @@ def test_the_cost_stays_through_changes_of_the_problem(wave):
     assert lfo.solve(far, "nonsmooth").cost == pytest.approx(lfo.solve(near, "nonsmooth").cost, rel=1e-6)
 
 
+def test_reports_name_the_states_of_the_problem_alone(wave):
+    """The cost is a state for the judge only: no condition, kink or multiplier is about it."""
+    result = lfo.solve(wave, "nonsmooth")
+    off = lfo.Trajectory(result.trajectory.x, result.trajectory.u + 1e-3)
+    for certificate in (result.certificate, lfo.certify(wave, off, result.multipliers), lfo.certify(wave, off)):
+        states = [one.component for one in certificate.conditions if one.label in ("C-iii", "C-iv", "S-x", "N-x")]
+        assert all(component is None or component < 2 for component in states)
+    kinked = cart(
+        lfo.QuadraticCost(R=0.1) + SmoothCost(stage="abs(x_0 - 0.5) + 2*abs(x_1)"), 20, initial_state=[0.3, 0]
+    )
+    compared = lfo.compare(kinked)
+    assert compared.kinks
+    assert all(kink.required.shape == (2,) for kink in compared.kinks)
+    assert str(compared.constrained.uniqueness)
+    compared.plot()
+
+
+def test_a_certificate_of_a_convex_cost_needs_no_multipliers():
+    problem = cart(lfo.QuadraticCost(Q=0.01, R=0.1) + SmoothCost(stage="(x_0 - 0.3*x_1)**4"))
+    result = lfo.solve(problem)
+    assert lfo.certify(problem, result.trajectory).globally_optimal
+
+
 def test_no_linear_method_takes_a_cost_by_formulas(wave):
     for method in ("spectral", "structured", "convex"):
         with pytest.raises(lfo.errors.UnsupportedError, match="piecewise-smooth"):
