@@ -9,7 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
+from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.comparison.trajectories import mode_sequence
 
 SmoothCost = lfo.costs.SmoothCost
 A, B = [[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]]
@@ -163,14 +165,13 @@ def test_reports_name_the_states_of_the_problem_alone(wave):
     for certificate in (result.certificate, lfo.certify(wave, off, result.multipliers), lfo.certify(wave, off)):
         states = [one.component for one in certificate.conditions if one.label in ("C-iii", "C-iv", "S-x", "N-x")]
         assert all(component is None or component < 2 for component in states)
-    kinked = cart(
-        lfo.QuadraticCost(R=0.1) + SmoothCost(stage="abs(x_0 - 0.5) + 2*abs(x_1)"), 20, initial_state=[0.3, 0]
-    )
-    compared = lfo.compare(kinked)
-    assert compared.kinks
-    assert all(kink.required.shape == (2,) for kink in compared.kinks)
-    assert str(compared.constrained.uniqueness)
-    compared.plot()
+    cost = lfo.QuadraticCost(R=0.1) + SmoothCost(stage="abs(x_0 - 0.5) + 2*abs(x_1)")
+    kinked = lfo.solve(cart(cost, 8, initial_state=[0.48, 0]), "nonsmooth")
+    found = kinks(kinked.problem, kinked.trajectory, kinked.multipliers, kinked.certificate.borders)
+    assert found
+    assert all(kink.required.shape == (2,) for kink in found)
+    assert str(kinked.uniqueness)
+    assert mode_sequence(kinked.problem, kinked.trajectory).shape == (8,)
 
 
 def test_a_certificate_of_a_convex_cost_needs_no_multipliers():
