@@ -19,6 +19,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import modes_along
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
+from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -423,6 +424,9 @@ def solution_label(result: Outcome) -> str:
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
+    priced = cost_as_state(problem, trajectory)
+    if priced is not None:
+        problem, trajectory = priced.problem, priced.with_cost(trajectory)
     arrays = modes_along(problem.affine_at(trajectory), trajectory)
     x, u = trajectory.x, trajectory.u
     outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE

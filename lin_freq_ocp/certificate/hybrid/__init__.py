@@ -5,8 +5,8 @@ from lin_freq_ocp.certificate.hybrid.smooth import judge_priced, judge_smooth
 from lin_freq_ocp.certificate.verdict import JUDGES
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.hybrid.priced import PricedDynamics
+from lin_freq_ocp.problem.hybrid.priced import DynamicsWithFormulaCost
 
 JUDGES[PiecewiseAffineDynamics] = judge_modes
 JUDGES[PiecewiseSmoothDynamics] = judge_smooth
-JUDGES[PricedDynamics] = judge_priced
+JUDGES[DynamicsWithFormulaCost] = judge_priced

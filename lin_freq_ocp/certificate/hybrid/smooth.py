@@ -16,6 +16,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
@@ -29,7 +30,7 @@ from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
+from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import is_convex, least_curvature
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
@@ -38,6 +39,8 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
 
 
 def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
@@ -73,7 +76,29 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     inverse = cost_as_state(problem, trajectory)
     assert inverse is not None  # there is a cost by formulas
     found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers))
-    return replace(found, bound=convex_bound(problem, trajectory, multipliers))
+    own = own_conditions(problem, found.conditions)
+    return replace(found, conditions=own, bound=convex_bound(problem, trajectory, multipliers))
+
+
+def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
+    """Return the conditions of the problem with its cost as a state; in the given one this state has no name."""
+    last = problem.state_dim
+    return tuple(
+        replace(one, component=None) if one.label in OF_STATES and one.component == last else one for one in conditions
+    )
+
+
+def own_certificate(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers | None, certificate: Certificate
+) -> Certificate:
+    """Return the certificate of the problem with its cost as a state as that of the given one, with its bound."""
+    return replace(
+        certificate,
+        conditions=own_conditions(problem, certificate.conditions),
+        cost=problem.value(trajectory.x, trajectory.u),
+        cost_scale=cost_scale(problem, trajectory),
+        bound=None if multipliers is None else convex_bound(problem, trajectory, multipliers),
+    )
 
 
 def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
@@ -231,6 +256,11 @@ def kinks(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, facts: SwitchingFacts
 ) -> tuple[Kink, ...]:
     """Return the kinks of judged switching facts along a trajectory, in time."""
+    priced = cost_as_state(problem, trajectory)
+    if priced is not None:
+        n, augmented = problem.state_dim, (priced.with_cost(trajectory), priced.with_adjoint(multipliers))
+        found = kinks(priced.problem, *augmented, facts)
+        return tuple(Kink(kink.time, kink.lower[:n], kink.upper[:n], kink.required[:n]) for kink in found)
     times = sorted({*facts.times, *(kink.time for kink in facts.norms)})
     if not times:
         return ()

@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class PricedDynamics(Dynamics):
+class DynamicsWithFormulaCost(Dynamics):
     """Dynamics with the stage cost of a problem by formulas, whose kinks are modes.
 
     ``form`` are the dynamics as smooth modes, ``stage`` is the cost, None where there is a terminal one alone.
@@ -94,12 +94,12 @@ class PricedDynamics(Dynamics):
         raise UnsupportedError("dynamics: got a cost by formulas; expected one that is a state (cost_as_state).")
 
 
-def price_smooth(dynamics: Dynamics, stage: Formula | None) -> PricedDynamics:
+def price_smooth(dynamics: Dynamics, stage: Formula | None) -> DynamicsWithFormulaCost:
     """Return piecewise-smooth dynamics with a stage cost."""
-    return PricedDynamics(dynamics, require_form(dynamics, PiecewiseSmoothDynamics), stage)
+    return DynamicsWithFormulaCost(dynamics, require_form(dynamics, PiecewiseSmoothDynamics), stage)
 
 
-def price_linear(dynamics: Dynamics, stage: Formula | None) -> PricedDynamics:
+def price_linear(dynamics: Dynamics, stage: Formula | None) -> DynamicsWithFormulaCost:
     """Return linear dynamics with a stage cost, as one smooth mode."""
     linear = require_form(dynamics, LinearDynamics)
     times = max(linear.A.shape[:-2], linear.B.shape[:-2])
@@ -107,7 +107,7 @@ def price_linear(dynamics: Dynamics, stage: Formula | None) -> PricedDynamics:
     f = affine_formulas(rows, linear.offset, (linear.state_dim, linear.control_dim))
     labels = linear.sampling_time, linear.state_names, linear.control_names
     form = PiecewiseSmoothDynamics([SmoothMode(f)], linear.state_dim, linear.control_dim, *labels)
-    return PricedDynamics(dynamics, form, stage)
+    return DynamicsWithFormulaCost(dynamics, form, stage)
 
 
 @dataclass(frozen=True, eq=False)

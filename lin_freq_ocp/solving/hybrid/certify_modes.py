@@ -8,8 +8,8 @@ from itertools import chain
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
+from lin_freq_ocp.certificate.hybrid.smooth import own_certificate
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
-from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
@@ -28,10 +28,12 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     """
     priced = cost_as_state(problem, trajectory)
     if priced is not None:
+        best, _ = best_multipliers(problem, trajectory)
+        if not best.failed and _facts(best).flip_stationary:
+            return best
         certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
         descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
-        cost, scale = problem.value(trajectory.x, trajectory.u), cost_scale(problem, trajectory)
-        return replace(certificate, cost=cost, cost_scale=scale, descent=descent)
+        return replace(own_certificate(problem, trajectory, None, certificate), descent=descent)
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:

@@ -9,7 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
+from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.comparison.trajectories import mode_sequence
 
 SmoothCost = lfo.costs.SmoothCost
 A, B = [[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]]
@@ -154,6 +156,28 @@ def test_the_cost_stays_through_changes_of_the_problem(wave):
     far = cart(lfo.QuadraticCost(R=0.1) + SmoothCost(stage=lambda x, u: (x[0] - 1e6) ** 4), initial_state=[1e6 + 1, 0])
     near = cart(lfo.QuadraticCost(R=0.1) + SmoothCost(stage=lambda x, u: x[0] ** 4))
     assert lfo.solve(far, "nonsmooth").cost == pytest.approx(lfo.solve(near, "nonsmooth").cost, rel=1e-6)
+
+
+def test_reports_name_the_states_of_the_problem_alone(wave):
+    """The cost is a state for the judge only: no condition, kink or multiplier is about it."""
+    result = lfo.solve(wave, "nonsmooth")
+    off = lfo.Trajectory(result.trajectory.x, result.trajectory.u + 1e-3)
+    for certificate in (result.certificate, lfo.certify(wave, off, result.multipliers), lfo.certify(wave, off)):
+        states = [one.component for one in certificate.conditions if one.label in ("C-iii", "C-iv", "S-x", "N-x")]
+        assert all(component is None or component < 2 for component in states)
+    cost = lfo.QuadraticCost(R=0.1) + SmoothCost(stage="abs(x_0 - 0.5) + 2*abs(x_1)")
+    kinked = lfo.solve(cart(cost, 8, initial_state=[0.48, 0]), "nonsmooth")
+    found = kinks(kinked.problem, kinked.trajectory, kinked.multipliers, kinked.certificate.borders)
+    assert found
+    assert all(kink.required.shape == (2,) for kink in found)
+    assert str(kinked.uniqueness)
+    assert mode_sequence(kinked.problem, kinked.trajectory).shape == (8,)
+
+
+def test_a_certificate_of_a_convex_cost_needs_no_multipliers():
+    problem = cart(lfo.QuadraticCost(Q=0.01, R=0.1) + SmoothCost(stage="(x_0 - 0.3*x_1)**4"))
+    result = lfo.solve(problem)
+    assert lfo.certify(problem, result.trajectory).globally_optimal
 
 
 def test_no_linear_method_takes_a_cost_by_formulas(wave):
