@@ -7,7 +7,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import changed
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -34,7 +34,7 @@ def linear_along(problem: OptimalControlProblem, trajectory: Trajectory) -> Opti
     It lacks costs by formulas, whose kinks remain boundaries of modes.
     """
     if problem.cost.has_formulas:
-        problem = changed(problem, dynamics=problem.dynamics.standard_form, cost=problem.cost.without_formulas)
+        problem = replace_fields(problem, dynamics=problem.dynamics.standard_form, cost=problem.cost.without_formulas)
     problem = problem.affine_at(trajectory)
     if not problem.dynamics.mode_names:
         return problem
