@@ -43,7 +43,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 PIXELS_PER_INCH = 150
 
-MOST_BINS = 8  # of a level that was exceeded, that a table names
+MOST_NAMED_BINS = 8  # of a level that was exceeded, that a table names
 
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
@@ -231,7 +231,7 @@ def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:
     limits = np.unique(spectra.limits) * (1.0 if spectra.joint else spectra.amplitude)
     level = f"{number(float(limits[0]), 3)}" + (f" to {number(float(limits[-1]), 3)}" if len(limits) > 1 else "")
     broken = [] if spectra.joint else [number(at, 3) for at in frequencies[spectra.bins][spectra.exceeded.any(axis=0)]]
-    others = f" {scale.unit} and {len(broken) - MOST_BINS} more" if len(broken) > MOST_BINS else f" {scale.unit}"
+    others = f" {scale.unit} and {len(broken) - MOST_NAMED_BINS} more" if len(broken) > MOST_BINS else f" {scale.unit}"
     return [
         spectra.name,
         f"{' and '.join(bands)} {scale.unit}",
@@ -240,7 +240,7 @@ def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:
         f"{number(frequencies[point], 3)} {scale.unit}",
         f"sample {begin}" if step is None else f"{number(step * begin, 3)} s",
         f"{int(spectra.exceeded.any(axis=1).sum())} of {len(spectra.begins)}",
-        ", ".join(broken[:MOST_BINS]) + others if broken else "none",
+        ", ".join(broken[:MOST_NAMED_BINS]) + others if broken else "none",
     ]
 
 
