@@ -231,7 +231,9 @@ def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:
     limits = np.unique(spectra.limits) * (1.0 if spectra.joint else spectra.amplitude)
     level = f"{number(float(limits[0]), 3)}" + (f" to {number(float(limits[-1]), 3)}" if len(limits) > 1 else "")
     broken = [] if spectra.joint else [number(at, 3) for at in frequencies[spectra.bins][spectra.exceeded.any(axis=0)]]
-    others = f" {scale.unit} and {len(broken) - MOST_NAMED_BINS} more" if len(broken) > MOST_BINS else f" {scale.unit}"
+    others = (
+        f" {scale.unit} and {len(broken) - MOST_NAMED_BINS} more" if len(broken) > MOST_NAMED_BINS else f" {scale.unit}"
+    )
     return [
         spectra.name,
         f"{' and '.join(bands)} {scale.unit}",
