@@ -165,8 +165,8 @@ def test_reports_name_the_states_of_the_problem_alone(wave):
     for certificate in (result.certificate, lfo.certify(wave, off, result.multipliers), lfo.certify(wave, off)):
         states = [one.component for one in certificate.conditions if one.label in ("C-iii", "C-iv", "S-x", "N-x")]
         assert all(component is None or component < 2 for component in states)
-    cost = lfo.QuadraticCost(R=0.1) + SmoothCost(stage="abs(x_0 - 0.5) + 2*abs(x_1)")
-    kinked = lfo.solve(cart(cost, 8, initial_state=[0.48, 0]), "nonsmooth")
+    cost = lfo.QuadraticCost(Q=1.0, R=0.1, P=5.0) + SmoothCost(stage="2*abs(x_1)")
+    kinked = lfo.solve(cart(cost, 8), "nonsmooth")
     found = kinks(kinked.problem, kinked.trajectory, kinked.multipliers, kinked.certificate.borders)
     assert found
     assert all(kink.required.shape == (2,) for kink in found)
