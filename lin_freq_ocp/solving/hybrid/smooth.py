@@ -296,7 +296,8 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
     if search.message and (judged is None or search.interrupted):
         return Status.LIMIT, search.message
     if judged is None:
-        nearest = ", where the dynamics are not defined"
+        undefined = "dynamics or the cost" if search.problem.cost.has_formulas else "dynamics"
+        nearest = f", where the {undefined} are not defined"
         if search.best is not None:
             nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
