@@ -40,21 +40,21 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 38_623,
-    "code lines, linear part": 19_066,
-    "code lines, hybrid": 7_907,
-    SHARE_SAID: 19.5,  # at least
-    "files": 292,
+    "code lines": 40_692,
+    "code lines, linear part": 19_694,
+    "code lines, hybrid": 8_561,
+    SHARE_SAID: 19.4,  # at least
+    "files": 300,
     "folders": 40,
     "folders at the root": 17,
     "modules at the root": 11,
-    "names in __all__": 53,
+    "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.7,
+    "functions used once [%]": 11.8,
     "files entered by a solve": 46,
-    "functions entered by a solve": 372,
-    "calls of a solve": 764,
+    "functions entered by a solve": 374,
+    "calls of a solve": 769,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,
