@@ -56,6 +56,11 @@ class Preview:
     bounds: Mapping[str, SetOrSets] | None = None  # "state_set", "control_set"
     disturbance: ArrayLike | None = None  # (n,) or (T, n), added to the coming states
 
+    @property
+    def empty(self) -> bool:
+        """Whether the step has the data of the problem."""
+        return self.references is None and self.bounds is None and self.disturbance is None
+
 
 class Controller:
     """The state of a receding-horizon controller: its measurements, applied controls and plans."""
@@ -109,7 +114,7 @@ class Controller:
         x = self.measured("state", state, self.problem.state_dim)
         if applied is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
-        started, plain = now(), preview == Preview()
+        started, plain = now(), preview.empty
         for repeated in self._trees if plain and not self._remembers else ():
             repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, started) if self._later and plain else None

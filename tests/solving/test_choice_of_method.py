@@ -175,9 +175,9 @@ class TestChoiceOfMethod:
             clock.seconds += 50.0
             return ended_with("numerical_error")(off_the_dynamics(answer))
 
-        def noting(problem, backend, options):
+        def noting(problem, backend, options, programs):
             given.append(options.time_limit)
-            return convex.convex_candidates(problem, backend, options)
+            return convex.convex_candidates(problem, backend, options, programs)
 
         monkeypatch.setattr(SpectralSolver, "solve", claiming(slow))
         monkeypatch.setattr(import_module("lin_freq_ocp.solving.linear"), "convex_candidates", noting)
