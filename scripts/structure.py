@@ -40,7 +40,7 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 40_692,
+    "code lines": 40_695,
     "code lines, linear part": 19_694,
     "code lines, hybrid": 8_561,
     SHARE_SAID: 19.4,  # at least
