@@ -37,8 +37,13 @@ CONSTRAINT_WEIGHTS = (1e2, 1e5, 1e8)  # of active constraints, relative to the l
 ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direction, that the largest weight leaves
 
 
-def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> SecondOrder:
-    """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active."""
+def second_order_test(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array | None = None
+) -> SecondOrder:
+    """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active.
+
+    ``terminal`` (n, n) is added to the Hessian of the cost of x_T.
+    """
     dynamics, T, n = piecewise_smooth(problem), problem.horizon, problem.state_dim
     formulas = [formula for mode in dynamics.modes for formula in mode.f]
     rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
@@ -56,8 +61,9 @@ def second_order_test(problem: OptimalControlProblem, trajectory: Trajectory, mu
     terms[:-1] = np.einsum(
         "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
     )
-    P = problem.quadratic.P * scale[:n, :n]
-    terms[-1, :n] = np.abs(np.diag(problem.quadratic.P))
+    added = np.zeros((n, n)) if terminal is None else terminal
+    P = (problem.quadratic.P + added) * scale[:n, :n]
+    terms[-1, :n] = np.abs(np.diag(problem.quadratic.P)) + np.abs(added).max(axis=0)
     sizes = (terms * units**2).max(axis=0)
     largest = float(sizes.max())
     if largest == 0:

@@ -43,8 +43,10 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
 
 
-def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
-    """Judge a trajectory of smooth pieces."""
+def judge_smooth(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array | None = None
+) -> Judgement:
+    """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
     problem.require(trajectory)
     selections, norms = _judge_norms(problem, trajectory, multipliers)
     judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, linearised=True)
@@ -64,7 +66,7 @@ def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         test = (
             SecondOrder(None, "modes meet or norms are zero")
             if kinked
-            else second_order_test(problem, trajectory, multipliers)
+            else second_order_test(problem, trajectory, multipliers, terminal)
         )
     return replace(judgement, borders=facts, second_order=test)
 
@@ -75,9 +77,16 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     require_fitting(problem, multipliers)
     inverse = cost_as_state(problem, trajectory)
     assert inverse is not None  # there is a cost by formulas
-    found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers))
-    own = own_conditions(problem, found.conditions)
-    return replace(found, conditions=own, bound=convex_bound(problem, trajectory, multipliers))
+    n, terminal = problem.state_dim, problem.cost.formulas[1]
+    hessian = np.zeros((n + 1, n + 1))
+    if terminal is not None:
+        last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))
+        hessian[:n, :n] = jets([terminal], last[None]).curvatures[0, 0, :n, :n]
+    found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers), hessian)
+    own, test = own_conditions(problem, found.conditions), found.second_order
+    if test is not None and test.direction is not None:
+        test = replace(test, direction=inverse.trajectory(test.direction))
+    return replace(found, conditions=own, second_order=test, bound=convex_bound(problem, trajectory, multipliers))
 
 
 def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
@@ -88,16 +97,15 @@ def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, 
     )
 
 
-def own_certificate(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers | None, certificate: Certificate
-) -> Certificate:
-    """Return the certificate of the problem with its cost as a state as that of the given one, with its bound."""
+def own_certificate(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
+    """Return the certificate of the problem with its cost as a state as that of the given one, without a bound."""
     return replace(
         certificate,
         conditions=own_conditions(problem, certificate.conditions),
         cost=problem.value(trajectory.x, trajectory.u),
         cost_scale=cost_scale(problem, trajectory),
-        bound=None if multipliers is None else convex_bound(problem, trajectory, multipliers),
+        bound=None,
+        second_order=None,
     )
 
 

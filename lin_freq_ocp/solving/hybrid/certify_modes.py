@@ -33,7 +33,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
             return best
         certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
         descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
-        return replace(own_certificate(problem, trajectory, None, certificate), descent=descent)
+        return replace(own_certificate(problem, trajectory, certificate), descent=descent)
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:

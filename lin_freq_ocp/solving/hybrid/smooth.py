@@ -15,7 +15,6 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.smooth import own_certificate
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
@@ -151,9 +150,7 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
         given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
         refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]), end)
         trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
-        if refined[0] is not given[0]:
-            return trajectory, multipliers, judge(problem, trajectory, multipliers)
-        return local.trajectory, multipliers, own_certificate(problem, local.trajectory, multipliers, refined[2])
+        return trajectory, multipliers, judge(problem, trajectory, multipliers)
     affine = problem.affine_at(local.trajectory)
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)

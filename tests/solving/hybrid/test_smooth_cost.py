@@ -225,3 +225,28 @@ def test_a_terminal_formula_beside_kinks_is_declined():
     problem = cart(SmoothCost(stage="abs(x_0) + u_0**2", terminal="x_0**4"))
     with pytest.raises(lfo.errors.UnsupportedError, match="terminal cost by a formula and kinks"):
         lfo.solve(problem, "nonsmooth")
+
+
+@pytest.mark.parametrize(("terminal", "least"), [("-2*x_0**2", -1650.0), ("cos(3*x_0)", -0.8237636916)])
+def test_the_curvature_of_a_terminal_cost_counts_at_a_saddle(terminal, least):
+    """At rest the cost is stationary, and falls along a direction: that of the last state alone says so."""
+    cost = lfo.QuadraticCost(R=1.0) + SmoothCost(terminal=terminal)
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 3, cost, lfo.Box(-10, 10), initial_state=[0.0]
+    )
+    rest = lfo.Trajectory(np.zeros((4, 1)), np.zeros((3, 1)))
+    test = lfo.certify(problem, rest).second_order
+    assert test.passed is False
+    assert (test.direction.x.shape, test.direction.u.shape) == ((4, 1), (3, 1))
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False), start=rest)
+    assert result.status == "locally_optimal"
+    assert result.cost == pytest.approx(least, rel=1e-6)
+
+
+def test_a_concave_terminal_cost_that_controls_outweigh_is_no_saddle():
+    cost = lfo.QuadraticCost(R=1.0) + SmoothCost(terminal="-0.1*x_0**2")
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 3, cost, lfo.Box(-10, 10), initial_state=[0.0]
+    )
+    rest = lfo.Trajectory(np.zeros((4, 1)), np.zeros((3, 1)))
+    assert lfo.certify(problem, rest).second_order.passed
