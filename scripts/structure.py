@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 40_695,
-    "code lines, linear part": 19_694,
-    "code lines, hybrid": 8_561,
+    "code lines": 40_705,
+    "code lines, linear part": 19_696,
+    "code lines, hybrid": 8_569,
     SHARE_SAID: 19.4,  # at least
     "files": 300,
     "folders": 40,

@@ -263,6 +263,8 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
     form = dynamics.standard_form
     if isinstance(form, kind):
         return form
+    if dynamics.without_cost is not dynamics:
+        raise UnsupportedError("cost: got a cost by formulas; expected quadratic, L1 and L-infinity costs only.")
     raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 

@@ -184,7 +184,7 @@ def test_no_linear_method_takes_a_cost_by_formulas(wave):
     for method in ("spectral", "structured", "convex"):
         with pytest.raises(lfo.errors.UnsupportedError, match="piecewise-smooth"):
             lfo.solve(wave, method)
-    with pytest.raises(lfo.errors.UnsupportedError, match="expected LinearDynamics"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="cost: got a cost by formulas"):
         _ = wave.linear
 
 
@@ -250,3 +250,9 @@ def test_a_concave_terminal_cost_that_controls_outweigh_is_no_saddle():
     )
     rest = lfo.Trajectory(np.zeros((4, 1)), np.zeros((3, 1)))
     assert lfo.certify(problem, rest).second_order.passed
+
+
+def test_what_takes_no_cost_by_formulas_names_the_cost(wave, tmp_path):
+    for refused in (lambda: wave.linear, lambda: lfo.generate(lfo.RecedingHorizon(wave), tmp_path / "c")):
+        with pytest.raises(lfo.errors.UnsupportedError, match="cost: got a cost by formulas"):
+            refused()
