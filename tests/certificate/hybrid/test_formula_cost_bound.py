@@ -45,8 +45,8 @@ def least_of_many(problem):
             return 1e3
         return problem.value(trajectory.x, trajectory.u)
 
-    starts = rng.uniform(-1, 1, (12, 5))
-    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * 5) for u in starts]
+    starts = rng.uniform(-1, 1, (6, 5))
+    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * 5, options={"maxfun": 200}) for u in starts]
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
 
