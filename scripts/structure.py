@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 40_705,
+    "code lines": 40_710,
     "code lines, linear part": 19_696,
-    "code lines, hybrid": 8_569,
+    "code lines, hybrid": 8_574,
     SHARE_SAID: 19.4,  # at least
     "files": 300,
     "folders": 40,

@@ -153,8 +153,9 @@ class Repeated:
 
     def _is_far(self, located: Located, start: Array, fixed: Mask | bool = True) -> bool:
         """Whether a state has travelled far from the origin, compared with what it moves in a solve."""
-        travelled = np.where(fixed, np.abs(start - located.origin), 0.0)
-        return bool(((self._moves > 0) & (travelled > TRAVEL * self._moves)).any())
+        reach = TRAVEL * self._moves
+        far = (np.abs(start - located.origin) > reach) & (reach > 0)
+        return bool((far if fixed is True else far & fixed).any())
 
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""

@@ -168,10 +168,11 @@ class Controller:
         begin = x
         if self.delay and not self._remembers:
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
-        without = [repeated.no_plans for repeated in self._trees if self._remembers or not repeated.plans(begin)]
-        if without and self._most is not None:
-            past = "windows of applied samples make each step another problem."
-            raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
+        if self._most is not None:
+            without = [repeated.no_plans for repeated in self._trees if self._remembers or not repeated.plans(begin)]
+            if without:
+                past = "windows of applied samples make each step another problem."
+                raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
         if self._remembers or not self._hard.plans(begin):
             return None
         budget, source = UNLIMITED, Source.PLAN

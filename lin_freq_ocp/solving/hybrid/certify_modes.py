@@ -11,6 +11,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_w
 from lin_freq_ocp.certificate.hybrid.smooth import own_certificate
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
@@ -61,7 +62,11 @@ def best_multipliers(
     if priced is not None:
         given = first and priced.with_adjoint(first)
         multipliers = priced.multipliers(best_multipliers(priced.problem, priced.with_cost(trajectory), given)[1])
-        return judge(problem, trajectory, multipliers), multipliers
+        certificate, none = judge(problem, trajectory, multipliers), zero_multipliers(problem, 1.0)
+        if certificate.failed and certificate.feasible:  # where all is at rest, a fit has only residuals
+            at_rest = judge(problem, trajectory, none)
+            certificate, multipliers = (certificate, multipliers) if at_rest.failed else (at_rest, none)
+        return certificate, multipliers
     best: tuple[Certificate, Multipliers] | None = None
     fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
     try:

@@ -124,3 +124,22 @@ def test_the_command_certifies_a_saddle(tmp_path):
     status, out, _ = run("certify", *map(str, files))
     assert status == 0
     assert "no minimum: the cost falls to second order" in " ".join(out.split())
+
+
+@pytest.mark.parametrize("bounds", [(0.0, 10.0), (-10.0, 0.0)])
+def test_the_direction_keeps_bounds_that_are_active_without_a_multiplier(bounds):
+    cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(terminal="-2*x_0**2")
+    dynamics = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(dynamics, 3, cost, lfo.Box(*bounds), initial_state=[0.0])
+    test = lfo.certify(problem, lfo.Trajectory(np.zeros((4, 1)), np.zeros((3, 1)))).second_order
+    assert test.passed is False
+    assert (test.direction.u >= bounds[0]).all()
+    assert (test.direction.u <= bounds[1]).all()
+
+
+def test_directions_without_curvature_are_no_descent():
+    """Only the sum of both controls moves the state: their difference is free, and its pivot is zero."""
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["sin(x_0) + u_0 + u_1"], 1, 2)
+    cost = lfo.QuadraticCost(Q=1.0, P=1.0)
+    problem = lfo.OptimalControlProblem(dynamics, 4, cost, lfo.Box(-1, 1), initial_state=[0.0])
+    assert lfo.certify(problem, lfo.Trajectory(np.zeros((5, 1)), np.zeros((4, 2)))).second_order.passed
