@@ -40,7 +40,7 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 40_710,
+    "code lines": 40_712,
     "code lines, linear part": 19_696,
     "code lines, hybrid": 8_574,
     SHARE_SAID: 19.4,  # at least
