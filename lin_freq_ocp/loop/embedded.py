@@ -1,4 +1,4 @@
-"""A controller as C: the tables of its problem beside the kernel that serves Python, with a test and a description.
+"""A controller as C: the tables of its problem, the kernel that serves Python, a test and a description.
 
 The problem of a step is that of ``Controller`` with all rows that may give way soft from the beginning, so that one
 phase answers every state (docs/embedded.md). The texts of the files stand in ``templates/``.
@@ -361,7 +361,9 @@ class _StepTables:
                     break
                 x, acting, reach = anchor + (x - anchor) / 4, acting / 4, max(reach / 2, LEAST_REACH)
             else:
-                raise UnsupportedError("problem: no state was found from which it has a plan.")
+                raise UnsupportedError(
+                    "problem: no state was found with a plan. lfo.solve(problem) names the conflict."
+                )
             anchor = anchor if k else x
             steps.append(_RecordedStep(x, reference, kernel.control, kernel.changes))
             control = acting if self.delay else steps[-1].control

@@ -1,4 +1,4 @@
-"""The condensed method's step in C, compiled once per user and called by ctypes (kernel.c beside this file)."""
+"""The condensed method's step in C, compiled once per user and called by ctypes; its source is kernel.c."""
 
 from __future__ import annotations
 
