@@ -361,9 +361,7 @@ class _StepTables:
                     break
                 x, acting, reach = anchor + (x - anchor) / 4, acting / 4, max(reach / 2, LEAST_REACH)
             else:
-                raise UnsupportedError(
-                    "problem: no state was found with a plan. lfo.solve(problem) names the conflict."
-                )
+                raise UnsupportedError("problem: no state was found with a plan. lfo.solve(problem) says why.")
             anchor = anchor if k else x
             steps.append(_RecordedStep(x, reference, kernel.control, kernel.changes))
             control = acting if self.delay else steps[-1].control
