@@ -89,7 +89,9 @@ class RecedingHorizon:
     problem : OptimalControlProblem
         The measured state replaces its initial state. The past of a spectrogram is that before the first step.
     method : str or Method
-        As for ``solve``. With "auto" and "spectral", the Fourier-domain method is set up once if it applies.
+        As for ``solve``. With "auto" and "spectral", the Fourier-domain method is set up once if it applies. Over
+        smooth pieces "auto" is "nonsmooth", a local optimum from the plan before; ``lfo.solvers.Nonsmooth()`` also
+        bounds the cost of every step from below, which takes up to 10 s each.
     soft : mapping of str to float, optional
         Constraints to relax at a step without a solution: fields of the problem ("state_set", "terminal_state",
         "stage_rows", "control_spectrum", "state_spectrum", "output_spectrum"), and the penalty of each per unit of

@@ -56,7 +56,12 @@ def to_shape(field: str, value: object, shape: tuple[int, ...], times: int | Non
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
         return array
     expected = f"shape {shape}" + ("" if times is None else f", or {(times, *shape)} with one per time")
-    raise ProblemError(field, f"shape {array.shape}", expected)
+    advice = (
+        "State a diagonal matrix with its zeros, as numpy.diag returns it."
+        if shape == 2 * array.shape and array.ndim == 1
+        else ""
+    )
+    raise ProblemError(field, f"shape {array.shape}", expected, advice)
 
 
 def one_component(array: Array, size: int) -> Array:

@@ -99,7 +99,8 @@ def explain(
         search = _VariantSolver(problem, ends)
         result = search.solve_variant(problem)
         if result.status != Status.INFEASIBLE:
-            raise UnsupportedError(f"explain: this problem was not proven infeasible, it ended as '{result.status}'.")
+            got = f"with the status '{result.status}'"
+            raise UnsupportedError(f"explain: got a problem {got}; expected one that is proven infeasible.")
         family = search.irreducible_family(result)
         cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
     return Explanation(tuple(block.name for block in family), search.sure, cures)

@@ -11,6 +11,7 @@ import csv
 import io
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
@@ -61,7 +62,7 @@ ITEM_KEYS = ("key", "status", "proven", "message", "cost", "lower_bound", "gap",
 Answer = TypeVar("Answer")
 
 
-class Log(Generic[Answer]):
+class Log(ABC, Generic[Answer]):
     """A file of JSON lines that grows, locked for this process: no other process may append to it.
 
     ``head`` identifies the run. A file of the same run is continued; any other file is a ProblemError. ``answers`` are
@@ -92,13 +93,13 @@ class Log(Generic[Answer]):
             self.close()
             raise
 
+    @abstractmethod
     def _resume(self, first: FileTable) -> tuple[dict[str, Answer], FileTable]:
         """Return the answers of the file, and the line to append now, if any: in a new file ``first``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def append(self, key: str, answer: Answer) -> None:
         """Write one answer; it is on the disk when this returns."""
-        raise NotImplementedError
 
     def _write(self, entry: Mapping[str, object]) -> None:
         with report_write_errors(self._path):

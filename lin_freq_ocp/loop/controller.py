@@ -39,6 +39,7 @@ from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.hybrid.modes import TreeCache
 from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.method import Method
@@ -88,6 +89,7 @@ class Controller:
         if limits_of_plans(problem):
             warnings.warn(limits_of_plans(problem), ClosedLoopWarning, stacklevel=3)
         self._problem = free_first_state(problem)
+        method = family_of(problem).in_loop if method == "auto" else method
         self._hard = Repeated(self._problem, method)
         self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
         self._trees = {one: TreeCache() for one in (self._hard, self._soft) if one is not None}

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import brief, one_component, real_array
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 
 def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayLike | None = None) -> Trajectory:
@@ -44,6 +40,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     >>> lfo.simulate(problem, [[1.0], [0.0], [0.0]], [0.0, 0.0]).x.shape
     (4, 2)
     """
+    require_problem(problem)
     u = real_array("u", u)
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     if u.shape != (T, m):

@@ -180,7 +180,7 @@ def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
         region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
         lower = min(_subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
         enclosure = replace(enclosure, lower=max(lower, 0.0) if cost_is_never_negative(given) else lower)
-    return replace(proof, claim=_widened_claim(enclosure)), enclosure
+    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
 def _bound_proof(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajectory]:
@@ -220,7 +220,7 @@ def _subtract_downwards(lower: float, by: float) -> float:
     return float(np.nextafter(lower - by, -np.inf))
 
 
-def _widened_claim(proven: Enclosure) -> Enclosure:
+def _relaxed_claim(proven: Enclosure) -> Enclosure:
     """Return a claim a little wider than the proven interval: on another machine the checker may round differently."""
     if proven.infeasible:
         return proven
@@ -250,7 +250,7 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             region = Region(x, outcome.problem.control_tube.bounds, np.inf, "forward reach")
         by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
-    return replace(proof, claim=_widened_claim(enclosure)), enclosure
+    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
 def unchecked_proof(outcome: Outcome) -> Proof:

@@ -36,10 +36,11 @@ class Shorthand:
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of dynamics and its methods, by their shorthands."""
+    """A kind of dynamics and its methods, by their shorthands; ``in_loop`` is what "auto" means in a control loop."""
 
     kind: str
     shorthands: Mapping[str, Shorthand]
+    in_loop: str = "auto"
 
     @property
     def methods(self) -> tuple[type, ...]:

@@ -50,6 +50,10 @@ BAD_CALLS = {
         lambda: problem(cost=lfo.QuadraticCost(Q=1.0, x_ref=np.ones((8, 2)))),
         "cost.x_ref: got shape (8, 2)",
     ),
+    "Q a diagonal": (
+        lambda: problem(cost=lfo.QuadraticCost(Q=[1.0, 2.0])),
+        "cost.Q: got shape (2,); expected shape (2, 2), or (8, 2, 2) with one per time. State a diagonal matrix",
+    ),
     "P per time": (lambda: problem(cost=lfo.QuadraticCost(P=[np.eye(2)] * 8)), "cost.P: got shape (8, 2, 2)"),
     "box upside down": (lambda: lfo.Box([0, 2], [1, 1]), "Box.lower[1]: got 2 above upper[1] = 1"),
     "box of two shapes": (lambda: lfo.Box([0, 0], [1, 1, 1]), "Box: got lower of shape (2,), upper of shape (3,)"),

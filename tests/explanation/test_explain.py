@@ -169,7 +169,7 @@ def test_time_varying_dynamics_and_state_bands_are_explained_too():
 
 
 def test_a_problem_with_a_solution_is_not_explained():
-    with pytest.raises(lfo.errors.UnsupportedError, match="not proven infeasible, it ended as 'optimal'"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="with the status 'optimal'; expected one"):
         lfo.explain(carriage(control_set=None))
 
 

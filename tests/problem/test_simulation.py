@@ -53,3 +53,8 @@ def test_simulate_refuses_what_it_cannot_replay(u, start, field):
     with pytest.raises(ProblemError) as caught:
         simulate(problem(initial_state=Box([0, 0], [0, 1])), u, start)
     assert caught.value.field == field
+
+
+def test_dynamics_alone_are_no_problem():
+    with pytest.raises(ProblemError, match="problem: got .* expected an OptimalControlProblem"):
+        simulate(problem().dynamics, np.zeros((4, 1)))

@@ -38,6 +38,7 @@ FAMILIES[PulseTrain] = Family(
 FAMILIES[PiecewiseSmoothDynamics] = Family(
     "piecewise-smooth",
     {"auto": Shorthand(Nonsmooth(), {**GAPS, **BOUND}), "nonsmooth": Shorthand(Nonsmooth(global_bound=False))},
+    in_loop="nonsmooth",  # a global bound takes seconds
 )
 
 

@@ -184,9 +184,11 @@ def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | N
     """Return the answer, or the start itself if that is a trajectory of lower cost."""
     if start.trajectory is None:
         return judged
-    certificate = judge(problem, start.trajectory, zero_multipliers(problem, 1.0))
-    saved = judged[2].cost - certificate.cost if judged is not None and judged[2].feasible else np.inf
-    if not certificate.feasible or saved <= SAVED_BY_TOLERANCE * abs(certificate.cost):
+    cost = problem.value(start.trajectory.x, start.trajectory.u)
+    saved = judged[2].cost - cost if judged is not None and judged[2].feasible else np.inf
+    if saved <= SAVED_BY_TOLERANCE * abs(cost):
+        return judged
+    if not judge(problem, start.trajectory, zero_multipliers(problem, 1.0)).feasible:
         return judged
     certificate, multipliers = best_multipliers(problem, start.trajectory, zero_multipliers(problem, 1.0))
     return start.trajectory, multipliers, certificate
