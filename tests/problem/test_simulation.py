@@ -56,5 +56,5 @@ def test_simulate_refuses_what_it_cannot_replay(u, start, field):
 
 
 def test_dynamics_alone_are_no_problem():
-    with pytest.raises(ProblemError, match="problem: got .* expected an OptimalControlProblem"):
+    with pytest.raises(ProblemError, match=r"problem: got .* expected an OptimalControlProblem"):
         simulate(problem().dynamics, np.zeros((4, 1)))
