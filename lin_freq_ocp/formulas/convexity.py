@@ -29,8 +29,29 @@ def is_convex(formula: Formula, lower: Array, upper: Array) -> bool:
 
     It has no kinks then.
     """
-    shape = evaluate([formula], partial(_shape, len(lower)))[0]
-    return shape <= Shape.CONVEX or bool((least_curvature(formula, lower, upper) >= 0).all())
+    return convex_curvature(formula, lower, upper) is not None
+
+
+def convex_curvature(formula: Formula, lower: Array, upper: Array) -> Array | None:
+    """Return diagonals >= 0 below the Hessian on boxes, (T, n + m); None if it is not proven to be semidefinite.
+
+    Each summand that is convex by the rules adds its own diagonal, zeros where that has a negative entry: a diagonal
+    below a semidefinite matrix need not stay below it when only its negative entries become zeros.
+    """
+    summands = zip(formula.arguments, formula.data[:-1], strict=True) if formula.kind == SUM else [(formula, 1.0)]
+    curvature, others = np.zeros(lower.shape), formula * 0.0
+    for part in (argument * factor for argument, factor in summands):
+        if evaluate([part], partial(_shape, len(lower)))[0] <= Shape.CONVEX:
+            own = least_curvature(part, lower, upper)
+            curvature += np.where((own >= 0).all(axis=1, keepdims=True), own, 0.0)
+        else:
+            others = others + part
+    if others.constant is None:
+        curvature += least_curvature(others, lower, upper)
+    whole = least_curvature(formula, lower, upper)
+    better = whole.min(axis=1, keepdims=True) > curvature.min(axis=1, keepdims=True)
+    curvature = np.where(better, whole, curvature)
+    return curvature if (curvature >= 0).all() else None
 
 
 def least_curvature(formula: Formula, lower: Array, upper: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.formulas.convexity import is_convex, least_curvature
+from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex, least_curvature
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.text import formula_from_text
 
@@ -20,6 +20,9 @@ CONVEX = [  # text, and half the width of the box; inf: everywhere
     ("cos(x_0) + x_0**2 + u_0**2", 5.0),
     ("x_0*u_0 + x_0**2 + u_0**2", np.inf),
     ("-log(x_0 + 2)", 1.0),
+    ("(x_0 + 2*u_0)**2", np.inf),  # its own diagonal has a negative entry
+    ("x_0**4 + (x_0 - 3*u_0)**2 + u_0**2", np.inf),
+    ("(x_0 + 2*u_0)**2 + (x_0 - 2*u_0)**2", np.inf),
 ]
 OTHERS = [
     ("x_0*u_0", np.inf),
@@ -65,6 +68,17 @@ def test_what_is_said_of_a_formula_holds_at_random_points(text, half):
             hessians = jets([formula], a, times=at).curvatures[:, 0]
             smallest = np.linalg.eigvalsh(hessians - np.diag(np.where(np.isfinite(least[t]), least[t], -1e9)))
             assert (smallest[:, 0] >= -1e-9 * np.abs(hessians).max()).all()
+        if convex:
+            box = np.full((T, 2), half)
+            curvature = convex_curvature(formula, -box, box)
+            smallest = np.linalg.eigvalsh(jets([formula], a, times=at).curvatures[:, 0] - np.diag(curvature[t]))
+            assert (curvature >= 0).all()
+            assert (smallest[:, 0] >= -1e-9 * np.abs(hessians).max()).all()
+
+
+def test_terms_without_a_coupling_keep_their_curvature_where_others_are_unbounded():
+    formula, box = formula_from_text("f", "(x_0 - 10)**4 + 3*u_0**2", (1, 1)), np.full((T, 2), np.inf)
+    np.testing.assert_allclose(convex_curvature(formula, -box, box), [[0.0, 6.0]] * T)
 
 
 def test_a_function_without_enclosures_is_not_proven():

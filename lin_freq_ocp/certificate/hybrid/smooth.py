@@ -31,7 +31,7 @@ from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
-from lin_freq_ocp.formulas.convexity import is_convex, least_curvature
+from lin_freq_ocp.formulas.convexity import convex_curvature
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
@@ -130,10 +130,10 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     for formula, times in zip(problem.cost.formulas, (slice(T), slice(T, T + 1)), strict=True):
         if formula is None:
             continue
-        if not is_convex(formula, lower[times], upper[times]):
+        curvature = convex_curvature(formula, lower[times], upper[times])
+        if curvature is None:
             return None
-        slopes[times] = jets([formula], points[times]).slopes[:, 0]
-        curved[times] = np.maximum(least_curvature(formula, lower[times], upper[times]), 0.0)
+        slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
     x, u = cost.deviations(trajectory.x, trajectory.u)
     slopes -= curved * np.hstack([x, np.pad(u, ((0, 1), (0, 0)))])  # the parabola has no slope at the trajectory
     minorant = replace(

@@ -64,3 +64,26 @@ def test_a_problem_that_is_not_convex_has_no_such_bound():
         assert result.status == "locally_optimal"
     message = lfo.solve(stated(lfo.QuadraticCost(R=0.1) + lfo.costs.SmoothCost(stage="cos(x_0)"))).message
     assert "got 4 states; expected at most 3" in message
+
+
+def test_a_direction_without_curvature_stays_without():
+    """Of (x_0 + 2 x_1)^2/2 along (2, -1): a parabola of the curvature of x_1 alone would lie above it."""
+    cost = lfo.QuadraticCost(r=[-0.2, 0.1]) + lfo.costs.SmoothCost(terminal="0.5*(x_0 + 2*x_1)**2")
+    sets = {"control_set": lfo.Box(-5, 5), "state_set": lfo.Box(-5, 5), "initial_state": [0.0, 0.0]}
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(2), np.eye(2)), 1, cost, **sets)
+    result = lfo.solve(problem)
+    other = replace(result.multipliers, eta=np.array([[0.0, 0.1]]))
+    certificate = lfo.certify(problem, lfo.simulate(problem, [[0.0, 0.0]]), other)
+    assert certificate.bound.kind == "rigorous"
+    assert certificate.bound.value <= result.cost
+
+
+@pytest.mark.parametrize("origin", [0.0, 10.0, 1e3])
+def test_it_does_not_depend_on_where_zero_is(origin):
+    stage, terminal = f"(x_0 - {origin})**4 + (x_1 - {origin})**2 + u_0**2", f"cosh(x_0 - {origin})"
+    A = np.array([[1.0, 0.2], [0.0, 1.1]])
+    dynamics = lfo.LinearDynamics(A, [[0.1], [0.3]], offset=(np.eye(2) - A) @ np.full(2, origin))
+    cost, start = lfo.costs.SmoothCost(stage=stage, terminal=terminal), [origin + 1.0, origin + 0.5]
+    result = lfo.solve(lfo.OptimalControlProblem(dynamics, 12, cost, lfo.Box(-0.8, 0.8), initial_state=start))
+    assert result.status == "optimal"
+    assert result.certificate.bound.kind == "rigorous"
