@@ -115,9 +115,10 @@ def test_other_methods_judge_one_by_one(method, serial):
     assert found[1].method == method
 
 
-def test_joint_rows_are_solved_one_by_one():
+def test_joint_rows_are_solved_and_judged_as_a_batch(monkeypatch):
     rows = lfo.StageRows([[0.0, 0.0, 1.0, 0.0]], [[0.0]], [0.9])
     problem = replace(PENDULUM, stage_rows=rows)
+    monkeypatch.setattr(many_module, "_solve_single", lambda *given: pytest.fail("one was left alone"))
     found = lfo.solve_many(problem, STARTS[:2])
     assert found.costs[1] == pytest.approx(lfo.solve(problem.with_ends(STARTS[1])).cost, rel=1e-8)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, seal
+from lin_freq_ocp.base.arrays import Array, seal
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -19,13 +19,13 @@ from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel
 from lin_freq_ocp.methods.condensed.tables import LIMIT, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
+from lin_freq_ocp.methods.spectral.reductions import soft_sets
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Extremals, Trajectory
 
 KEPT_VIOLATION = 1e-6  # of a plan that counts as feasible, relative: as in the judge's conditions
 CHANGES_BETWEEN_LOOKS = 25  # at the clock, of the working set: some 0.1 to 1 ms
-PLANS_AT_ONCE = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
 
 
 @dataclass(frozen=True)
@@ -87,23 +87,6 @@ def unsettled_plan(tables: CondensedTables, units: LtiUnits, start: Array, v: Ar
     """Return the plan of v (T m,) from a state (n,), whose working set has not settled: it has no multipliers."""
     u_0 = v[: len(units.u)] + tables.loop.K @ (start / units.x)
     return Plan(tables, units, start, u_0 * units.u, v, np.zeros_like(tables.bounds[0]), changes, settled=False)
-
-
-@dataclass(frozen=True, eq=False)
-class PlanBatch:
-    """Trajectories x (N, T+1, n), u (N, T, m) with eta (N, T, n), mu, nu as x and u, and rho_u (N, bins, m).
-
-    They belong to the initial states number ``solved``, (N,). Nothing of them is judged.
-    """
-
-    solved: Indices
-    x: Array
-    u: Array
-    eta: Array
-    mu: Array
-    nu: Array
-    rho_u: ComplexArray
-    interrupted: bool = False
 
 
 class CondensedSolver:
@@ -183,40 +166,35 @@ class CondensedSolver:
             v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
             return unsettled_plan(kernel.tables, units, start, v, made)
 
-    def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
-        """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.
+    def plan_batch(self, starts: Array, lti: Lti) -> tuple[dict[int, Plan], bool]:
+        """Return the plans from initial states (N, n) by number, each from the multipliers of the one before.
 
-        Ctrl-C ends it early.
+        No plan where ``plan`` returns None; the second value says whether Ctrl-C ended it early.
         """
         plans, units = dict[int, Plan](), self.units
         with self._lock, interrupts_noted() as interrupt:
             kernel = self.kernel
-            if not self._take(lti):
-                return None
-            for i, start in enumerate(starts):
+            for i, start in enumerate(starts if self._take(lti) else ()):
                 if kernel.step(start / units.x) == SOLVED:
                     control = kernel.control * units.u
                     plans[i] = Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers)
                 if interrupt.is_set():
                     break
-        return batch_of(plans, interrupt.is_set()) if plans else None
+        return plans, interrupt.is_set()
 
 
-def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
-    """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
-    numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
-    parts = [_extremals(each[first : first + PLANS_AT_ONCE]) for first in range(0, len(each), PLANS_AT_ONCE)]
-    x, u, eta, mu, nu = (np.concatenate([signals[k] for signals, _ in parts]) for k in range(5))
-    return PlanBatch(numbers, x, u, eta, mu, nu, np.concatenate([rho for _, rho in parts]), interrupted)
-
-
-def _extremals(plans: Sequence[Plan]) -> tuple[tuple[Array, ...], ComplexArray]:
-    """Return x, u, eta, mu and nu of plans, and rho_u."""
+def extremals_of(problem: OptimalControlProblem, plans: Sequence[Plan]) -> Extremals:
+    """Return plans of one solver, for a problem that differs in the initial state only, in the user's units."""
     tables, units = plans[0].tables, plans[0].units
     (T, n, m), of_y = tables.loop.shape, units.multipliers
     starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
     found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
-    forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
+    on_rows = np.moveaxis(found.on_rows, 2, 0).swapaxes(1, 2)
+    forces = on_rows[..., : n + m] * of_y
+    stage = {one.name: one.multipliers(forces, 1.0) for one in soft_sets(problem, starts) or ()}
+    joint = on_rows[:, :-1, n + m :] * (units.cost / units.rows)
+    splits = np.cumsum([rows.rows for rows in problem.stage_rows])
+    stage |= {rows.name: part for rows, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=False)}
     x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
-    band = (found.band * of_y[n:]).swapaxes(0, 1)
-    return (x, u, eta, forces[..., :n], forces[:, :-1, n:]), band * (bin_weights(T) / T)[:, None]
+    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_weights(T) / T)[:, None]
+    return Extremals(x, u, eta, forces[..., :n], forces[:, :-1, n:], rho_u, stage)

@@ -19,11 +19,12 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.condensed import native
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import NativeKernel
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 
+FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1
 
 
@@ -64,6 +65,25 @@ def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
         if k == 0:
             assert certificate.cost == pytest.approx(lfo.solve(stated, "convex").cost, rel=1e-8)
     assert proven >= 8
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_plans_in_arrays_are_the_plans_one_by_one(name):
+    problem = LOOPS[name]()
+    spectral, solver = solver_of(problem)
+    starts = states(problem, 6)
+    plans, interrupted = solver.plan_batch(starts, spectral.lti)
+    assert plans
+    assert not interrupted
+    batch = extremals_of(problem, list(plans.values()))
+    for k, (number, plan) in enumerate(plans.items()):
+        candidate = plan.candidate(problem.with_ends(starts[number]))
+        pairs = [(batch.x[k], candidate.trajectory.x), (batch.u[k], candidate.trajectory.u)]
+        pairs += [(getattr(batch, field)[k], getattr(candidate.multipliers, field)) for field in FIELDS]
+        pairs += [(batch.stage[term][k], on_term) for term, on_term in candidate.multipliers.stage.items()]
+        for values, expected in pairs:
+            np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max(initial=0.0))
+        assert batch.stage.keys() == candidate.multipliers.stage.keys()
 
 
 @pytest.mark.parametrize("name", LOOPS)
