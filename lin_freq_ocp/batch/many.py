@@ -32,8 +32,8 @@ UNSOLVED = "unsolved"  # status of the problems that were left when Ctrl-C came
 
 BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
 
-# Problems of a part: Ctrl-C waits for a part in this process; the problems of a part in a worker share one set-up.
-HERE, SENT = 25, 100
+# Problems that are solved one from the other and judged at once; in a worker they share one set-up
+PART = 100
 
 References = Mapping[str, ArrayLike]
 
@@ -146,7 +146,7 @@ def _solve_parts(
     """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
         with one_blas_thread():
-            for part in _split_parts(changes, HERE).values():
+            for part in _split_parts(changes, PART).values():
                 solved = solve_part(again, part, time_limit)
                 yield solved.items
                 if solved.interrupted:
@@ -161,7 +161,7 @@ def _solve_parts(
         lambda part: part.interrupted,
     )
     lost = dict[str, Change]()
-    for size in (SENT, 1):
+    for size in (PART, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:

@@ -29,7 +29,7 @@ from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_t
 from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
-JUDGED_AT_ONCE = 6000  # states of plans: their arrays stay in the cache of a processor
+JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor
 TRAVEL = 100.0  # travel of a state, in its largest moves within a solve, after which states get a new origin
 
 

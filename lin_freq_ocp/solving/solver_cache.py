@@ -103,7 +103,7 @@ class SolverCache:
         None where the method does not take it, ends without an answer, or does not pay yet.
         """
         self._solves += 1
-        if self._solves < CONDENSED_SOLVES or self._changes_rows(problem, change):
+        if (self._condensed is None and self._solves < CONDENSED_SOLVES) or self._changes_rows(problem, change):
             return None
         condensed = self._condensed_solver()
         if condensed is None:
@@ -115,11 +115,11 @@ class SolverCache:
         except (ProblemError, UnsupportedError):
             return None
         started = now()
-        plan = condensed.plan(changed.initial_box.lower, lti)
-        if plan is None:
+        answer = condensed.answer(changed.initial_box.lower, lti)
+        if answer is None:
             return None
         seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
-        return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
+        return reduced.recover(replace(answer.candidate(changed), seconds=seconds))
 
     def prepare(self) -> None:
         """Set up the condensed method now, to be tried from the first solve on."""
@@ -139,7 +139,7 @@ class SolverCache:
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the condensed method's plan from another initial state, (n,), without a certificate.
 
-        None where the method has not been set up, or ends without an answer.
+        None where the method has not been set up, or ends without a plan.
         """
         if self._condensed is None or self._solver is None or not self.plans:
             return None

@@ -41,7 +41,10 @@ UNLIMITED = Budget()
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan without a certificate: what the kernel found from an initial state."""
+    """A plan without a certificate: what the kernel found from an initial state.
+
+    With eta_C = 0 there is none: the ``weights`` claim that the rows contradict each other.
+    """
 
     tables: CondensedTables
     units: LtiUnits
@@ -51,6 +54,7 @@ class Plan:
     weights: Array  # multipliers of the rows, (families, T+1)
     changes: int = 0  # of the working set
     settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
+    eta_C: float = 1.0
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -73,14 +77,19 @@ class Plan:
         return Trajectory(seal(x[:, 0] * units.x), seal(u[:, 0] * units.u))
 
     def candidate(self, problem: OptimalControlProblem) -> Candidate:
-        """Return the plan with its multipliers, for the judge of the problem that it solves."""
+        """Return the plan with its multipliers, or the ray, for the judge of the problem that it solves."""
         tables, units, lti = self.tables, self.units, self.tables.loop.lti
-        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None])
+        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None], self.eta_C)
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         stationarity = float(found.stationarity[0])
-        duals = LtiMultipliers(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        duals = LtiMultipliers(
+            self.eta_C, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none
+        )
         trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
-        return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
+        multipliers = in_units(problem, lti, units, duals)
+        if not self.eta_C:
+            return Candidate(Status.INFEASIBLE, ray=multipliers, message="contradictory rows")
+        return Candidate(Status.OPTIMAL, trajectory, multipliers)
 
 
 def unsettled_plan(tables: CondensedTables, units: LtiUnits, start: Array, v: Array, changes: int) -> Plan:
@@ -143,9 +152,14 @@ class CondensedSolver:
     def plan(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
-        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle: a
-        claim of contradictory rows proves nothing. Where a limited budget ends before, the plan is not ``settled``.
+        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle.
+        Where a limited budget ends before, the plan is not ``settled``.
         """
+        answer = self.answer(start, lti, budget)
+        return answer if answer is not None and answer.eta_C else None
+
+    def answer(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
+        """Return the plan as ``plan`` does, or the claim, with eta_C = 0, that the rows contradict each other."""
         units = self.units
         with self._lock:
             kernel = self.kernel
@@ -157,10 +171,12 @@ class CondensedSolver:
             while status == LIMIT and made < most and (made == 0 or now() < budget.end):
                 status = kernel.step(x, min(most - made, at_once))
                 made += kernel.changes
+            control, ray = kernel.control * units.u, kernel.ray
             if status == SOLVED:
-                return Plan(
-                    kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers, made
-                )
+                return Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers, made)
+            if ray is not None:
+                none = np.zeros(len(kernel.tables.V))
+                return Plan(kernel.tables, units, start, control, none, ray, made, eta_C=0.0)
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
             v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
