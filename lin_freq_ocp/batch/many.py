@@ -21,9 +21,9 @@ from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
-from lin_freq_ocp.batch.repeated import Repeated
+from lin_freq_ocp.batch.repeated import Repeated, proven_in_batch
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
-from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
+from lin_freq_ocp.certificate.many import batch_judge_takes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.solver_cache import Change
@@ -32,8 +32,8 @@ UNSOLVED = "unsolved"  # status of the problems that were left when Ctrl-C came
 
 BLOCK = 1000  # states among which the nearest is looked for: 1000 steps of some 20 microseconds
 
-# Problems of a part: Ctrl-C waits for a part in this process; the problems of a part in a worker share one set-up.
-HERE, SENT = 25, 100
+# Problems that are solved one from the other and judged at once; in a worker they share one set-up
+PART = 100
 
 References = Mapping[str, ArrayLike]
 
@@ -146,7 +146,7 @@ def _solve_parts(
     """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
         with one_blas_thread():
-            for part in _split_parts(changes, HERE).values():
+            for part in _split_parts(changes, PART).values():
                 solved = solve_part(again, part, time_limit)
                 yield solved.items
                 if solved.interrupted:
@@ -161,7 +161,7 @@ def _solve_parts(
         lambda part: part.interrupted,
     )
     lost = dict[str, Change]()
-    for size in (SENT, 1):
+    for size in (PART, 1):
         with closing(finish_tasks(work, _split_parts(changes if size > 1 else lost, size), executor)) as parts:
             for _, part in parts:
                 if size > 1:
@@ -276,36 +276,17 @@ def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float
 def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
     """Return the items that the condensed method solves and the batch judge proves, and whether Ctrl-C came."""
     states = [change.initial_state for change in changes.values() if change.references is None]
-    if not again.linear or not again.spectral or len(states) < len(changes) or states[0] is None:
+    if len(states) < len(changes) or states[0] is None or not again.linear or not batch_judge_takes(again.problem):
         return {}, False
-    if not batch_judge_takes(again.problem):
-        return {}, False
-    started = now()
-    located = again.located(next(iter(changes.values())).apply(again.problem))
-    if located.kept is None:
-        return {}, False
-    translation, starts = located.translation, np.array(states, dtype=np.float64) - located.origin
-    plans = located.kept.plan_batch(starts)
-    if plans is None:
-        return {}, False
-    extremals = Extremals(plans.x, plans.u, plans.eta, plans.mu, plans.nu, plans.rho_u)
-    judged = judge_batch(translation.problem, starts[plans.solved], extremals)
-    each, keys = (now() - started) / len(changes), list(changes)
+    started, keys = now(), list(changes)
+    plans, interrupted = again.plan_batch(np.array(states, dtype=np.float64))
+    proven = proven_in_batch(plans) if plans else {}
+    optimal, seconds = str(Status.OPTIMAL), (now() - started) / len(keys)
     items = {
-        keys[i]: Item(
-            status=str(Status.OPTIMAL),
-            proven=True,
-            cost=float(judged.costs[k]) + translation.cost,
-            lower_bound=float(judged.bounds[k]) + translation.cost,
-            gap=float(judged.gaps[k]),
-            seconds=each,
-            x=plans.x[k] + located.origin,
-            u=plans.u[k],
-        )
-        for k, i in enumerate(plans.solved)
-        if judged.proven[k]
+        keys[i]: Item(optimal, True, one.cost, one.lower_bound, one.gap, seconds=seconds, x=one.x, u=one.u)
+        for i, one in proven.items()
     }
-    return items, plans.interrupted
+    return items, interrupted
 
 
 def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> Item:

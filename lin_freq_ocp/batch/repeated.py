@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.many import Extremals, batch_judge_takes, judge_batch
+from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
-from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, batch_of
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, extremals_of
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -28,6 +29,7 @@ from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_t
 from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
+JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor
 TRAVEL = 100.0  # travel of a state, in its largest moves within a solve, after which states get a new origin
 
 
@@ -90,19 +92,35 @@ class PlannedStart:
         return restore_outcome(Translation(base, problem, self.translation.origin), outcome, tolerance)
 
 
-def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, tuple[float, float]]:
-    """Return the cost and the relative gap of plans of one problem, by number, that the batch judge proves optimal."""
-    translation = next(iter(planned.values())).translation
+@dataclass(frozen=True, eq=False)
+class ProvenPlan:
+    """An optimal plan, x (T+1, n) and u (T, m), with its cost, a rigorous lower bound, and the relative gap."""
+
+    x: Array
+    u: Array
+    cost: float
+    lower_bound: float
+    gap: float
+
+
+def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, ProvenPlan]:
+    """Return the plans of one problem, by number, that the batch judge proves optimal."""
+    translation, proven = next(iter(planned.values())).translation, dict[int, ProvenPlan]()
     if not batch_judge_takes(translation.problem):
-        return {}
-    batch = batch_of({number: one.plan for number, one in planned.items()})
-    extremals = Extremals(batch.x, batch.u, batch.eta, batch.mu, batch.nu, batch.rho_u)
-    judged_batch = judge_batch(translation.problem, np.array([one.plan.start for one in planned.values()]), extremals)
-    return {
-        number: (float(judged_batch.costs[k]) + translation.cost, float(judged_batch.gaps[k]))
-        for k, number in enumerate(planned)
-        if judged_batch.proven[k]
-    }
+        return proven
+    problem = translation.problem
+    at_once = max(1, JUDGED_AT_ONCE // (problem.horizon + 1))
+    for first in range(0, len(planned), at_once):
+        part = dict(islice(planned.items(), first, first + at_once))
+        plans = [one.plan for one in part.values()]
+        extremals = extremals_of(problem, plans)
+        judged = judge_batch(problem, np.array([plan.start for plan in plans]), extremals)
+        costs, bounds = judged.costs + translation.cost, judged.bounds + translation.cost
+        figures = zip(costs.tolist(), bounds.tolist(), judged.gaps.tolist(), strict=True)
+        for k, (number, of_plan) in enumerate(zip(part, figures, strict=True)):
+            if judged.proven[k]:
+                proven[number] = ProvenPlan(extremals.x[k] + translation.origin, extremals.u[k], *of_plan)
+    return proven
 
 
 class Repeated:
@@ -186,6 +204,19 @@ class Repeated:
             return None
         plan = located.kept.plan(start - located.origin, budget)
         return plan and PlannedStart(located.translation, plan)
+
+    def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
+        """Return plans from initial states (N, n) by number, without certificates, and whether Ctrl-C came.
+
+        The condensed method is set up if need be; without it there are none.
+        """
+        if not self.linear or not self.spectral:
+            return {}, False
+        located = self.located(self.problem.with_ends(starts[0]))
+        if located.kept is None:
+            return {}, False
+        plans, interrupted = located.kept.plan_batch(starts - located.origin)
+        return {i: PlannedStart(located.translation, plan) for i, plan in plans.items()}, interrupted
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""

@@ -263,7 +263,7 @@ def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius
     inputs = np.hstack([radius_u, radius_d])
     with np.errstate(over="ignore", invalid="ignore"):
         if not dynamics.time_varying:
-            return _spread_in_blocks(dynamics, radius_0, inputs.max(0), len(inputs))
+            return constant_radii(dynamics, radius_0, inputs.max(0), len(inputs))
         n, spread = len(radius_0), [radius_0]
         transition, responses = np.eye(n), np.empty((0, n, inputs.shape[1]))
         for t in range(len(inputs)):
@@ -274,8 +274,11 @@ def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius
         return np.array(spread)
 
 
-def _spread_in_blocks(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:
-    """Return the same for constant dynamics and radii of inputs (m + n,), with powers of A by blocks."""
+def constant_radii(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:
+    """Return the same for constant dynamics and radii of inputs (m + n,), with powers of A by blocks.
+
+    For k starts and inputs, (n, k) and (m + n, k): (T+1, n, k).
+    """
     A, B, _ = dynamics.at(0)
     n, count = len(A), min(POWER_BLOCK, T + 1)
     powers = np.empty((count, n, n))
@@ -283,11 +286,10 @@ def _spread_in_blocks(dynamics: LinearDynamics, radius_0: Array, largest: Array,
     for k in range(1, count):
         powers[k] = A @ powers[k - 1]
     inputs, whole, first = np.hstack([B, np.eye(n)]), A @ powers[-1], np.eye(n)
-    of_inputs, of_start = np.empty((T + 1, n)), np.empty((T + 1, n))
+    of_inputs, of_start = np.empty((T + 1, *radius_0.shape)), np.empty((T + 1, *radius_0.shape))
     for start in range(0, T + 1, count):
         block = powers[: T + 1 - start] @ first
         of_start[start : start + count] = np.abs(block) @ radius_0
         of_inputs[start : start + count] = np.abs(block @ inputs) @ largest
         first = whole @ first
-    sums = np.vstack([np.zeros(n), np.cumsum(of_inputs[:-1], axis=0)])
-    return sums + of_start
+    return np.concatenate([np.zeros((1, *radius_0.shape)), np.cumsum(of_inputs[:-1], axis=0)]) + of_start

@@ -147,7 +147,7 @@ class Controller:
             satisfied=certificate is not None and certificate.pmp == "satisfied",
             solve_seconds=solved - started - certified,
             certify_seconds=certified + compared,
-            excess=excess(outcome.problem, plan) if soft is not None else {},
+            excess=excess(translation_of(outcome.problem), plan) if soft is not None else {},
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
         )
@@ -208,8 +208,8 @@ class Controller:
             each = (now() - started) / len(planned)
             for k, one in planned.items():
                 step = self._steps[k]
-                if k in proven and step.source is Source.PLAN:
-                    self._steps[k] = step.proven(*proven[k], each)
+                if k in proven:
+                    self._steps[k] = step.proven(one.translation, proven[k], each)
                 else:
                     self._steps[k] = step.certified(one.certified(tolerance), now() - started)
                     started = now()

@@ -56,7 +56,7 @@ RETREATS = 30  # to a quarter of the distance to the first state, until the prob
 LOST = 10.0  # units, or times the first state: farther away the plant is lost, although soft rows may have a plan
 LEAST_REACH = 1e-3  # part of the disturbances that remains where larger ones lead to states without a plan
 
-STRUCT_BYTES = 84  # of lfo_memory without its number: 16 pointers of 4 bytes, 5 integers
+STRUCT_BYTES = 88  # of lfo_memory without its number: 16 pointers of 4 bytes, 6 integers
 STACK_BYTES = 512  # of the frames of controller_step, lfo_step and sweep without their arrays
 CANDIDATE_INTEGERS, CANDIDATE_REALS, QUEUE = 6, 3, 4  # of struct candidate in kernel.c; LFO_QUEUE
 

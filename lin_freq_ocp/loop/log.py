@@ -198,7 +198,8 @@ def certify_log(
                 if outcome.status.solved and outcome.trajectory is not None:
                     planned[k] = outcome.trajectory.u[0]
         for group in groups.values():
-            verdicts |= {k: _Verdict(Status.OPTIMAL, *proof) for k, proof in proven_in_batch(group).items()}
+            proven = proven_in_batch(group)
+            verdicts |= {k: _Verdict(Status.OPTIMAL, one.cost, one.gap) for k, one in proven.items()}
             verdicts |= {k: _Verdict.of(plan.certified(None)) for k, plan in group.items() if k not in verdicts}
     each = [verdicts.get(k, _Verdict(None)) for k in range(len(starts))]
     limits = np.abs(stated.control_tube.bounds).max(axis=(0, 1))

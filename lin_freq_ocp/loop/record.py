@@ -12,11 +12,12 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import PlannedStart
+from lin_freq_ocp.batch.repeated import PlannedStart, ProvenPlan
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import Translation, translation_of
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, WindowSpectra, named_entries
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -90,31 +91,34 @@ class Step:
         """Return the plan, judged or not."""
         return self.plan if self.pending is None else self.pending.trajectory
 
-    def proven(self, cost: float, gap: float, seconds: float) -> Step:
+    def proven(self, translation: Translation, plan: ProvenPlan, seconds: float) -> Step:
         """Return the step of a plan that the batch judge has proven optimal."""
-        judged = {"status": Status.OPTIMAL, "cost": cost, "gap": gap, "satisfied": True}
-        return replace(self, **judged, certify_seconds=seconds, pending=None)
+        judged = replace(self, cost=plan.cost, gap=plan.gap, satisfied=True, certify_seconds=seconds, pending=None)
+        return judged._with_status(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u))
 
     def certified(self, outcome: Outcome, seconds: float) -> Step:
-        """Return the step with the judged outcome of its plan.
-
-        Where softened constraints are exceeded, it is claimed that the problem has no solution: multipliers have
-        reached the penalties. Where none is, the plan solves the problem itself.
-        """
+        """Return the step with the judged outcome of its plan."""
         certificate, plan = outcome.certificate, outcome.trajectory
         assert certificate is not None  # the plan was judged
         assert plan is not None
-        exceeded = excess(outcome.problem, plan) if self.source is Source.SOFTENED else {}
-        return replace(
+        judged = replace(
             self,
-            status=Status.INFEASIBLE_CLAIMED if exceeded else outcome.status,
             cost=certificate.cost,
             gap=float("nan") if certificate.gap is None else certificate.gap,
             satisfied=certificate.pmp == "satisfied",
             certify_seconds=seconds,
-            excess=exceeded,
             pending=None,
         )
+        return judged._with_status(outcome.status, translation_of(outcome.problem), plan)
+
+    def _with_status(self, status: Status, translation: Translation, plan: Trajectory) -> Step:
+        """Return the step with the status of its plan, and the violations of softened constraints.
+
+        Where softened constraints are exceeded, it is claimed that the problem has no solution: multipliers have
+        reached the penalties. Where none is, the plan solves the problem itself.
+        """
+        exceeded = excess(translation, plan) if self.source is Source.SOFTENED else {}
+        return replace(self, status=Status.INFEASIBLE_CLAIMED if exceeded else status, excess=exceeded)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import translation_of
+from lin_freq_ocp.problem.reformulations import Translation
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
 from lin_freq_ocp.problem.sets.convex import softened_set
@@ -133,10 +133,9 @@ def _sets_at(given: ConvexSet) -> list[ConvexSet]:
     return found
 
 
-def excess(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[str, float]:
+def excess(translation: Translation, trajectory: Trajectory) -> dict[str, float]:
     """Return the violation of each soft constraint by its name, in the unit of its limit and summed over time."""
-    violations, translation = dict[str, float](), translation_of(problem)
-    moved = translation.translated(trajectory)
+    violations, moved = dict[str, float](), translation.translated(trajectory)
     for term in translation.problem.terms:
         if not term.hard and not term.kind.is_cost:
             by = float((term.cost(moved.x, moved.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())

@@ -147,6 +147,23 @@ class Multipliers:
         assign(self, stage=families, weights=shares, frequencies=points)
 
 
+@dataclass(frozen=True, eq=False)
+class Extremals:
+    """N trajectories of one problem, which differ in their initial states, with their multipliers; eta_C = 1.
+
+    The first axis is over trajectories: x (N, T+1, n), u (N, T, m), eta (N, T, n), mu, nu as x and u, rho_u
+    (N, bins, m), and of each term (N, groups, dim). A term without an entry has zeros.
+    """
+
+    x: Array
+    u: Array
+    eta: Array
+    mu: Array
+    nu: Array
+    rho_u: ComplexArray
+    stage: Mapping[str, Array]
+
+
 def _require_matrix(field: str, array: Array) -> None:
     if array.ndim != 2:
         raise ProblemError(field, f"shape {array.shape}", "two dimensions")

@@ -222,7 +222,8 @@ class Spectral(_Linear):
         condensed = cache.condensed(trial.problem, change) if self.tolerance is None else None
         if condensed is not None:
             outcome = replace(trial, method="condensed").judge(condensed)
-            if outcome.status == Status.OPTIMAL:  # what is not proven is solved by the method itself
+            # what is not proven is solved by the method itself
+            if outcome.status == Status.OPTIMAL or (outcome.status == Status.INFEASIBLE and _is_final(outcome)):
                 return outcome
         return trial.judge_point(cache.solve(trial.problem, change, trial.options))
 

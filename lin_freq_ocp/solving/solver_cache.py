@@ -13,7 +13,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
-from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan, PlanBatch
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
@@ -103,7 +103,7 @@ class SolverCache:
         None where the method does not take it, ends without an answer, or does not pay yet.
         """
         self._solves += 1
-        if self._solves < CONDENSED_SOLVES or self._changes_rows(problem, change):
+        if (self._condensed is None and self._solves < CONDENSED_SOLVES) or self._changes_rows(problem, change):
             return None
         condensed = self._condensed_solver()
         if condensed is None:
@@ -115,11 +115,11 @@ class SolverCache:
         except (ProblemError, UnsupportedError):
             return None
         started = now()
-        plan = condensed.plan(changed.initial_box.lower, lti)
-        if plan is None:
+        answer = condensed.answer(changed.initial_box.lower, lti)
+        if answer is None:
             return None
         seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
-        return reduced.recover(replace(plan.candidate(changed), seconds=seconds))
+        return reduced.recover(replace(answer.candidate(changed), seconds=seconds))
 
     def prepare(self) -> None:
         """Set up the condensed method now, to be tried from the first solve on."""
@@ -139,7 +139,7 @@ class SolverCache:
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the condensed method's plan from another initial state, (n,), without a certificate.
 
-        None where the method has not been set up, or ends without an answer.
+        None where the method has not been set up, or ends without a plan.
         """
         if self._condensed is None or self._solver is None or not self.plans:
             return None
@@ -159,11 +159,11 @@ class SolverCache:
         reduced = ((given, reduce_problem(given, REDUCTIONS).problem) for given in (problem, old))
         return any(len(given.stage_rows) != len(in_rows.stage_rows) for given, in_rows in reduced)
 
-    def plan_batch(self, starts: Array) -> PlanBatch | None:
-        """Return the condensed method's plans from initial states (N, n), without certificates; None as ``plan``."""
+    def plan_batch(self, starts: Array) -> tuple[dict[int, Plan], bool]:
+        """Return the condensed method's plans from initial states (N, n) by number; see ``CondensedSolver``."""
         condensed = self._condensed_solver()
-        if condensed is None or self._reduced is None or self._solver is None or self._reduced.inverses:
-            return None
+        if condensed is None or self._solver is None or not self.plans:
+            return {}, False
         return condensed.plan_batch(starts, self._solver.lti)
 
     def _condensed_solver(self) -> CondensedSolver | None:

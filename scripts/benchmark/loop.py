@@ -5,8 +5,8 @@
 
 One thread, all contenders on the same measured states in turns; times are medians. The certificate, which the others do
 not have, is timed apart. "agreement" is the largest difference of a control from the first row, relative to its bound.
-OSQP and PIQP solve the sparse program in states and controls, DAQP the dense program of our condensed method; each is
-set up once and updated at every step.
+OSQP and PIQP solve the sparse program in states and controls, DAQP the dense program of our condensed method, do-mpc,
+where it is installed, a nonlinear program of CasADi by IPOPT; each is set up once and updated at every step.
 
     python scripts/benchmark.py loop --modes
 
@@ -27,9 +27,11 @@ applied and planned controls, and previewed references, bounds and disturbances 
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 
 import cvxpy as cp
 import numpy as np
@@ -62,6 +64,8 @@ PUSHED = 40
 LIMITS = (None, 40, 20, 10)  # of the changes of a step
 
 SET_UP = 4  # first steps, in which methods set themselves up
+
+DO_MPC = ("do_mpc", "casadi")  # its packages
 
 RESTART = 25  # steps after which the loop begins again at its initial state
 
@@ -123,7 +127,7 @@ def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
             z = solve.result.x
         else:
             solve.update(l=lower, u=upper)
-            z = solve.solve().x
+            z = solve.solve(raise_error=False).x
         return z[linear.states : linear.states + m] + linear.origin.u[0]
 
     return step
@@ -162,6 +166,46 @@ def dense(problem: lfo.OptimalControlProblem, solver: str = "DAQP") -> Step:
     return step
 
 
+def do_mpc(problem: lfo.OptimalControlProblem) -> Step:
+    """Return a step of do-mpc, whose soft rows and stop bands are constraints of its nonlinear program."""
+    with warnings.catch_warnings():  # of features that are not installed
+        warnings.simplefilter("ignore")
+        controllers, models = import_module("do_mpc.controller"), import_module("do_mpc.model")
+    casadi = import_module("casadi")
+    T, cost, model = problem.horizon, problem.quadratic, models.Model("discrete")
+    A, B, Q, R, P = map(casadi.DM, (problem.linear.A, problem.linear.B, cost.Q, cost.R, cost.P))
+    x = model.set_variable("_x", "x", (problem.state_dim, 1))
+    u = model.set_variable("_u", "u", (problem.control_dim, 1))
+    model.set_rhs("x", A @ x + B @ u)
+    model.setup()
+    mpc = controllers.MPC(model)
+    mpc.settings.n_horizon, mpc.settings.t_step, mpc.settings.store_full_solution = T, 1.0, False
+    mpc.settings.supress_ipopt_output()
+    mpc.set_objective(mterm=x.T @ P @ x / 2, lterm=(x.T @ Q @ x + u.T @ R @ u) / 2)
+    mpc.set_rterm(u=0.0)
+    (lower, upper), soft = problem.control_tube.bounds, problem.state_set
+    mpc.bounds["lower", "_u", "u"], mpc.bounds["upper", "_u", "u"] = lower[0], upper[0]
+    if isinstance(soft, lfo.sets.Soft):
+        (lower, upper), price = soft.soft_set.bounds, {"soft_constraint": True, "penalty_term_cons": soft.penalty}
+        mpc.set_nl_cons("above", x, ub=upper, **price)
+        mpc.set_nl_cons("below", -x, ub=-lower, **price)
+    else:
+        lower, upper = problem.state_boxes.bounds
+        mpc.bounds["lower", "_x", "x"], mpc.bounds["upper", "_x", "x"] = lower[1], upper[1]
+    mpc.prepare_nlp()
+    stopped = np.flatnonzero(problem.control_stop[:, 0])
+    if len(stopped):
+        angle = 2 * np.pi * np.outer(stopped, np.arange(T)) / T
+        rows = np.vstack([np.cos(angle), np.sin(angle[stopped != T / 2])])
+        mpc.nlp_cons.append(casadi.DM(rows) @ casadi.vertcat(*(mpc.opt_x["_u", t, 0] for t in range(T))))
+        for side in (mpc.nlp_cons_lb, mpc.nlp_cons_ub):
+            side.append(np.zeros((len(rows), 1)))
+    mpc.create_nlp()
+    mpc.x0 = problem.initial_box.lower
+    mpc.set_initial_guess()
+    return lambda state: mpc.make_step(state[:, None])[:, 0]
+
+
 def contenders(problem: lfo.OptimalControlProblem) -> dict[str, Step]:
     """Return a step of each contender, by its name."""
     ours = {
@@ -173,6 +217,8 @@ def contenders(problem: lfo.OptimalControlProblem) -> dict[str, Step]:
     steps |= {f"{name}, sparse": sparse(problem, name) for name in ("PIQP", "OSQP")}
     if not isinstance(problem.state_set, lfo.sets.Soft):
         steps["DAQP, condensed"] = dense(problem)
+    if all(map(find_spec, DO_MPC)):
+        steps["do-mpc, IPOPT"] = do_mpc(problem)
     return steps | {f"CVXPY, {solver}": parametric(problem, solver) for solver in ("CLARABEL", "OSQP")}
 
 
@@ -351,3 +397,5 @@ def main(arguments: Sequence[str]) -> None:
             record.show(with_pushes(options.horizons, options.steps, options.seed))
         else:
             record.show(linear(options.horizons, options.problems, options.steps, options.seed))
+            if not all(map(find_spec, DO_MPC)):
+                record.show("do-mpc is not in the table: it is not installed (pip install do-mpc).")

@@ -13,7 +13,7 @@ import pytest
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from benchmark import measures, modes, solvers
+from benchmark import loop, measures, modes, solvers
 from benchmark.cases import FAMILIES, small
 from benchmark.contenders import CONTENDERS, CvxpyModel, OurResolver
 from benchmark.measures import Row
@@ -163,3 +163,14 @@ def test_contenders_of_the_benchmark_agree():
         "WRONG: bound above the best cost",
     ]
     assert modes.table_of("small", rows).row_count == len(rows)
+
+
+@pytest.mark.filterwarnings("ignore")  # those of the other packages
+@pytest.mark.parametrize("name", loop.CASES)
+def test_contenders_of_the_loop_agree(name):
+    problem = loop.CASES[name](20)
+    steps = loop.contenders(problem)
+    state = 0.3 * problem.initial_box.lower
+    expected = steps.pop("auto")(state)
+    for contender, step in steps.items():
+        np.testing.assert_allclose(step(state), expected, atol=2e-3, err_msg=contender)

@@ -115,9 +115,10 @@ def test_other_methods_judge_one_by_one(method, serial):
     assert found[1].method == method
 
 
-def test_joint_rows_are_solved_one_by_one():
+def test_joint_rows_are_solved_and_judged_as_a_batch(monkeypatch):
     rows = lfo.StageRows([[0.0, 0.0, 1.0, 0.0]], [[0.0]], [0.9])
     problem = replace(PENDULUM, stage_rows=rows)
+    monkeypatch.setattr(many_module, "_solve_single", lambda *given: pytest.fail("one was left alone"))
     found = lfo.solve_many(problem, STARTS[:2])
     assert found.costs[1] == pytest.approx(lfo.solve(problem.with_ends(STARTS[1])).cost, rel=1e-8)
 
@@ -136,7 +137,7 @@ def test_the_examples_of_the_docs_run(tmp_path, monkeypatch, capsys):
 
 
 def test_executors_find_the_same(serial, monkeypatch):
-    monkeypatch.setattr(many_module, "SENT", 5)
+    monkeypatch.setattr(many_module, "PART", 5)
     with ThreadPoolExecutor(2) as pool:
         assert_same(lfo.solve_many(PENDULUM, STARTS, executor=pool), serial)
     with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as cluster, Client(cluster) as client:
@@ -194,7 +195,7 @@ def test_files_of_something_else_are_left_alone(tmp_path):
 
 
 def test_ctrl_c_keeps_what_is_found(serial, tmp_path, monkeypatch):
-    monkeypatch.setattr(many_module, "HERE", 4)
+    monkeypatch.setattr(many_module, "PART", 4)
 
     def pressed(done: int, count: int) -> None:
         if done == 8:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
+from lin_freq_ocp.batch.repeated import PlannedStart, proven_in_batch
+from lin_freq_ocp.loop import controller
 
 
 @pytest.mark.parametrize("name", LOOPS)
@@ -94,3 +98,37 @@ def test_states_far_from_zero_are_counted_from_where_they_are():
 def test_a_word_that_is_no_time_is_refused():
     with pytest.raises(lfo.errors.ProblemError, match="certify"):
         lfo.RecedingHorizon(pendulum(10), certify="never")
+
+
+@pytest.mark.parametrize("name", ["soft", "rows"])
+def test_plans_with_soft_and_joint_rows_are_judged_as_a_batch(name, monkeypatch):
+    """The batch judge says of every plan what the single judge does, violations of soft bounds included."""
+    rows = lfo.StageRows([[1.0, 0.5, 0.0, 0.0]], [[0.02]], [0.3])
+    problem, soft = pendulum(30), {"state_set": 1e3}
+    if name == "rows":
+        problem, soft = replace(problem, stage_rows=rows), soft | {"stage_rows": 1e2}
+    logs = list[lfo.results.ClosedLoop]()
+    for alone in (False, True):
+        loop = lfo.RecedingHorizon(problem, certify="later", soft=soft)
+        for start in (*0.5 * states(problem, 5), *[np.array([0.9, 0.3, 1.5, 1.5])] * 3):
+            loop.step(start)
+        monkeypatch.setattr(controller, "proven_in_batch", (lambda _: {}) if alone else never_alone(monkeypatch))
+        logs.append(loop.certify())
+        monkeypatch.undo()
+    batch, single = logs
+    assert batch.statuses == single.statuses
+    assert {"optimal", "infeasible_claimed"} == set(batch.statuses)
+    np.testing.assert_allclose(batch.costs, single.costs, rtol=1e-12)
+    for one, other in zip(batch.steps, single.steps, strict=True):
+        assert one.excess.keys() == other.excess.keys()
+        assert all(value == pytest.approx(other.excess[key], rel=1e-6) for key, value in one.excess.items())
+
+
+def never_alone(monkeypatch):
+    """Return the batch judge, after which no plan is left to the single one."""
+
+    def fail(*given):
+        raise AssertionError("a plan was left to the single judge")
+
+    monkeypatch.setattr(PlannedStart, "certified", fail)
+    return proven_in_batch

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationMap, ZeroOrderHoldMap
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 N, M = 3, 2
 DIM = 4
@@ -141,6 +143,23 @@ def plain_spectrum(one: SpectrumMap, y: np.ndarray, first: int = 0) -> np.ndarra
         [value.real] if real else [value.real, value.imag] for value, real in zip(spectrum, real_only, strict=True)
     ]
     return np.concatenate(pairs)[None]
+
+
+@given(SEEDS)
+@quick
+def test_a_repeated_term_is_that_of_every_trajectory(seed):
+    rng = np.random.default_rng(seed)
+    T, count = int(rng.integers(1, 8)), 3
+    one = stage_map(rng, T)
+    limits, weights = rng.standard_normal(one.shape), rng.uniform(0.1, 1.0, one.shape)
+    penalty = HalfSpaces(limits if rng.random() < 0.5 else limits[0], weights if rng.random() < 0.5 else np.ones(()))
+    term = Term("rows", TermKind.STAGE_ROWS, one, penalty).repeated(count, T + 1)
+    parts = [signals(rng, T) for _ in range(count)]
+    x, u = np.concatenate([x for x, _ in parts]), np.concatenate([np.vstack([u, np.zeros(M)]) for _, u in parts])
+    np.testing.assert_allclose(term.map.values(x, u), np.concatenate([one.values(*part) for part in parts]))
+    expected = np.concatenate([penalty.cost(one.values(*part)) for part in parts])
+    np.testing.assert_allclose(term.cost(x, u), expected, atol=1e-14)
+    assert Term("sum", TermKind.STAGE_ROWS, sum_map(rng, T), penalty).repeated(count, T + 1) is None
 
 
 @pytest.mark.parametrize("make", MAPS)

@@ -51,6 +51,7 @@ class DenseKernel:
 
     def _forget(self) -> None:
         """Begin without multipliers."""
+        self.ray: Array | None = None  # multipliers of rows whose gradients cancel, after INFEASIBLE
         rows, r = self.gradients.shape
         self._flag = np.zeros(rows, dtype=int)  # 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it
         self._lambda, self._active = np.zeros(rows), list[int]()
@@ -77,6 +78,7 @@ class DenseKernel:
 
         A state that is not finite is INFEASIBLE.
         """
+        self.ray = None
         if not np.isfinite(x).all():
             return INFEASIBLE
         self._most_changes = self.tables.most_changes if most_changes is None else most_changes
@@ -104,9 +106,12 @@ class DenseKernel:
                 xi = found
             elif violation[row] > STUCK_VIOLATION * ROW_TOLERANCE:
                 status = INFEASIBLE
+                break
             rounded[row] = found is None
             if found is not None and self.changes > before:
                 rounded[:] = False
+        if status != INFEASIBLE:
+            self.ray = None
         if status == SOLVED:
             self._plan = self.tables.W @ start + self.tables.V @ xi
         self.unknowns = xi
@@ -177,6 +182,8 @@ class DenseKernel:
             full = abs(y - bound) / rho**2 if independent else np.inf
             blocking, step, rest = self._first_block(rate, min(full, limit - moved))
             if not np.isfinite(step):
+                self.ray = np.zeros((len(self.tables.families), self.tables.loop.shape[0] + 1))
+                self.ray.flat[self._active], self.ray.flat[row] = rate, sigma
                 return None
             self._lambda[self._active] += step * rate
             self._lambda[row] += sigma * step

@@ -342,7 +342,11 @@ static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
     if (independent) full = absolute(y - bound) / rho2;
     step = limit < NONE && limit - moved < full ? limit - moved : full;
     leaving = first_block(p, s, s->w, &step, &rest);
-    if (leaving < 0 && step >= NONE) return absolute(y - bound) > 100 * allowed ? STUCK : ROUNDING;
+    if (leaving < 0 && step >= NONE) {
+      if (absolute(y - bound) <= 100 * allowed) return ROUNDING;
+      s->stuck = side * (c->row + 1);
+      return STUCK;
+    }
     add(s->lambda, step, s->w, s->active);
     if (independent) {
       add(s->xi, -sigma * step, s->z, r);
@@ -391,7 +395,7 @@ static int relaxed_run(const lfo_model *p, lfo_memory *s, const candidate *c) {
 int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, lfo_real *states) {
   int T = p->T, m = p->m, status = LFO_LIMIT, corrections = 0, finite = 1;
   candidate queue[LFO_QUEUE];
-  s->changes = s->sweeps = 0;
+  s->changes = s->sweeps = s->stuck = 0;
   for (int i = 0; i < p->p - 1; i++) finite &= x[i] - x[i] == 0;
   if (!finite) return LFO_INFEASIBLE; /* nothing is changed */
   if (s->plans > 0) memcpy(s->before, s->plan, BYTES(T * m));

@@ -41,6 +41,8 @@ typedef struct { /* all that lasts from step to step; the arrays are the caller'
   int *member;                            /* (most_active): rows, family (T+1) + time */
   signed char *flag;                      /* a row: 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it */
   int active, plans, changes, sweeps, exceeded;
+  int stuck;                              /* after LFO_INFEASIBLE: the row that w times the active rows contradicts, */
+                                          /* as row + 1 at its upper, -(row + 1) at its lower bound; else 0 */
   lfo_real worth;                         /* dual value of the multipliers at the last sweep */
 } lfo_memory;
 

@@ -45,7 +45,7 @@ class Memory(ctypes.Structure):
 
     _fields_ = (
         [(f"part_{i}", ctypes.c_void_p) for i in range(16)]
-        + [(name, ctypes.c_int) for name in ("active", "plans", "changes", "sweeps", "exceeded")]
+        + [(name, ctypes.c_int) for name in ("active", "plans", "changes", "sweeps", "exceeded", "stuck")]
         + [("worth", ctypes.c_double)]
     )
 
@@ -138,6 +138,7 @@ class NativeKernel:
         self._step, self._read = (model, memory, *pointers[3:5], None), (model, memory, pointers[5])
         compiled.lfo_begin(model, memory, *pointers[:3])
         self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
+        self._rate = self._work[0][4 * r + 4 * T * m + most :]
 
     def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
@@ -161,6 +162,17 @@ class NativeKernel:
     def unknowns(self) -> Array:
         """Return xi of the last step, (r,), whether or not its working set has settled."""
         return self._work[0][: self.tables.unknowns].copy()
+
+    @property
+    def ray(self) -> Array | None:
+        """Return multipliers of the rows whose gradients cancel, (families, T+1), after INFEASIBLE; else None."""
+        row, active = self._memory.stuck, self._memory.active
+        if not row:
+            return None
+        weights = np.zeros(self._weights.shape)
+        weights.flat[self._work[1][:active]] = self._rate[:active]
+        weights.flat[abs(row) - 1] = np.sign(row)
+        return weights
 
     @property
     def control(self) -> Array:

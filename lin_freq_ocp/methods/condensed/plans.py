@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, seal
+from lin_freq_ocp.base.arrays import Array, seal
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -19,13 +19,13 @@ from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel
 from lin_freq_ocp.methods.condensed.tables import LIMIT, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
+from lin_freq_ocp.methods.spectral.reductions import soft_sets
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Extremals, Trajectory
 
 KEPT_VIOLATION = 1e-6  # of a plan that counts as feasible, relative: as in the judge's conditions
 CHANGES_BETWEEN_LOOKS = 25  # at the clock, of the working set: some 0.1 to 1 ms
-PLANS_AT_ONCE = 200  # plans whose multipliers are computed at once: the arrays stay in the cache of a processor
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,10 @@ UNLIMITED = Budget()
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan without a certificate: what the kernel found from an initial state."""
+    """A plan without a certificate: what the kernel found from an initial state.
+
+    With eta_C = 0 there is none: the ``weights`` claim that the rows contradict each other.
+    """
 
     tables: CondensedTables
     units: LtiUnits
@@ -51,6 +54,7 @@ class Plan:
     weights: Array  # multipliers of the rows, (families, T+1)
     changes: int = 0  # of the working set
     settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
+    eta_C: float = 1.0
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -73,37 +77,25 @@ class Plan:
         return Trajectory(seal(x[:, 0] * units.x), seal(u[:, 0] * units.u))
 
     def candidate(self, problem: OptimalControlProblem) -> Candidate:
-        """Return the plan with its multipliers, for the judge of the problem that it solves."""
+        """Return the plan with its multipliers, or the ray, for the judge of the problem that it solves."""
         tables, units, lti = self.tables, self.units, self.tables.loop.lti
-        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None])
+        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None], self.eta_C)
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         stationarity = float(found.stationarity[0])
-        duals = LtiMultipliers(1.0, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none)
+        duals = LtiMultipliers(
+            self.eta_C, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none
+        )
         trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
-        return Candidate(Status.OPTIMAL, trajectory, in_units(problem, lti, units, duals))
+        multipliers = in_units(problem, lti, units, duals)
+        if not self.eta_C:
+            return Candidate(Status.INFEASIBLE, ray=multipliers, message="contradictory rows")
+        return Candidate(Status.OPTIMAL, trajectory, multipliers)
 
 
 def unsettled_plan(tables: CondensedTables, units: LtiUnits, start: Array, v: Array, changes: int) -> Plan:
     """Return the plan of v (T m,) from a state (n,), whose working set has not settled: it has no multipliers."""
     u_0 = v[: len(units.u)] + tables.loop.K @ (start / units.x)
     return Plan(tables, units, start, u_0 * units.u, v, np.zeros_like(tables.bounds[0]), changes, settled=False)
-
-
-@dataclass(frozen=True, eq=False)
-class PlanBatch:
-    """Trajectories x (N, T+1, n), u (N, T, m) with eta (N, T, n), mu, nu as x and u, and rho_u (N, bins, m).
-
-    They belong to the initial states number ``solved``, (N,). Nothing of them is judged.
-    """
-
-    solved: Indices
-    x: Array
-    u: Array
-    eta: Array
-    mu: Array
-    nu: Array
-    rho_u: ComplexArray
-    interrupted: bool = False
 
 
 class CondensedSolver:
@@ -160,9 +152,14 @@ class CondensedSolver:
     def plan(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
-        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle: a
-        claim of contradictory rows proves nothing. Where a limited budget ends before, the plan is not ``settled``.
+        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle.
+        Where a limited budget ends before, the plan is not ``settled``.
         """
+        answer = self.answer(start, lti, budget)
+        return answer if answer is not None and answer.eta_C else None
+
+    def answer(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
+        """Return the plan as ``plan`` does, or the claim, with eta_C = 0, that the rows contradict each other."""
         units = self.units
         with self._lock:
             kernel = self.kernel
@@ -174,49 +171,46 @@ class CondensedSolver:
             while status == LIMIT and made < most and (made == 0 or now() < budget.end):
                 status = kernel.step(x, min(most - made, at_once))
                 made += kernel.changes
+            control, ray = kernel.control * units.u, kernel.ray
             if status == SOLVED:
-                return Plan(
-                    kernel.tables, units, start, kernel.control * units.u, kernel.plan, kernel.multipliers, made
-                )
+                return Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers, made)
+            if ray is not None:
+                none = np.zeros(len(kernel.tables.V))
+                return Plan(kernel.tables, units, start, control, none, ray, made, eta_C=0.0)
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
             v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
             return unsettled_plan(kernel.tables, units, start, v, made)
 
-    def plan_batch(self, starts: Array, lti: Lti) -> PlanBatch | None:
-        """Return the plans from initial states, (N, n), each from the multipliers of the one before; None as ``plan``.
+    def plan_batch(self, starts: Array, lti: Lti) -> tuple[dict[int, Plan], bool]:
+        """Return the plans from initial states (N, n) by number, each from the multipliers of the one before.
 
-        Ctrl-C ends it early.
+        No plan where ``plan`` returns None; the second value says whether Ctrl-C ended it early.
         """
         plans, units = dict[int, Plan](), self.units
         with self._lock, interrupts_noted() as interrupt:
             kernel = self.kernel
-            if not self._take(lti):
-                return None
-            for i, start in enumerate(starts):
+            for i, start in enumerate(starts if self._take(lti) else ()):
                 if kernel.step(start / units.x) == SOLVED:
                     control = kernel.control * units.u
                     plans[i] = Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers)
                 if interrupt.is_set():
                     break
-        return batch_of(plans, interrupt.is_set()) if plans else None
+        return plans, interrupt.is_set()
 
 
-def batch_of(plans: Mapping[int, Plan], interrupted: bool = False) -> PlanBatch:
-    """Return plans of one solver by their numbers as arrays with their multipliers, in the user's units."""
-    numbers, each = np.array(list(plans), dtype=np.intp), list(plans.values())
-    parts = [_extremals(each[first : first + PLANS_AT_ONCE]) for first in range(0, len(each), PLANS_AT_ONCE)]
-    x, u, eta, mu, nu = (np.concatenate([signals[k] for signals, _ in parts]) for k in range(5))
-    return PlanBatch(numbers, x, u, eta, mu, nu, np.concatenate([rho for _, rho in parts]), interrupted)
-
-
-def _extremals(plans: Sequence[Plan]) -> tuple[tuple[Array, ...], ComplexArray]:
-    """Return x, u, eta, mu and nu of plans, and rho_u."""
+def extremals_of(problem: OptimalControlProblem, plans: Sequence[Plan]) -> Extremals:
+    """Return plans of one solver, for a problem that differs in the initial state only, in the user's units."""
     tables, units = plans[0].tables, plans[0].units
     (T, n, m), of_y = tables.loop.shape, units.multipliers
     starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
     found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
-    forces = np.moveaxis(found.on_rows[: n + m], 2, 0).swapaxes(1, 2) * of_y
+    on_rows = np.moveaxis(found.on_rows, 2, 0).swapaxes(1, 2)
+    forces = on_rows[..., : n + m] * of_y
+    stage = {one.name: one.multipliers(forces, 1.0) for one in soft_sets(problem, starts) or ()}
+    joint = on_rows[:, :-1, n + m :] * (units.cost / units.rows)
+    splits = np.cumsum([rows.rows for rows in problem.stage_rows])
+    stage |= {rows.name: part for rows, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=False)}
     x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
-    band = (found.band * of_y[n:]).swapaxes(0, 1)
-    return (x, u, eta, forces[..., :n], forces[:, :-1, n:]), band * (bin_weights(T) / T)[:, None]
+    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_weights(T) / T)[:, None]
+    return Extremals(x, u, eta, forces[..., :n], forces[:, :-1, n:], rho_u, stage)

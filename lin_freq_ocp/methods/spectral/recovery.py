@@ -16,7 +16,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, seal
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
-from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds
+from lin_freq_ocp.methods.spectral.reductions import SoftBounds, soft_sets
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
 from lin_freq_ocp.methods.spectral.structure import Data, Structure, forces
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -212,8 +212,8 @@ def in_units(problem: OptimalControlProblem, lti: Lti, units: LtiUnits, scaled: 
         scaled.rho_x * x,
         {rows.name: part.T for rows, part in zip(problem.stage_rows, on_stage_rows, strict=True)} | on_ends,
     )
-    bounds = priced_bounds(problem) if problem.terms else None
-    if bounds is None or not bounds.sets:
+    sets = soft_sets(problem) if problem.terms else None
+    if not sets:
         return multipliers
     # the model includes the prices of soft sets: no problem with hard bounds was made
-    return SoftBounds(problem, problem, bounds.sets).multipliers(multipliers)
+    return SoftBounds(problem, problem, sets).multipliers(multipliers)

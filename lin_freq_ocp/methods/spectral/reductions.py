@@ -117,7 +117,7 @@ class SoftSet:
 
     A row c y_f + d <= e with a price is a bound (e - d)/|c| on y_f with the price times |c|, an upper one if c > 0. The
     hard bound of that component, side and time must be absent. If an end fixes the component, the violation is a
-    constant, and its subgradient is the price or zero.
+    constant, and its subgradient is the price or zero. Of N initial states, it is one for each of them.
     """
 
     name: str
@@ -128,22 +128,26 @@ class SoftSet:
     limit: Array  # (groups, dim), inf where there is none
     price: Array  # (groups, dim), per unit of y_f
     constant: Mask  # (groups, dim): where an end fixes y_f
-    violation: Array  # (groups, dim), of constant rows
+    violation: Array  # (groups, dim) or (N, groups, dim), of constant rows
 
     def multipliers(self, forces: Array, eta_C: float) -> Array:
         """Return the multipliers of the rows from the forces on all components, (T+1, n+m); subtract these forces.
 
-        If no end fixes the component, all of its force is due to this set.
+        If no end fixes the component, all of its force is due to this set. Forces (N, T+1, n+m) are of N trajectories.
         """
-        on_bounds = np.maximum(self.sign * forces[self.times[:, None], self.f], 0.0)
+        on_bounds = np.maximum(self.sign * forces[..., self.times[:, None], self.f], 0.0)
         paid = np.where(self.violation > 0, eta_C * self.price, 0.0)
         weights = np.where(self.constant, paid, np.where(np.isfinite(self.limit), on_bounds, 0.0))
-        np.subtract.at(forces, (self.times[:, None], self.f[None]), self.sign * weights)
+        for row, component in enumerate(self.f):  # two rows may bound the same component
+            forces[..., self.times, component] -= self.sign[row] * weights[..., row]
         return seal(weights / self.size)
 
 
-def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
-    """Return a soft set as bounds; None if it is hard, or some row concerns several components."""
+def soft_set(problem: OptimalControlProblem, term: Term, starts: Array | None = None) -> SoftSet | None:
+    """Return a soft set as bounds; None if it is hard, or some row concerns several components.
+
+    ``starts`` are N initial states, (N, n), in place of the problem's own.
+    """
     form = term.map.stage_form(problem.state_dim, problem.control_dim)
     if form is None or term.kind not in SETS or not term.penalty.polyhedral or len(form[0]) > 1:
         return None
@@ -156,12 +160,13 @@ def soft_set(problem: OptimalControlProblem, term: Term) -> SoftSet | None:
     sign, size = np.sign(coefficient), np.abs(coefficient)
     limit = (term.penalty.bounds(shape)[1] - constant) / size
     fixed = np.zeros((len(times), len(f)), dtype=bool)
-    violation = np.zeros(fixed.shape)
+    violation = np.zeros(fixed.shape if starts is None else (len(starts), *fixed.shape))
     if term.kind == TermKind.STATE_SET:
-        for t, end in zip((0, problem.horizon), problem.ends, strict=True):
+        values = problem.ends[0].lower if starts is None else starts[:, None], problem.ends[1].lower
+        for t, end, value in zip((0, problem.horizon), problem.ends, values, strict=True):
             groups = times == t
             fixed[groups] = end.fixed[f]
-            violation[groups] = sign * np.where(end.fixed, end.lower, 0.0)[f] - limit[groups]
+            violation[..., groups, :] = sign * np.where(end.fixed, value, 0.0)[..., f] - limit[groups]
     return SoftSet(term.name, times, f, sign, size, limit, weights * size, fixed, violation)
 
 
@@ -176,19 +181,22 @@ class PricedBounds:
     of_upper: Array
 
 
+def soft_sets(problem: OptimalControlProblem, starts: Array | None = None) -> tuple[SoftSet, ...] | None:
+    """Return all sets that are terms; None if some is not a soft set of bounds."""
+    sets = [term for term in problem.terms if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS)]
+    found = [bounds for term in sets if (bounds := soft_set(problem, term, starts)) is not None]
+    return tuple(found) if len(found) == len(sets) else None
+
+
 def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
     """Return all bounds, hard and soft.
 
     None if some set is not a soft set of bounds, if two bounds share a component, side and time, or if a soft bound is
     outside the opposite one.
     """
-    sets = list[SoftSet]()
-    for term in problem.terms:
-        if term.kind not in (TermKind.STAGE_ROWS, TermKind.LINKED_ENDS):
-            bounds = soft_set(problem, term)
-            if bounds is None:
-                return None
-            sets.append(bounds)
+    sets = soft_sets(problem)
+    if sets is None:
+        return None
     tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
     sides = [
         np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
@@ -209,7 +217,7 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
                 return None
             side[at], prices[above][at] = sign * limit[on_side], bounds.price[group[on_side], row[on_side]]
     soft = np.isfinite(prices[0]) | np.isfinite(prices[1])
-    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(tuple(sets), *sides, *prices)
+    return None if (soft & (sides[0] >= sides[1])).any() else PricedBounds(sets, *sides, *prices)
 
 
 @dataclass(frozen=True, eq=False)

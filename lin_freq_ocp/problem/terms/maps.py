@@ -90,6 +90,13 @@ class AffineMap(ABC):
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
 
+    def repeated(self, count: int, samples: int) -> AffineMap | None:
+        """Return the map of ``count`` trajectories, each of so many states and controls, one after another.
+
+        None if the map cannot be repeated. A control at the last of the states does not act.
+        """
+        return None
+
     def stage_form(self, n: int, m: int) -> tuple[Array, Array] | None:
         """Return M, (groups or 1, dim, n + m), and c, (groups, dim), with v = M (x_t, u_t) + c for every group.
 
@@ -208,6 +215,11 @@ class StageMap(MatrixMap):
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         of_x, of_u = self._blocks(self.C, horizon + 1, n), self._blocks(self.D, horizon, m)
         return joined_rows(of_x, of_u), np.broadcast_to(self.constant, self.shape).ravel()
+
+    def repeated(self, count: int, samples: int) -> StageMap:
+        C, D = (part if part is None or part.ndim == 2 else np.tile(part, (count, 1, 1)) for part in (self.C, self.D))
+        times = (self.times + samples * np.arange(count)[:, None]).ravel()
+        return StageMap(times, C, D, np.tile(np.broadcast_to(self.constant, self.shape), (count, 1)))
 
     def stage_form(self, n: int, m: int) -> tuple[Array, Array]:
         parts = [

@@ -97,6 +97,10 @@ class HalfSpaces(Penalty):
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
         return np.zeros_like(c), replace(self, limit=(to_long_double(self.limit) - c).astype(np.float64))
 
+    def repeated(self, count: int) -> Penalty:
+        limit, weight = (part if part.ndim < 2 else np.tile(part, (count, 1)) for part in (self.limit, self.weight))
+        return replace(self, limit=limit, weight=weight)
+
     def stacked(self, parts: list[Any]) -> Penalty:
         weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])
         return HalfSpaces(np.array([part.limit for part in parts]), weights.reshape(len(parts), -1))

@@ -164,6 +164,10 @@ class Penalty(ABC):
         """Return the constant of the affine map and the penalty if the limits absorb the constant, if they can."""
         return c, self
 
+    def repeated(self, count: int) -> Penalty | None:
+        """Return the penalty of ``count`` times the groups, one after another; None if it cannot be repeated."""
+        return None
+
     def stacked(self, parts: list[Penalty]) -> Penalty:
         """Return one penalty of several groups, one for each of the parts, which share a signature."""
         return self

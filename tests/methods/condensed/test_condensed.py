@@ -15,15 +15,17 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.condensed import native
+from lin_freq_ocp.methods.condensed import native, plans
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import NativeKernel
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver
+from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 
+FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1
 
 
@@ -64,6 +66,25 @@ def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
         if k == 0:
             assert certificate.cost == pytest.approx(lfo.solve(stated, "convex").cost, rel=1e-8)
     assert proven >= 8
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_plans_in_arrays_are_the_plans_one_by_one(name):
+    problem = LOOPS[name]()
+    spectral, solver = solver_of(problem)
+    starts = states(problem, 6)
+    found, interrupted = solver.plan_batch(starts, spectral.lti)
+    assert found
+    assert not interrupted
+    batch = extremals_of(problem, list(found.values()))
+    for k, (number, plan) in enumerate(found.items()):
+        candidate = plan.candidate(problem.with_ends(starts[number]))
+        pairs = [(batch.x[k], candidate.trajectory.x), (batch.u[k], candidate.trajectory.u)]
+        pairs += [(getattr(batch, field)[k], getattr(candidate.multipliers, field)) for field in FIELDS]
+        pairs += [(batch.stage[term][k], on_term) for term, on_term in candidate.multipliers.stage.items()]
+        for values, expected in pairs:
+            np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max(initial=0.0))
+        assert batch.stage.keys() == candidate.multipliers.stage.keys()
 
 
 @pytest.mark.parametrize("name", LOOPS)
@@ -109,6 +130,44 @@ def test_contradictory_rows_leave_the_next_step_as_it_is(kind):
     assert kernel.step(np.array([0.0, 50.0, 0.0, 0.0]) / units.x) == INFEASIBLE
     assert kernel.step(start) == SOLVED
     np.testing.assert_allclose(kernel.plan, plan, atol=APART)
+
+
+@pytest.mark.parametrize("name", ["low pass", "rate limit", "fixed end", "two controls", "joint rows"])
+@pytest.mark.parametrize("kind", ["native", "dense"])
+def test_contradictory_rows_are_a_ray_that_the_judge_proves(name, kind, monkeypatch):
+    problem = LOOPS[name]()
+    if kind == "native":
+        compiled()
+    else:
+        monkeypatch.setattr(plans, "library", lambda: None)
+    spectral, solver = solver_of(problem)
+    proven = 0
+    for scale in (1.0, 4.0, 10.0, 30.0):
+        for start in scale * states(problem, 4, seed=3):
+            answer = solver.answer(start, spectral.lti)
+            if answer is None or answer.eta_C:
+                continue
+            stated = problem.with_ends(start)
+            candidate = answer.candidate(stated)
+            assert candidate.trajectory is None
+            assert candidate.ray.eta_C == 0
+            proof = prove_infeasible(stated, candidate.ray)
+            assert proof is not None
+            assert proof.bound.kind == "rigorous"
+            proven += 1
+            assert prove_infeasible(problem.with_ends(0.1 * states(problem, 1)[0]), candidate.ray) is None
+    assert proven >= 3
+
+
+def test_a_ray_is_none_of_a_step_with_a_plan():
+    tables = tables_of(LOOPS["low pass"]())
+    for kernel in (NativeKernel(tables, compiled()), DenseKernel(tables)):
+        assert kernel.step(np.array([0.0, 50.0, 0.0, 0.0])) == INFEASIBLE
+        assert kernel.ray is not None
+        np.testing.assert_allclose(np.tensordot(kernel.ray.ravel(), DenseKernel(tables).gradients, 1), 0, atol=1e-9)
+        for state, status in ((np.full(4, 0.01), SOLVED), (np.full(4, np.nan), INFEASIBLE)):
+            assert kernel.step(state) == status
+            assert kernel.ray is None
 
 
 def test_a_state_that_is_not_finite_changes_nothing():
