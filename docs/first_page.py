@@ -12,8 +12,10 @@ COMMAND = ("solve", "double_integrator", "--set", "cutoff_hz=0.3")
 if __name__ == "__main__":
     run = [sys.executable, "-m", "lin_freq_ocp", *COMMAND, *PATIENCE]
     done = subprocess.run(run, capture_output=True, text=True, check=False)
-    if done.returncode != 1 or "cure" not in done.stdout:
-        raise SystemExit(f"{' '.join(COMMAND)}: expected exit status 1, infeasible, and a cure; got {done.returncode}")
+    if done.returncode != 1 or "repair" not in done.stdout:
+        raise SystemExit(
+            f"{' '.join(COMMAND)}: expected exit status 1, infeasible, and a repair; got {done.returncode}"
+        )
     lines = [line for line in done.stdout.splitlines() if not line.startswith("time ")]
     text = "\n".join(["$ lin-freq-ocp " + " ".join(COMMAND), *lines])
     here = Path(__file__).parent

@@ -4,7 +4,10 @@ Wave energy: a plant known by its frequency response
 
 A buoy absorbs the most power from a wave, with a bounded force.
 
-Its plant is a table of complex responses over frequency, without a state-space model.
+The plant is a buoy in heave, known only by a table of complex responses from force [N]
+to velocity [m/s]. The wave has 0.3 Hz and an amplitude of 62.5 mm, and the record of
+20 s repeats. The cost is minus the mean absorbed power [W]. The force is unlimited, or
+at most 2000 N or 1000 N.
 """
 
 import lin_freq_ocp as lfo

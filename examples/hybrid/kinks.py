@@ -4,7 +4,10 @@ Formulas with a kink: a tank that overflows
 
 A formula with a minimum defines the dynamics of a tank.
 
-The certificate checks the maximum principle at the kink, and a global bound is proven.
+The level of the tank starts at 0.2. It rises with the inflow, between 0 and 2, and the
+tank leaks; above the level 1 it overflows. Each of four steps costs half the square of
+its inflow, a last level of 1 earns 20, and the pump must not alternate. The certificate
+checks the maximum principle at the kink, and a global bound is proven.
 """
 
 import numpy as np

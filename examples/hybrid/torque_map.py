@@ -3,6 +3,11 @@ A measured torque map
 =====================
 
 A motor, whose torque is a spline through measured points, drives wheels that may slip.
+
+The motor accelerates from 20 to 190 rad/s in five steps of 0.5 s. The control is the
+current, from 0 to 1 of its largest value. The torque at full current falls with the speed
+from 9.6 to 3 N m, and the wheels transmit at most 5 N m of it. The cost is the sum of the
+squared currents, without a component at the frequency that would shake the driver.
 """
 
 import numpy as np

@@ -4,7 +4,10 @@ Contact: a pendulum at an elastic wall
 
 A pendulum may lean on an elastic wall, which gives two affine modes.
 
-The search proves that no other mode sequence costs less, with a limit on frequencies.
+The inverted pendulum of 1 kg and 1 m, linearised at the top, falls towards a wall at
+0.1 rad. Over 20 steps of 20 ms, the cost weighs angle, rate and torque. The torque is at
+most 4 N m and has no frequencies above 15 Hz. The search proves that no other mode
+sequence costs less.
 """
 
 import numpy as np
@@ -34,8 +37,8 @@ problem = lfo.OptimalControlProblem(
     name="pendulum at a wall",
 )
 
-for border in problem.borders:
-    kind = "continuous" if border.continuous else "a jump"
+for boundary in problem.borders:
+    kind = "continuous" if boundary.continuous else "a jump"
     print(f"switching boundary of {free.name} and {contact.name}: {kind}")
 
 result = lfo.solve(problem)

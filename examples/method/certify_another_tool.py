@@ -4,7 +4,9 @@ Certify a trajectory from another tool
 
 CVXPY solves a program written by hand, and ``lfo.certify`` checks its trajectory.
 
-After a small change of one sample, the certificate names the violated conditions.
+A unit mass moves 1 m in 4 s with the least squared acceleration. The acceleration is at
+most 1 m/s^2 and has no frequencies above 5 Hz, the speed is at most 0.3 m/s. After a
+small change of one sample, the certificate names the violated conditions.
 """
 
 import cvxpy as cp

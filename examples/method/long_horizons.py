@@ -3,6 +3,9 @@ Ten thousand steps, and repeated solves
 =======================================
 
 The Fourier-domain method solves a long horizon, and many initial states with one set-up.
+
+A cart moves an inverted pendulum by 0.3 m with a low-passed force of at most 5 N: first
+over 10 000 steps of 10 ms, then over 240 steps from different initial states.
 """
 
 import numpy as np

@@ -3,6 +3,10 @@ A hundred initial states in one call
 ====================================
 
 ``lfo.solve_many`` sets up the problem once, and certifies every answer.
+
+A cart moves an inverted pendulum by 0.3 m within 2.4 s, with a low-passed force of at
+most 5 N. The hundred initial states differ by up to 1 cm and 0.01 rad, and their rates by
+2 cm/s and 0.02 rad/s.
 """
 
 import matplotlib.pyplot as plt

@@ -3,6 +3,10 @@ A mask between the bins
 =======================
 
 A stop band acts at the bins of the DFT; a mask on a finer grid acts between them, too.
+
+A force of at most 5 N moves an inverted pendulum within 240 samples. Bins 97 to 143 of
+its spectrum are zero, or the spectrum in this band is at most 1 % of its peak without a
+frequency constraint.
 """
 
 from dataclasses import replace

@@ -2,9 +2,10 @@
 First steps: a cart from rest to rest
 =====================================
 
-A cart moves 1 m in 2 s, with bounded force and speed.
+A cart of 1 kg moves 1 m in 2 s, with little force.
 
-Its actuator follows up to 20 Hz, so that the force must not contain higher frequencies.
+The force is at most 5 N and the speed at most 1 m/s. The actuator follows up to 20 Hz, so
+that the force must not contain higher frequencies.
 """
 
 import control

@@ -2,13 +2,15 @@
 A quiet band of the applied force
 =================================
 
-A mass on a spring is held at rest against random pushes. Its actuator has a resonance at
-8 Hz that the controller's model does not have, so that the force should be quiet there.
+A mass on a spring is held at rest against random pushes.
 
-A notch of each plan does nothing for the force that is applied, as the loop applies only
-the first sample of each plan. Windows over applied and planned samples limit it; without
-a taper, the strong low frequencies leak into the band. ``lfo.spectrum.closed_loop``
-chooses tapered windows.
+The force is at most 1 N. Its actuator has a resonance at 8 Hz that the controller's model
+does not have, so that the force must stay below 0.06 N in the band of 5.5 to 10.5 Hz.
+
+A notch on each plan does not limit the applied force, because the loop applies only the
+first sample of each plan. Windows over applied and planned samples limit it; without a
+taper, the strong low frequencies leak into the band. ``lfo.spectrum.closed_loop`` chooses
+tapered windows.
 """
 
 from __future__ import annotations
@@ -81,10 +83,8 @@ def main() -> lfo.results.ClosedLoop:
         "windows without a taper": untapered,
         "closed_loop": limit,
     }.items():
-        with warnings.catch_warnings():  # of the notch, which is shown to do nothing
-            warnings.simplefilter(
-                "ignore", lfo.errors.ClosedLoopWarning
-            )  # it is shown here
+        with warnings.catch_warnings():  # that a notch limits each plan only
+            warnings.simplefilter("ignore", lfo.errors.ClosedLoopWarning)
             controller = lfo.RecedingHorizon(
                 replace(base, control_spectrum=spectrum), soft={"control_spectrum": 100.0}
             )

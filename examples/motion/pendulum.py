@@ -4,7 +4,9 @@ Filter or solve: the pendulum of the paper
 
 Filtering the optimal force afterwards violates its bounds and misses the target.
 
-A constraint on the spectrum does neither, at a known extra cost.
+A cart moves an inverted pendulum by 0.3 m within 2.4 s, with the least squared force. The
+force is at most 5 N, and the actuator follows up to 40 Hz. A constraint on the spectrum
+meets bounds and target, at a known extra cost.
 """
 
 import lin_freq_ocp as lfo

@@ -4,9 +4,10 @@ A 3D printer: the shortest move without vibration
 
 Move a print head by 40 mm and leave its frame at rest, compared with input shapers.
 
-The frame resonates at 25 Hz, known to 10 %. Its vibration after the move is at most 5 %
-of the largest acceleration. ``lfo.compare`` finds the shortest move with a proof that
-one sample less is infeasible, and the shortest move with each shaper.
+The acceleration is at most 8 m/s^2, the speed 0.5 m/s. The frame resonates at 25 Hz,
+known to 10 %, and its vibration after the move is at most 5 % of the largest
+acceleration. ``lfo.compare`` finds the shortest move with a proof that one sample less is
+infeasible, and the shortest move with each shaper.
 """
 
 import lin_freq_ocp as lfo

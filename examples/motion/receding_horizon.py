@@ -4,9 +4,10 @@ Predictive control near a resonance
 
 A cart carries a pendulum and a mode at 12 Hz that the controller's model does not have.
 
-The plain controller excites the mode. A low pass after the controller delays its force,
-and the loop suffers. The third controller bounds the spectrum of every window of half a
-second, over applied and planned samples, and plans around the mode.
+The controller brings the pendulum to rest with a force of at most 5 N. Without a
+frequency limit it excites the mode. A low pass after the controller delays its force, and
+the loop suffers. The third controller bounds the spectrum of every window of half a
+second, over applied and planned samples, and so plans around the mode.
 """
 
 from __future__ import annotations

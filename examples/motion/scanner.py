@@ -4,8 +4,9 @@ A scanner: follow a triangle wave without its resonance
 
 A piezo scanner follows a triangle of 8 um at 25 Hz, line after line.
 
-Its drive must not contain the frequencies around the resonance at 900 Hz, nor any above
-the 1.6 kHz of its amplifier. Periodic ends make the lines join without a jump.
+The cost weighs the distance from the triangle and the drive, which is at most 5 um. The
+drive must not contain the frequencies around the resonance at 900 Hz, nor any above the
+1.6 kHz of its amplifier. Periodic ends join the lines without a jump.
 """
 
 import numpy as np

@@ -4,7 +4,9 @@ A notch in the spectrum of a state
 
 Move two masses joined by a spring without exciting the frequency of the spring.
 
-The constraint acts on the spectrum of a *state*, the deflection of the spring.
+A force of at most 1 N on the first of two unit masses moves them by 9 m in 10 s, with the
+least squared force. The constraint acts on the spectrum of a *state*, the deflection of
+the spring of 1 N/m: its bins within 0.1 Hz of the resonance at 0.225 Hz are zero.
 """
 
 import numpy as np

@@ -4,10 +4,10 @@ MRI: the shortest gradient pulse that spares two acoustic bands
 
 The shortest gradient pulse with a moment of 5 mT/m ms and no first moment.
 
-Amplitude and slew rate are limited, and the spectrum is small at every frequency of two
-bands where the scanner is loud. The moments are states with A = I, which the samples
-of the pulse add to, so that their dynamics depend on time: ``minimum_time`` takes a
-function that builds the problem for each horizon.
+The amplitude is at most 33 mT/m, the slew rate 150 T/m/s, and the spectrum is small at
+every frequency of two bands where the scanner is loud. The moments are states with A = I,
+to which the samples of the pulse add, so that their dynamics depend on time:
+``minimum_time`` takes a function that builds the problem for each horizon.
 """
 
 from dataclasses import replace

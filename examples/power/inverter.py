@@ -4,11 +4,12 @@ An inverter with three levels: duty cycles and whole samples
 
 An inverter removes the harmonics 5, 7, 11 and 13 from its output.
 
-With duty cycles, a few samples lie between two levels, and the harmonics are exactly
-zero. With whole samples, every sample takes a level, and the harmonics are at most 0.02:
-the search starts from the best rounding of the few samples in between, and proves how
-much better any other sequence can be. For free switching angles, see
-:doc:`switching_angles`.
+The output takes the levels -1, 0 and 1 over 96 samples of a period. Its fundamental has
+the amplitude 0.9, and the cost is its mean square. With duty cycles, a few samples lie
+between two levels, and the harmonics are exactly zero. With whole samples, every sample
+takes a level, and the harmonics are at most 0.02: the search starts from the best
+rounding of the few samples in between, and proves how much better any other sequence can
+be. For free switching angles, see :doc:`switching_angles`.
 """
 
 from dataclasses import replace

@@ -4,9 +4,10 @@ An inverter with three levels: free switching angles
 
 Five switching angles of a quarter period remove the harmonics 5, 7, 11 and 13.
 
-``PulseTrain`` makes the angles controls: each step of the dynamics is one switch. The
-cost is the square of the distortion. The search proves that no other five angles, and
-no other order of steps, cost less.
+The output takes the levels -1, 0 and 1 with quarter-wave symmetry. ``PulseTrain`` makes
+the angles controls: each step of the dynamics is one switch. The cost is the square of
+the distortion. The search proves that no other five angles, and no other order of steps,
+cost less.
 """
 
 import matplotlib.pyplot as plt

@@ -88,7 +88,7 @@ class MinimumTime:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Return the facts of the search: a term and its text each."""
-        known = "none is known to be feasible" if self.horizon is None else f"{self.horizon} steps"
+        known = "none is known to be feasible" if self.horizon is None else plural(self.horizon, "step")
         kind = "monotone" if self.monotone else "not known to be monotone"
         return [
             ("least horizon", known + (" (interrupted)" if self.interrupted else "")),

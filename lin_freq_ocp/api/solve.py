@@ -159,9 +159,10 @@ def raise_for(result: Result) -> None:
     if result.status == Status.INFEASIBLE:
         message = f"No trajectory of {name} satisfies all constraints ({result.message})."
         if result.conflict is not None:
+            conflict = result.explanation.family if result.explanation else map(str, result.conflict)
             cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
-            advice = f"Least change that helps: {cures}." if cures else "Relax one of these."
-            message += f" In conflict: {'; '.join(map(str, result.conflict))}. {advice}"
+            advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
+            message += f" In conflict: {'; '.join(conflict)}. {advice}"
     elif result.status == Status.INFEASIBLE_CLAIMED:
         message = (
             f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "

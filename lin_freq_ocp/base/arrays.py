@@ -27,14 +27,16 @@ def real_array(
     field: str, value: object, allow_infinite: bool = False, kinds: str = "iuf", dtype: type[complex] = float
 ) -> Array:
     """Convert to a read-only float64 array; NaN, complex and (by default) infinite entries are refused."""
+    expected, advice = "numbers in a rectangular array", "All rows have the same length."
     try:
         array = np.asarray(value)
         if array.size and array.dtype.kind not in kinds:
+            advice = "Numbers have no quotes and no units." if array.dtype.kind == "U" else ""
             raise TypeError(f"entries of type {array.dtype}")
         if array.flags.writeable or not array.flags.owndata or array.dtype != dtype:
             array = np.array(array, dtype=dtype)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ProblemError(field, f"{brief(value)}", "numbers in a rectangular array", f"({error})") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ProblemError(field, brief(value), expected, advice) from None
     bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
     if bad.any():
         where = "".join(f"[{i}]" for i in np.argwhere(bad)[0]) if array.ndim else ""
@@ -56,12 +58,9 @@ def to_shape(field: str, value: object, shape: tuple[int, ...], times: int | Non
     if array.shape == shape or (times is not None and array.shape == (times, *shape)):
         return array
     expected = f"shape {shape}" + ("" if times is None else f", or {(times, *shape)} with one per time")
-    advice = (
-        "State a diagonal matrix with its zeros, as numpy.diag returns it."
-        if shape == 2 * array.shape and array.ndim == 1
-        else ""
-    )
-    raise ProblemError(field, f"shape {array.shape}", expected, advice)
+    is_diagonal = array.ndim == 1 and shape == 2 * array.shape
+    advice = "State a diagonal matrix with its zeros, as numpy.diag returns it." if is_diagonal else ""
+    raise ProblemError(field, f"shape {array.shape}" if array.ndim else "a single number", expected, advice)
 
 
 def one_component(array: Array, size: int) -> Array:
@@ -104,9 +103,13 @@ def positive_integer(field: str, value: object) -> int:
 
 def positive_number(field: str, value: object) -> float:
     """Require a finite number above zero."""
-    number = real_array(field, value)
+    expected = "one number above zero"
+    try:
+        number = real_array(field, value)
+    except ProblemError as error:
+        raise ProblemError(field, error.got, expected, error.advice if isinstance(value, str) else "") from None
     if number.ndim or number <= 0:
-        raise ProblemError(field, brief(value), "one number above zero")
+        raise ProblemError(field, brief(value), expected)
     return float(number)
 
 

@@ -276,7 +276,8 @@ class Certificate:
         lines += [] if self.second_order is None else [f"second    {self.second_order}"]
         lines += [] if self.rounded is None else [f"rounding  {self.rounded}"]
         lines += [] if self.between_samples is None else [f"between   {self.between_samples}"]
-        return "\n".join([*lines, *([] if self.borders is None else [f"borders   {self.borders}"])])
+        facts = "" if self.borders is None else str(self.borders)  # empty where there is a single mode
+        return "\n".join([*lines, *([f"borders   {facts}"] if facts else [])])
 
     def __repr__(self) -> str:
         verdict = "globally optimal" if self.globally_optimal else "feasible" if self.feasible else "not feasible"

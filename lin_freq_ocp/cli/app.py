@@ -18,7 +18,7 @@ from pathlib import Path
 import click
 
 from lin_freq_ocp import __version__
-from lin_freq_ocp.base.errors import BandWarning, ClosedLoopWarning, SolveError
+from lin_freq_ocp.base.errors import BandWarning, ClosedLoopWarning, SolveError, suggestion
 from lin_freq_ocp.base.interrupts import INTERRUPTED, leave_silently, let_commands_decide
 from lin_freq_ocp.cli import console
 
@@ -57,6 +57,16 @@ class Commands(click.Group):
         let_commands_decide()
         command: click.Command = getattr(module, FUNCTION.format(cmd_name.replace("-", "_")))
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; the error for an unknown name suggests the nearest command."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            error.message += f" {suggestion(args[0], COMMANDS)}".rstrip()
+            raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the first line of each command's docstring, read from the source: importing all takes a second."""

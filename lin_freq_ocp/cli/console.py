@@ -143,9 +143,9 @@ def print_table(table: Table, spare: Sequence[str] = ()) -> None:
 
 
 def print_conflict(result: Result) -> None:
-    """Print the constraints in conflict, and the smallest relaxations that restore feasibility."""
+    """Print the constraints that the ray uses, the conflict, and the smallest relaxations that restore feasibility."""
     for part in result.conflict or ():
-        print_lines(f"conflict  {part}")
+        print_lines(f"ray       {part}")
     if result.explanation is not None:
         print_lines(str(result.explanation))
 

@@ -46,9 +46,9 @@ def controller_of(problem: str, settings: Sequence[str], soft: Sequence[str], de
 @soft_option
 @delay_option
 @click.option("--real", default="double", show_default=True, help="double or float.")
-@click.option("--changes", type=int, help="Most changes of the working set in a step, which bounds its time.")
-@click.option("--memory", metavar="BYTES", help="Most RAM, stack included, such as 64k.")
-@click.option("--references", is_flag=True, help="A step takes a reference of the states.")
+@click.option("--changes", type=int, help="Limit on the changes of the working set in a step, which bounds its time.")
+@click.option("--memory", metavar="BYTES", help="Limit on the RAM, stack included, such as 64k.")
+@click.option("--references", is_flag=True, help="A step also takes a reference of the states.")
 def generate_command(
     problem: str,
     folder: Path,
@@ -74,11 +74,17 @@ def generate_command(
 @console.settings_option
 @soft_option
 @delay_option
-@click.option("--tolerance", type=float, default=0.01, show_default=True, help="Largest difference of a control.")
+@click.option(
+    "--tolerance",
+    type=float,
+    default=0.01,
+    show_default=True,
+    help="Largest difference from the control of the optimal plan, relative to its bound.",
+)
 def certify_log_command(
     problem: str, log: Path, settings: tuple[str, ...], soft: tuple[str, ...], delay: int, tolerance: float
 ) -> int:
-    """Judge the log of a generated controller: which controls begin a plan that is proven optimal."""
+    """Certify the log of a generated controller: which controls are the first of a plan that is proven optimal."""
     certified = certify_log(controller_of(problem, settings, soft, delay), log, tolerance)
     console.print_lines(str(certified))
     return console.PROVEN if all(one in PROVEN for one in certified.findings) else console.NOT_PROVEN

@@ -113,7 +113,8 @@ def _dotted_entries(key: str, value: FileValue) -> Iterator[tuple[str, FileValue
 
 def is_file(problem: str) -> bool:
     """Whether this argument names a file instead of a library problem."""
-    return problem not in library.PROBLEMS and (problem.endswith(".toml") or Path(problem).is_file())
+    path = Path(problem)  # no library problem has a suffix or a folder in its name
+    return problem not in library.PROBLEMS and bool(path.suffix or path.parent.name or path.is_file())
 
 
 def builder(name: str, values: FileTable) -> partial[OptimalControlProblem]:

@@ -18,7 +18,7 @@ LONGEST_VALUE = 50  # characters of a value; a longer one is cut off
 
 @click.command("list")
 def list_command() -> int:
-    """List the library's problems by field, one line each; show tells the rest."""
+    """List the library's problems by field, one line each; show describes a problem in full."""
     fields = {field: names.split() for field, names in library.FIELDS.items()}
     fields["Other"] = [name for name in library.PROBLEMS if name not in " ".join(library.FIELDS.values()).split()]
     rows = list[tuple[str, str]]()

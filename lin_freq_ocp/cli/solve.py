@@ -171,7 +171,7 @@ def certify_command(
         console.say(f"rounding    {certificate.rounded}")
     if certificate.second_order is not None:
         console.say(f"second      {certificate.second_order}")
-    if certificate.borders is not None:
+    if certificate.borders is not None and str(certificate.borders):
         console.say(f"borders     {certificate.borders}")
     if descent is not None:  # a direction that rules out multipliers
         control = description.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]

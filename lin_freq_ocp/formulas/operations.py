@@ -294,7 +294,7 @@ class _Angle(Operation):
         return found[0][0], found[1][0], found[2][0]
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
-        raise UnsupportedError("a global bound: arctan2 jumps and has no bounds over boxes; write it with arctan.")
+        raise UnsupportedError("no global bound: arctan2 jumps and has no bounds over boxes; write it with arctan.")
 
 
 class _Extreme(Operation):
@@ -333,7 +333,7 @@ class _ExternalOutput(Operation):
 
     def interval_jet(self, node: Node, arguments: Sequence[IntervalJet], box: BoxAtTime, curved: bool) -> IntervalJet:
         name = _call(node)[0].title
-        raise UnsupportedError(f"a global bound: {name} is no formula; only formulas have bounds over boxes.")
+        raise UnsupportedError(f"no global bound: {name} is no formula; only formulas have bounds over boxes.")
 
     def text(self, node: Node, parts: Sequence[str], notation: Notation, whole: Set[int]) -> str:
         return f"{_call(node)[0].title}({', '.join(parts)})[{int(node.data[0])}]"

@@ -17,7 +17,7 @@ from inspect import signature
 import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line, suggestion
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
 from lin_freq_ocp.formulas.nodes import Formula, post_order
@@ -158,7 +158,8 @@ class _Reader:
         if isinstance(node, ast.Name):
             if node.id in self._known:
                 return self._known[node.id]
-            raise ProblemError("formula", repr(node.id), f"one of {', '.join(self._known)}")
+            advice = "" if "_" in node.id else suggestion(node.id, self._known)  # x1 for x_1
+            raise ProblemError("formula", repr(node.id), f"one of {', '.join(self._known)}", advice)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
             return -parts[0] if isinstance(node.op, ast.USub) else parts[0]
         if isinstance(node, ast.BinOp):
@@ -177,13 +178,13 @@ class _Reader:
             raise ProblemError("formula", brief(self._text), "finite real numbers in all its parts")
         return value
 
-    def _other(self) -> ProblemError:
-        return ProblemError("formula", brief(self._text), _expected_text())
+    def _other(self, advice: str = "") -> ProblemError:
+        return ProblemError("formula", brief(self._text), _expected_text(), advice)
 
     def _operation(self, sign: ast.operator, left: Formula | float, right: Formula | float) -> Formula | float:
         compute = ARITHMETIC.get(type(sign))
         if compute is None or (isinstance(sign, ast.Pow) and isinstance(right, Formula)):
-            raise self._other()
+            raise self._other("A power is written x_0**2." if isinstance(sign, ast.BitXor) else "")
         if isinstance(left, float) and isinstance(right, float):
             return self._number(lambda: compute(left, right))
         if isinstance(sign, ast.Pow) and isinstance(right, float) and right.is_integer():
@@ -215,6 +216,9 @@ class _Reader:
             if isinstance(argument, Formula):
                 return argument.node(name, (argument,))
             return self._number(lambda: float(functions[name].function(np.array(argument))))
+        if name not in function_names():
+            expected = f"one of {', '.join(function_names())}"
+            raise ProblemError("formula", f"the function {name!r}", expected, suggestion(name, function_names()))
         raise self._other()
 
 

@@ -257,7 +257,7 @@ def two_mass_spring(
     deflection_bound: float | None = 1.0,
     force_bound: float | None = 1.0,
 ) -> OptimalControlProblem:
-    """Push one of two masses joined by a spring, and keep the spring's own frequency still.
+    """Push one of two masses joined by a spring, without exciting the frequency of the spring.
 
     Minimise 1/2 sum of u_t^2. The stop band lies on a *state*, the deflection of the spring, around the frequency
     sqrt(k (1/m1 + 1/m2)) at which the masses swing against each other; for k = 1 N/m it is sqrt(2) rad/s. The

@@ -34,7 +34,7 @@ def elliptic_rendezvous(
     radial_bound: float | None = 0.8,
     thrust_bound: float | None = 0.1,
 ) -> OptimalControlProblem:
-    """Meet a target in an elliptic orbit, slowly throttling the thrust: the dynamics vary in time.
+    """Meet a target in an elliptic orbit with a slowly changing thrust: the dynamics vary in time.
 
     Minimise 1/2 sum of |u_t|^2. The chaser's position relative to the target, x radial (outwards), y along the track,
     follows the in-plane equations of Tschauner and Hempel with the true anomaly f(t) of the target, w = f', r = radius:
@@ -296,7 +296,7 @@ def quarter_car(
     travel_bound: float | None = 0.075,
     force_bound: float | None = 2.0,
 ) -> OptimalControlProblem:
-    """Cross a bump with an active suspension, sparing the passengers the band of 4 to 8 Hz.
+    """Cross a bump with an active suspension, without vertical motion of the body at 4 to 8 Hz.
 
     Minimise 1/2 sum of a_t^2 + 1000 (tyre deflection)^2 + 0.1 u_t^2, where the acceleration a_t of the body depends on
     state and force, so the cost has a cross term. The known road enters as an offset d_t, and the end is free. People

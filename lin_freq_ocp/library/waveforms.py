@@ -154,7 +154,7 @@ def printer_move(
     damping: Sequence[float] = (0.02, 0.1),
     vibration_bound: float | None = 0.5,
 ) -> OptimalControlProblem:
-    """Move an axis from rest to rest, and leave a resonance that is known to 10 % nearly still.
+    """Move an axis from rest to rest, with little vibration of a resonance that is known to 10 %.
 
     Minimise 1/2 sum of a_t^2 over the accelerations of a position and a speed, held between the samples. What rings
     after the move is a mode q'' + 2 zeta w q' + w^2 q = w^2 a of the frame: its amplitude is bounded for every w and

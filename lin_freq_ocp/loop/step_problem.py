@@ -75,8 +75,8 @@ def limits_of_plans(problem: OptimalControlProblem) -> str:
     if not fields:
         return ""
     return (
-        f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: "
-        "nothing follows for the applied signal. lfo.spectrum.Spectrogram limits windows of applied and planned ones."
+        f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: this "
+        "implies nothing for the applied signal. closed_loop and Spectrogram of lfo.spectrum limit the applied signal."
     )
 
 

@@ -67,8 +67,8 @@ def require_convex(problem: OptimalControlProblem) -> None:
     if worst is not None:
         where = "P" if worst[0] < 0 else f"[[Q, S], [S', R]] at t = {worst[0]}"
         raise UnsupportedError(
-            f"cost: {where} has the eigenvalue {worst[1]:g}; a convex method needs it positive semidefinite. "
-            "certify() judges trajectories of nonconvex problems too."
+            f"cost: {where} has the eigenvalue {worst[1]:g}; expected a positive semidefinite matrix. "
+            "lfo.costs.SmoothCost takes nonconvex costs, and certify() judges trajectories of them."
         )
 
 

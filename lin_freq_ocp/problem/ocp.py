@@ -274,14 +274,14 @@ class OptimalControlProblem(ProblemData):
             raise ProblemError("trajectory", got, f"x {expected[0]}, u {expected[1]}", "Time is axis 0.")
 
     def __str__(self) -> str:
-        stops = int(self.control_stop.sum()), int(self.state_stop.sum())
+        stops = {"control": self.control_stop, "state": self.state_stop}
         joint, modes = sum(family.rows for family in self.stage_rows), len(self.dynamics.mode_names)
         parts = [
             f"horizon {self.horizon}",
             plural(self.state_dim, "state"),
             plural(self.control_dim, "control"),
-            *([plural(modes, "mode")] if modes else []),
-            f"{stops[0]} control and {plural(stops[1], 'state bin')} removed (0 .. Nyquist)",
+            *([plural(modes, "mode")] if modes > 1 else []),
+            *(f"{stop.sum()} of {stop.size} {word} bins removed" for word, stop in stops.items() if stop.any()),
             *([f"{plural(joint, 'joint row')} per step"] if joint else []),
             *(term.name for term in self.terms if term.kind != TermKind.STAGE_ROWS),
         ]

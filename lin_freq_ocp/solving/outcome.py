@@ -66,7 +66,7 @@ class Explanation:
     Examples
     --------
     >>> print(lfo.results.Explanation(("initial state", "terminal state"), True, ()))
-    together  initial state, terminal state
+    conflict  initial state, terminal state
     """
 
     family: tuple[str, ...]
@@ -74,8 +74,8 @@ class Explanation:
     cures: tuple[Cure, ...]
 
     def __str__(self) -> str:
-        lines = [f"together  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
-        lines += [f"cure      {cure}" for cure in self.cures]
+        lines = [f"conflict  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
+        lines += [f"repair    {cure}" for cure in self.cures]
         return "\n".join(lines)
 
 

@@ -32,7 +32,7 @@ SAYS = {
     "price_of_bandwidth": "cutoff",
     "infeasible": "with 5.54 N instead of 5 N",
     "many_initial_states": "all proven: True",
-    "suspension": "with the bound: cost 6.85887",
+    "suspension": "with the stop band: cost 6.85887",
     "scanner": "largest error 28 nm of 8000 nm",
     "gantry": "optimal   446 samples, 0.446 s",
     "switching_angles": "angles [deg] [24.655 29.975 40.054 48.274 55.639]",

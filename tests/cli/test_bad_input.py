@@ -207,7 +207,7 @@ BAD_OPTIONS = {
 }
 BAD_FILES = {
     "no such file": (("solve", "missing.toml"), "missing.toml: got no such file"),
-    "no such file without suffix": (("solve", "folder/missing"), "name: got 'folder/missing';"),
+    "no such file without suffix": (("solve", "folder/missing"), "folder/missing: got no such file"),
     "directory": (("solve", "folder.toml"), "folder.toml: got a directory"),
     "binary": (("solve", "binary.toml"), "binary.toml: got byte 128 that is not UTF-8"),
     "empty file": (("solve", "empty.toml"), "empty.toml: schema: got nothing"),
@@ -262,7 +262,7 @@ BAD_FILES = {
     "bins fractional": (with_band('kind="stop_band", bins=[1.5]'), "control_spectrum[0].bins: got [1.5];"),
     "component unknown": (
         with_band('kind="low_pass", cutoff=1, component="thrust"'),
-        "control_spectrum[0].component: got 'thrust'; expected an index 0 .. 0 or one of 'force [N]'",
+        "control_spectrum[0].component: got 'thrust'; expected an index 0 or one of 'force [N]'",
     ),
     "component out of range": (
         with_band('kind="low_pass", cutoff=1, component=1'),

@@ -66,7 +66,7 @@ def test_the_converter_with_a_mode_that_is_no_formula_has_the_same_optimum(argum
     assert facts.printed == (arguments is not AT_START)
     assert result.certificate.pmp == "satisfied"
     assert result.certificate.worst.relative <= 1e-12
-    assert result.message == "a global bound: off is no formula; only formulas have bounds over boxes."
+    assert result.message == "no global bound: off is no formula; only formulas have bounds over boxes."
     assert result.lower_bound == 0  # as the cost is never negative
 
 

@@ -29,7 +29,7 @@ def test_the_page_says_it_and_what_is_not_judged(tmp_path):
     loop = lfo.RecedingHorizon(pendulum(20), certify="later")
     log = loop.run(np.array([0.02, 0.0, 0.0, 0.0]), 6)
     page = log.save(tmp_path).read_text()
-    assert "nothing follows for the applied signal" in page
+    assert "implies nothing for the applied signal" in page
     assert "not judged" in page
     assert "not judged" not in (loop.certify().save(tmp_path)).read_text()
 

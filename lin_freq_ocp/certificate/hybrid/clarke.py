@@ -167,7 +167,8 @@ class SwitchingFacts(Facts):
             parts.append(f"{self.touched_gaps}: the theorem does not apply")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
-            return "; ".join([*parts, "modes meet nowhere along the trajectory"])
+            several = len(self.mode_names) > 1
+            return "; ".join([*parts, *(["modes meet nowhere along the trajectory"] if several else [])])
         if self.times:
             where = runs_in_words(runs_of(np.array(self.times)))
             parts.append(f"modes meet{' or end' if self.gaps else ''} at t = {where}")

@@ -118,7 +118,8 @@ class Box(ConvexSet):
         if self.lower.ndim == 0:
             return Box(np.full(dimension, self.lower), np.full(dimension, self.upper))
         if self.lower.shape[-1] != dimension:
-            raise ProblemError(field, f"bounds for {self.lower.shape[-1]} components", f"bounds for {dimension}")
+            got = plural(self.lower.shape[-1], "component")
+            raise ProblemError(field, f"bounds for {got}", f"bounds for {dimension}")
         return self
 
     def at(self, t: int) -> Box:

@@ -146,7 +146,9 @@ class Band(FrequencyConstraint):
         """Return which bins k = 0 .. length//2 of ``length`` samples are removed; warn if none or all are."""
         stopped = self.at(length, sampling_time, field)
         if stopped.all() or not stopped.any():
-            count, then = ("every", ", which must then be zero") if stopped.any() else ("no", "")
+            step = f"2 pi / {length} rad/sample" if sampling_time is None else f"{1 / (length * sampling_time):.3g} Hz"
+            apart = f"; its bins are {step} apart, and closer with a longer horizon"
+            count, then = ("every", ", which must then be zero") if stopped.any() else ("no", apart)
             text = f"{field}: {self} removes {count} bin of a signal of {length} samples{then}."
             warnings.warn(text, BandWarning, stacklevel=2)
         return stopped

@@ -378,5 +378,5 @@ def component_indices(field: str, component: int | str | None, component_names: 
     raise ProblemError(
         f"{field}.component",
         brief(component),
-        f"an index 0 .. {count - 1} or one of {', '.join(map(repr, component_names))}",
+        f"an index {'0' if count == 1 else f'0 .. {count - 1}'} or one of {', '.join(map(repr, component_names))}",
     )

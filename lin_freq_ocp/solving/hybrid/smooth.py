@@ -33,7 +33,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
 LOCAL = "no global bound was asked for"
-UNBOUNDED = "no global bound was found in time"
+UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
@@ -240,6 +240,7 @@ class _Bounding:
     def _proven(self) -> bool:
         return self.judged[2].cost - self.best <= self._wanted_gap
 
+    @np.errstate(invalid="ignore")  # inf - inf where a cost is not defined: no bound follows from NaN
     def _improve(self) -> bool:
         """Replace the answer by a better one along a path of the bound; return whether there is one."""
         _, multipliers, certificate = self.judged
@@ -273,6 +274,7 @@ class _Bounding:
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
+@np.errstate(invalid="ignore")  # as for _improve
 def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether intervals prove that there is no trajectory, even without frequency constraints: D is infinite."""
     try:
@@ -296,7 +298,7 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         return Status.LIMIT, search.message
     if judged is None:
         undefined = "dynamics or the cost" if search.problem.cost.has_formulas else "dynamics"
-        nearest = f", where the {undefined} are not defined"
+        nearest = f", where the {undefined} are not defined; start= takes a trajectory where they are"
         if search.best is not None:
             nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
@@ -308,6 +310,8 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         holds = "hold" if facts.stationary_on_rims else "do not hold"
         advice = f"the map is not defined beyond it, and the conditions {holds} with the region as a constraint"
         return status, f"{facts.touched_gaps}; {advice} (docs/borders.md, Gaps)"
+    if status == Status.NUMERICAL_ERROR and search.message:
+        return Status.LIMIT, search.message
     if status == Status.NUMERICAL_ERROR:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:

@@ -164,17 +164,17 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
     """Return the lattice of cells over the reachable set at each time."""
     problem, n = stages.problem, stages.problem.state_dim
     if n > MAX_STATES:
-        raise UnsupportedError(f"a global bound: got {n} states; expected at most {MAX_STATES}.")
+        raise UnsupportedError(f"no global bound: got {n} states; expected at most {MAX_STATES}.")
     lower, upper, bounds = stages.lowest[0], stages.highest[0], list[tuple[Array, Array]]()
     for t in range(problem.horizon + 1):
         for j in np.flatnonzero(~np.isfinite(lower) | ~np.isfinite(upper)):
-            raise UnsupportedError(f"a global bound: {problem.state_names[j]} is not bounded at t = {t}.")
+            raise UnsupportedError(f"no global bound: {problem.state_names[j]} is not bounded at t = {t}; bound it.")
         bounds.append((lower, upper))
         if t == problem.horizon:
             break
         box = [np.append(part, bound[t])[None] for part, bound in ((lower, stages.lower), (upper, stages.upper))]
         for j in np.flatnonzero(~np.isfinite(box[0][0, n:]) | ~np.isfinite(box[1][0, n:])):
-            raise UnsupportedError(f"a global bound: {problem.control_names[j]} is not bounded.")
+            raise UnsupportedError(f"no global bound: {problem.control_names[j]} is not bounded; bound it.")
         images = [interval_jets(mode.f, box[0], box[1], time=t).values for mode in piecewise_smooth(problem).modes]
         lower = np.maximum(np.min([image[0][0] for image in images], axis=0), stages.lowest[t + 1])
         upper = np.minimum(np.max([image[1][0] for image in images], axis=0), stages.highest[t + 1])
