@@ -265,7 +265,7 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
         return form
     if dynamics.without_cost is not dynamics:
         expected = "quadratic, L1 and L-infinity costs, and linear rows"
-        raise UnsupportedError(f"problem: got a cost or a path constraint by formulas; expected {expected} only.")
+        raise UnsupportedError(f"cost: got a cost by formulas, or stage_rows: a path constraint; expected {expected}.")
     raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 

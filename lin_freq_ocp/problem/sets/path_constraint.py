@@ -24,6 +24,7 @@ from lin_freq_ocp.base.arrays import (
     positive_number,
     printable,
     require_bool,
+    require_rows_hold,
     times_vectors,
     upper_limits,
     with_columns,
@@ -144,6 +145,8 @@ class PathConstraint(StageRows):
             expected = f"one for each of the {horizon} steps" + (f", or {groups} with x_T" if of_states else "")
             raise ProblemError(f"{field}.upper", f"limits for {len(limits)} times", expected)
         require_times(f"{field}.h", formulas, groups)
+        fixed = np.array([-np.inf if one.constant is None else one.constant for one in given])
+        require_rows_hold(f"{field}.upper", fixed > limits, limits)
         limits = np.repeat(limits, [len(one) for one in parts], axis=-1)
         complete = PathConstraint(formulas, self.name, limits, self.penalty, self.convex)
         assign(complete, C=np.zeros((len(formulas), n)), D=np.zeros((len(formulas), m)), h=formulas)
@@ -232,6 +235,12 @@ class PathConstraint(StageRows):
     def with_limits(self, e: Array) -> PathConstraint:
         """Return the constraint with other limits."""
         return self._changed(self.formulas, limits=e)
+
+    def free_first_state(self, horizon: int) -> PathConstraint:
+        """Return the constraint without limits on the state alone at time 0."""
+        limits = self.limits().copy()
+        limits[0, ~self.used[:, self.C.shape[1] :].any(axis=1)] = np.inf
+        return self.with_limits(limits)
 
     def softened(self, penalty: float) -> PathConstraint:
         """Return the constraint with a price per unit of violation, unless it has one already."""

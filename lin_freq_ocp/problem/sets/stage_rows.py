@@ -141,6 +141,12 @@ class StageRows:
         """Return the rows with other limits, (rows,) or (T, rows)."""
         return StageRows(self.C, self.D, e, self.name, self.penalty)
 
+    def free_first_state(self, horizon: int) -> StageRows:
+        """Return the rows without limits on the state alone at time 0."""
+        limits = np.array(np.broadcast_to(self.e, (horizon, self.rows)))
+        limits[0, ~np.broadcast_to(self.D, (horizon, *self.D.shape[-2:]))[0].any(axis=-1)] = np.inf
+        return self.with_limits(limits)
+
     def softened(self, penalty: float) -> StageRows:
         """Return the rows with a price per unit of violation, unless they have one already."""
         return self if self.penalty is not None else StageRows(self.C, self.D, self.e, self.name, penalty)

@@ -303,11 +303,11 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         return Status.LIMIT, search.message
     if judged is None:
         problem = search.problem
-        parts = ["dynamics", *["the cost"] * problem.cost.has_formulas]
-        parts += ["path constraints"] * bool(problem.path_constraints)
-        nearest = f", where {' or '.join(parts)} are not defined"
+        constrained = ["path constraints"] * bool(problem.path_constraints)
+        undefined = " or ".join(["dynamics", *["the cost"] * problem.cost.has_formulas, *constrained])
+        nearest = f", where the {undefined} are not defined"
         if search.best is not None:
-            violated = " or ".join(part for part in parts if part != "the cost")
+            violated = " or ".join(["dynamics", *constrained])
             nearest = f"; the nearest violates {violated} by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
     status = judged[2].status_within(GAP_TOLERANCE)

@@ -1,6 +1,7 @@
 """A primal-dual barrier method for smooth dynamics.
 
-    minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   other rows of y:  A y + s = b,  s in the cone
+    minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   h_t(y_t) + s = upper,
+                                                other rows of y:  A y + s = b,  s in the cone
 
 Newton's method solves the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
 falls to zero. Each step is one system of the structured method. Its Hessian is that of the Lagrangian if the reduced
@@ -393,7 +394,7 @@ class Barrier:
         for _ in range(MOST_SHIFTS):
             shift = local.factor(mu, self._solvers, self._shift, least)
             self._shift, step = shift or self._shift, local.step()
-            short = largest([step[0]]) <= self._longest
+            short = largest([step[0]]) <= self._longest and largest(step[1]) < np.inf
             after = self._search_line(local, entries, *step) if short else None
             if after is not None:
                 return after
@@ -464,6 +465,8 @@ class Barrier:
                     return after
             restoring.factor(mu, self._solvers)
             y, z, s = restoring.step()
+            if largest(z) == np.inf:
+                return None
             of_duals, length = restoring.longest({i: z[i] for i in s}, 1), restoring.longest(s, -1)
             while length > SHORTEST:
                 trial = restoring.trial(y, s, length)

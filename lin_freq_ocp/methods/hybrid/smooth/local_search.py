@@ -189,7 +189,7 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
-REACHES = tuple(2.0**k for k in range(-16, 3))  # sizes of a state by which a line is bent to pass an obstacle
+REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DIVERGED_STATES = (
@@ -245,8 +245,10 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
-        line = self._constant_trajectory(SHARES[0], replayed=False)
-        self._bent = lines_around_obstacles(self.problem, line, self._sizes) if self._smooth else []
+        self._lines = list[Trajectory]()
+        if self._smooth and self.problem.path_constraints:
+            line = self._constant_trajectory(SHARES[0], replayed=False)
+            self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
         self._with_cost = None if self._smooth else cost_as_state(self.problem)
 
     def run(self) -> LocalSearch:
@@ -262,7 +264,7 @@ class LocalSearch:
             for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS + len(self._bent)):
+                if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS + len(self._lines)):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -352,13 +354,13 @@ class LocalSearch:
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
 
-        Of one smooth map, a straight line between the ends comes last. Lines that pass obstacles on either side come
-        first.
+        Of one smooth map, a straight line between the ends comes last; with path constraints first, after the lines
+        that pass obstacles on either side.
         """
         dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
         bounded = np.isfinite([tube.lower, tube.upper]).any()
         alone = np.zeros(self.problem.horizon, dtype=np.intp)
-        yield from ((line, alone) for line in self._bent)
+        yield from ((line, alone) for line in self._lines)
         for share in SHARES if bounded else SHARES[:1]:
             trajectory = self._constant_trajectory(share)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)

@@ -115,7 +115,8 @@ class SmoothModel:
         slot_of = np.full(layout.count + 1, -1)
         slot_of[assembly.targets[n : n + shape[0] * shape[1]]] = np.arange(shape[0] * shape[1])
         slots = slot_of[np.concatenate([np.arange(0), *targets])]
-        values = np.flatnonzero((slots >= 0) & np.isfinite(self.stages.g.ravel()[slots]))
+        values = np.flatnonzero(slots >= 0)
+        values = values[np.isfinite(self.stages.g.ravel()[slots[values]])]
         times, slots = np.divmod(slots[values], max(shape[1], 1))
         return PathSlots(values, times, slots, assembly.units.rows[n:][times * shape[1] + slots])
 
