@@ -264,7 +264,7 @@ class LocalSearch:
             for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS + len(self._lines)):
+                if self._late() or (alone and feasible and self.tried >= self.enough_starts):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -274,6 +274,11 @@ class LocalSearch:
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
         return self
+
+    @property
+    def enough_starts(self) -> int:
+        """Return how many starts are enough if there is an answer and there are no modes to search."""
+        return SMOOTH_STARTS + len(self._lines)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
