@@ -93,6 +93,8 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
         )
     console.print(table)
     found = [one for group in groups.values() for one in group]
+    active = sum(one.ours.active for one in groups["path constraints"])
+    console.print(f"path constraints with a multiplier above zero: {active} of {len(paths)}")
     for one in found:
         if not one.passed or one.difference > SAME:
             console.print(one)

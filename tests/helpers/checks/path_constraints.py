@@ -13,8 +13,8 @@ from lin_freq_ocp.base.arrays import Array
 
 STEP = 1e-5  # of central differences of the Lagrangian
 STATIONARY = 5e-5  # largest slope of the Lagrangian that is left, relative to the largest slope of the cost
+ACTIVE = 1e-3  # multipliers of inactive constraints are some 1e-8
 WITHIN = 1e-6  # violation, and part of the cost that multipliers times slacks may be
-OBSTACLE, WALL, FORCE = "obstacle", "wall", "force"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def random_path(seed: int) -> RandomPath:
     A, B = np.eye(n) + step * np.eye(n, k=axes), np.vstack([step**2 / 2 * np.eye(m), step * np.eye(m)])
     start, end = np.append(-1 - rng.random(axes), np.zeros(axes)), np.append(1 + rng.random(axes), np.zeros(axes))
     middle, size = 0.3 * rng.normal(size=axes), rng.uniform(0.2, 0.5)
-    speed = (1.7 + 0.3 * rng.random()) * np.linalg.norm((end - start)[:axes]) / (step * T)
+    speed = (1.2 + 0.2 * rng.random() + 0.2 * (seed % 5 == 0)) * np.linalg.norm((end - start)[:axes]) / (step * T)
     drift, slope = 0.1 * rng.normal(size=axes) / T, rng.uniform(0.5, 1.5, T)
     data = {"A": A, "B": B, "start": start, "end": end, "slope": slope, "size": np.array(speed)}
 
@@ -114,6 +114,7 @@ class Checked:
     gap: float  # not a number without a bound
     left: float  # the slope that is left
     violation: float
+    active: bool  # whether a multiplier of the path constraint is not zero
     slackness: float  # multipliers times slacks, relative to the cost; infinite if a multiplier is negative
 
     @property
@@ -130,7 +131,7 @@ def check(seed: int) -> Checked:
     result = lfo.solve(random.problem, method, throw=False)
     satisfied = result.certificate is not None and result.certificate.pmp == "satisfied"
     if not satisfied:
-        return Checked(seed, random.convex, result.status, False, np.nan, np.nan, np.inf, np.inf, np.inf)
+        return Checked(seed, random.convex, result.status, False, np.nan, np.nan, np.inf, np.inf, False, np.inf)
     x, u, prices = result.trajectory.x, result.trajectory.u, result.multipliers.stage["path"]
     times = range(len(prices))
     values = np.array([random.h(t, x[t], u[min(t, len(u) - 1)]) for t in times], dtype=float)
@@ -139,7 +140,8 @@ def check(seed: int) -> Checked:
     gap = np.nan if result.gap is None else float(result.gap)
     violation = float(np.maximum(values, 0.0).max())
     left = slope_left(random, result)
-    return Checked(seed, random.convex, result.status, True, float(result.cost), gap, left, violation, slack)
+    active, cost = bool(prices.max() > ACTIVE), float(result.cost)
+    return Checked(seed, random.convex, result.status, True, cost, gap, left, violation, active, slack)
 
 
 def cost_by_cvxpy(random: RandomPath) -> float:
