@@ -5,6 +5,7 @@ from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "FiniteSet",
     "Intersection",
     "LinkedEnds",
+    "PathConstraint",
     "Periodic",
     "Point",
     "Polyhedron",

@@ -91,6 +91,12 @@ def explain(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
             "explain(problem.with_modes(sequence)) tells those of one."
         )
+    if problem.path_constraints:
+        names = ", ".join(repr(one.name) for one in problem.path_constraints)
+        raise UnsupportedError(
+            f"explain: got path constraints by formulas, {names}; expected linear rows. Without them, "
+            "dataclasses.replace(problem, stage_rows=...), it tells whether the rest is in conflict."
+        )
     limits = {"time_limit": (now, time_limit), "processor_time": (processor_now, processor_time)}
     ends = [
         (clock, clock() + positive_number(name, limit)) for name, (clock, limit) in limits.items() if limit is not None

@@ -35,6 +35,7 @@ from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
 from lin_freq_ocp.problem.sets.convex import Ball, Ellipsoid, Polyhedron, SecondOrderCone, Soft
 from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
@@ -333,13 +334,18 @@ SPECTRUM.records["spectrogram"] = TableRecord(Spectrogram, bound=BOUNDS)
 OUTPUTS = TableRecord(OutputSpectrum, own="output_spectrum", required=["constraints"], constraints=Tables(SPECTRUM))
 
 
+def _texts(formulas: Mapping[str, Formula]) -> tuple[list[str], dict[str, str]]:
+    """Return formulas, by the fields that errors name, as texts, and the named formulas that long ones use."""
+    for field, formula in formulas.items():
+        for node in nodes_in_order([formula]):
+            require_formula(node, field)
+    return with_definitions(list(formulas.values()))
+
+
 def _formula_cost_values(cost: SmoothCost) -> FileTable:
     """Return the keys of a cost by formulas, with ``let`` if they are long."""
     given = {key: one for key, one in zip(("stage", "terminal"), cost.formulas, strict=True) if one is not None}
-    for key, formula in given.items():
-        for node in nodes_in_order([formula]):
-            require_formula(node, f"cost.norms.{key}")
-    texts, definitions = with_definitions(list(given.values()))
+    texts, definitions = _texts({f"cost.norms.{key}": one for key, one in given.items()})
     return dict(zip(given, texts, strict=True)) | {"let": definitions or None}
 
 
@@ -378,7 +384,18 @@ def _row_values(rows: StageRows) -> FileTable:
     return {"name": rows.name, "C": C, "D": D, "e": rows.e, "penalty": rows.penalty}
 
 
-STAGE_ROWS = TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values)
+def _path_values(rows: PathConstraint) -> FileTable:
+    """Return the keys of a path constraint, with ``let`` if its formulas are long."""
+    texts, definitions = _texts({f"stage_rows.h[{i}]": formula for i, formula in enumerate(rows.formulas)})
+    values = {"h": texts, "name": rows.name, "upper": rows.e if rows.e.any() else None, "price": rows.price}
+    return values | {"convex": rows.convex or None, "let": definitions or None}
+
+
+STAGE_ROWS = Kinds("family of rows", default="linear")
+STAGE_ROWS.records |= {
+    "linear": TableRecord(StageRows, own="stage_rows", required=["e"], values=_row_values),
+    "formula": TableRecord(PathConstraint, own="stage_rows", values=_path_values),
+}
 
 
 def _rate_limit(

@@ -38,7 +38,7 @@ MODULES: Mapping[str, Iterable[TableRecord]] = {
         *(problem_tables.AFFINE_MODE, problem_tables.SMOOTH_MODE),
         *problem_tables.RECORDS.values(),
     ],
-    "lin_freq_ocp.sets": [*problem_tables.SETS.records.values(), problem_tables.STAGE_ROWS],
+    "lin_freq_ocp.sets": [*problem_tables.SETS.records.values(), *problem_tables.STAGE_ROWS.records.values()],
     "lin_freq_ocp.spectrum": [*problem_tables.SPECTRUM.records.values(), problem_tables.OUTPUTS],
 }
 LOOK_UP_IN = "def look_up(t, *values):\n    return t.look_up(values)\n"

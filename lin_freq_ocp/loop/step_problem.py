@@ -25,7 +25,6 @@ from lin_freq_ocp.problem.reformulations import Translation
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
 from lin_freq_ocp.problem.sets.convex import softened_set
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -37,13 +36,7 @@ FIELDS = ("state_set", "terminal_state", "stage_rows", *SPECTRA)  # that can be 
 def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without its state set and rows of the state alone at time 0."""
     given, T = problem.state_set, problem.horizon
-    freed = list[StageRows]()
-    for rows in problem.stage_rows:
-        limits = np.array(np.broadcast_to(rows.e, (T, rows.rows)))
-        on_control = np.broadcast_to(rows.D, (T, *rows.D.shape[-2:]))[0].any(axis=-1)
-        limits[0, ~on_control] = np.inf
-        freed.append(StageRows(rows.C, rows.D, limits, rows.name, rows.penalty))
-    changes: dict[str, object] = {"stage_rows": freed}
+    changes: dict[str, object] = {"stage_rows": [rows.free_first_state(T) for rows in problem.stage_rows]}
     if isinstance(given, Sequence) or (given is not None and given.members):
         later = list(given[1:]) if isinstance(given, Sequence) else [given] * T
         changes["state_set"] = [Everything(), *later]

@@ -9,7 +9,7 @@ from functools import cached_property
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, printable
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
@@ -22,6 +22,7 @@ from lin_freq_ocp.problem.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint, path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
@@ -49,8 +50,9 @@ class OptimalControlProblem(ProblemData):
         infeasible if they have no common point. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states (T with Periodic()).
-    stage_rows : StageRows, sequence of StageRows, or None
-        Joint rows C x_t + D u_t <= e_t for t < T, under different names; once constructed, a tuple of them.
+    stage_rows : StageRows, PathConstraint, sequence of them, or None
+        Joint rows C x_t + D u_t <= e_t for t < T, or formulas h(t, x_t, u_t) <= upper, under different names; once
+        constructed, a tuple of them.
     output_spectrum : OutputSpectrum, sequence of them, or None
         Frequency constraints on linear outputs of states and controls.
     name : str
@@ -112,7 +114,8 @@ class OptimalControlProblem(ProblemData):
         dynamics.require_horizon(T)
         require_horizon(T, n, m)
         cost = cost.at_dimensions(n, m, T)
-        dynamics = with_cost(dynamics, cost)
+        rows = row_families(stage_rows, n, m, T)
+        dynamics = with_cost(dynamics, cost, bool(path_constraints(rows)))
         assign(
             self,
             dynamics=dynamics,
@@ -124,7 +127,7 @@ class OptimalControlProblem(ProblemData):
             terminal_state=end_set("terminal_state", terminal_state, n),
             control_spectrum=control_spectrum,
             state_spectrum=state_spectrum,
-            stage_rows=row_families(stage_rows, n, m, T),
+            stage_rows=rows,
             output_spectrum=output_spectrum,
             name=name,
         )
@@ -193,7 +196,7 @@ class OptimalControlProblem(ProblemData):
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
     ) -> OptimalControlProblem:
-        """Return the problem with smooth modes linearised along a trajectory; affine dynamics stay.
+        """Return the problem with smooth modes and path constraints linearised along a trajectory; others stay.
 
         Both problems agree to first order at the trajectory: its states and its multipliers are the same in both. The
         linearised regions need not cover the sets.
@@ -202,12 +205,29 @@ class OptimalControlProblem(ProblemData):
         ----------
         selections : mapping from norms to (T, components), optional
             The derivatives of norms at zero, as for ``formulas.jets``.
+
+        Raises
+        ------
+        UnsupportedError
+            If the cost has formulas: affine dynamics would lack it, unless it is a state.
         """
         if self.dynamics.affine:
             return self
-        problem = replace_fields(self, dynamics=self.dynamics.affine_at(trajectory.x, trajectory.u, selections))
+        if self.cost.has_formulas:
+            raise UnsupportedError("dynamics: got a cost by formulas; expected one that is a state (cost_as_state).")
+        affine = self.dynamics.affine_at(trajectory.x, trajectory.u, selections)
+        problem = replace_fields(self, dynamics=affine, stage_rows=self.rows_along(trajectory))
         problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
+
+    @property
+    def path_constraints(self) -> tuple[PathConstraint, ...]:
+        """Return the path constraints by formulas."""
+        return path_constraints(self.stage_rows)
+
+    def rows_along(self, trajectory: Trajectory) -> tuple[StageRows, ...]:
+        """Return the joint rows, with path constraints to first order along a trajectory."""
+        return tuple(rows.linearised(trajectory.x, trajectory.u) for rows in self.stage_rows)
 
     def with_modes(self, sequence: ArrayLike) -> OptimalControlProblem:
         """Return the linear problem of one mode sequence: its maps, and the rows of its regions as stage rows.

@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, entries_of, named_entries
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
-from lin_freq_ocp.problem.terms.penalty import HARD, weight_of
+from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import Link, Term, TermKind
 
 
@@ -178,6 +178,7 @@ Data = TypeVar("Data", bound=ProblemData)
 DEPENDENT = {
     "dynamics": ("linear", "equations", "borders", "gap"),
     "cost": ("quadratic",),
+    "stage_rows": ("terms",),
     "state_set": ("state_boxes", "met_ends", "state_tube", "hard_state_sets", "terms"),
     "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),
@@ -212,15 +213,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     stated = len(problem.terminal_state.links(n, T))  # of the links: the others follow from the dynamics
     sources = [("terminal_state", 0) if i < stated else None for i in range(len(problem.links))]
     found = [
-        *(
-            Term(
-                rows.name,
-                TermKind.STAGE_ROWS,
-                StageMap(np.arange(T), rows.C, rows.D, np.zeros(rows.rows)),
-                HalfSpaces(np.where(rows.bounded(T), rows.e, np.inf), weight_of(rows.penalty)),
-            )
-            for rows in problem.stage_rows
-        ),
+        *(rows.term(T) for rows in problem.stage_rows),
         *unmet_bounds,
         *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
         *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),

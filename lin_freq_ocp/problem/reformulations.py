@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array, with_columns
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -224,9 +224,7 @@ def augment_states(
         initial_state=_with_box(problem.initial_state, problem.initial_box, initial),
         terminal_state=_with_box(problem.terminal_state, problem.terminal_box, terminal or Box(-free, free)),
         state_spectrum=[more for one in entries_of(problem.state_spectrum) for more in one.augmented(n, k)] or None,
-        stage_rows=[
-            StageRows(with_columns(rows.C, k), rows.D, rows.e, rows.name, rows.penalty) for rows in problem.stage_rows
-        ],
+        stage_rows=[rows.augmented(n, k) for rows in problem.stage_rows],
         output_spectrum=[one.augmented(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
 

@@ -1,4 +1,4 @@
-"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, boxes, stop bands, and costs.
+"""IPOPT, by CasADi, on one smooth map: multiple shooting, its region, path constraints, boxes, stop bands, and costs.
 
 Costs are quadratic or by formulas without kinks.
 """
@@ -41,8 +41,10 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     one, X, U = casadi.SX.sym("y", n + m), casadi.MX.sym("X", n, T + 1), casadi.MX.sym("U", m, T)
     mode = piecewise_smooth(problem).modes[0]
-    tables = list(dict.fromkeys(kinks((*mode.f, *mode.cost, *mode.region), TIME, TABLE)))
-    w, data = casadi.SX.sym("w", len(tables)), np.array([node.data or range(T) for node in tables], dtype=float)
+    formulas = *mode.f, *mode.cost, *mode.region, *(h for rows in problem.path_constraints for h in rows.formulas)
+    tables = list(dict.fromkeys(kinks(formulas, TIME, TABLE)))
+    w = casadi.SX.sym("w", len(tables))
+    data = np.array([node.data[:T] or range(T) for node in tables], dtype=float)
     of_time = dict(zip(tables, casadi.vertsplit(w) if len(tables) else [], strict=True))
     arguments = casadi.vertcat(X[:, :T], U), data.reshape(len(tables), T)
 
@@ -58,6 +60,13 @@ def solved_by_ipopt(problem: OptimalControlProblem, start: Trajectory, most_step
     equations = casadi.vertcat(*constraints).numel()
     if mode.region:  # switching functions, which are at most zero
         constraints.append(casadi.vec(along(mode.region)))
+    for rows in problem.path_constraints:
+        limits = rows.limits()
+        constraints.append(casadi.vec(along(rows.formulas) - limits[:T].T))
+        if len(limits) > T:
+            end = casadi.Function("h", [one, w], [_expression(casadi, rows.formulas, one, of_time)])
+            last = [T if node.kind == TIME else node.data[-1] for node in tables]
+            constraints.append(end(casadi.vertcat(X[:, T], np.zeros(m)), np.array(last, dtype=float)) - limits[T])
     lower = np.full(casadi.vertcat(*constraints).numel(), -np.inf)
     lower[:equations] = 0.0
     unknowns = casadi.vertcat(casadi.vec(X), casadi.vec(U))

@@ -1,12 +1,14 @@
-"""Random problems with smooth costs and time by formulas, against IPOPT from the same start, and by differences.
+"""Random problems with smooth costs, time and path constraints by formulas, against IPOPT, and by differences.
 
-Every accepted answer must be stationary by central differences of its cost (tests/helpers/checks/formula_costs.py).
-Answers of convex problems must have IPOPT's cost. Of others, worse local optima than IPOPT's are counted, and better
-ones.
+Every accepted answer must be stationary by central differences of its cost (tests/helpers/checks/formula_costs.py), or
+of its Lagrangian with path constraints (tests/helpers/checks/path_constraints.py), which every third problem has.
+Answers of convex problems must have IPOPT's cost, with path constraints that of Clarabel on CVXPY's model, and a
+rigorous bound. Of others, worse local optima than IPOPT's are counted and printed, and better ones.
 """
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from helpers.checks import path_constraints
 from helpers.checks.formula_costs import Checked, check, random_problem
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
 from verify.seeded import check_all
 
 SAME = 1e-6  # relative difference of costs
@@ -24,7 +28,7 @@ SAME = 1e-6  # relative difference of costs
 class Compared(NamedTuple):
     """An answer, and the cost of IPOPT's, not a number if it claims none."""
 
-    ours: Checked
+    ours: Checked | path_constraints.Checked
     other: float
 
     @property
@@ -48,17 +52,37 @@ def compare(seed: int) -> Compared:
     return Compared(check(seed), claim.cost if claim.status == "Solve_Succeeded" else float("nan"))
 
 
+def compare_path(seed: int) -> Compared:
+    """Return our answer of a random problem with a path constraint, and IPOPT's best from our first starts.
+
+    Of a convex problem with a quadratic cost, the other answer is that of CVXPY's model.
+    """
+    random, ours = path_constraints.random_path(seed), path_constraints.check(seed)
+    if random.convex and not random.data["smooth"]:
+        return Compared(ours, path_constraints.cost_by_cvxpy(random))
+    search = LocalSearch(random.problem)
+    starts = [start for start, _ in islice(search.starts(), search.enough_starts)]
+    claims = [solved_by_ipopt(random.problem, start) for start in starts]
+    costs = [claim.cost for claim in claims if claim.status == "Solve_Succeeded"]
+    return Compared(ours, min(costs, default=float("nan")))
+
+
 def verify(console: Console, seeds: range, processes: int) -> bool:
     """Compare the problems of these seeds and print a summary; return whether all are right."""
-    found = check_all(compare, seeds, processes, "comparing")
-    table = Table("costs by formulas", "problems", title="random problems by formulas, against IPOPT")
+    costs, paths = [seed for seed in seeds if seed % 3 < 2], [seed // 3 for seed in seeds if seed % 3 == 2]
+    groups = {
+        "costs": check_all(compare, costs, processes, "comparing costs"),
+        "path constraints": check_all(compare_path, paths, processes, "comparing path constraints"),
+    }
+    table = Table("formulas", "problems", title="random problems by formulas, against IPOPT")
     for heading in ("accepted", "same cost", "better", "worse", "slope left", "wrong"):
         table.add_column(heading, justify="right")
-    for name, convex in (("convex", True), ("others", False)):
-        some = [one for one in found if one.ours.convex == convex]
+    kinds = [(group, name, name == "convex") for group in groups for name in ("convex", "others")]
+    for group, name, convex in kinds:
+        some = [one for one in groups[group] if one.ours.convex == convex]
         accepted = [one for one in some if one.ours.satisfied]
         table.add_row(
-            name,
+            f"{group}, {name}",
             str(len(some)),
             str(len(accepted)),
             str(sum(abs(one.difference) <= SAME for one in accepted)),
@@ -68,6 +92,9 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
             str(sum(not one.passed for one in some)),
         )
     console.print(table)
+    found = [one for group in groups.values() for one in group]
+    active = sum(one.ours.active for one in groups["path constraints"])
+    console.print(f"path constraints with a multiplier above zero: {active} of {len(paths)}")
     for one in found:
         if not one.passed or one.difference > SAME:
             console.print(one)

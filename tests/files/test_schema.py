@@ -321,10 +321,13 @@ def test_the_keys_of_tables_are_those_of_the_reader():
         ("piecewise_affine_dynamics", dynamics.PIECEWISE_AFFINE),
         ("mode", dynamics.AFFINE_MODE),
         ("cost", tables.COST),
-        ("stage_rows", tables.STAGE_ROWS),
         ("output_spectrum", tables.OUTPUTS),
     ):
         assert keys_of(record) == (keys(part), set(PARTS[part].get("required", ()))), part
+    for part, (kind, record) in zip(("stage_rows", "path_constraint"), tables.STAGE_ROWS.records.items(), strict=True):
+        needed = {*record.required, *({"kind"} if kind == "formula" else ())}
+        assert (keys_of(record)[0], needed) == (keys(part) - {"kind"}, set(PARTS[part]["required"]))
+        assert PARTS[part]["properties"]["kind"]["const"] == kind
     norms = PARTS["norm_cost"]["properties"]["kind"]["enum"]
     assert [*norms, PARTS["formula_cost"]["properties"]["kind"]["const"]] == list(tables.NORM_COSTS.records)
     for kind, record in tables.NORM_COSTS.records.items():

@@ -123,6 +123,9 @@ class SwitchingFacts(Facts):
         apply.
     rim_modes : tuple of int
         Of smooth modes, the mode whose region ends at each of the ``gaps``.
+    unqualified : tuple of (str, int)
+        The names of path constraints, and the times, at which their active gradients are dependent: their normal cone
+        is then not known, and the theorem does not apply.
     """
 
     elsewhere: bool
@@ -139,11 +142,23 @@ class SwitchingFacts(Facts):
     norms: tuple[NormKink, ...] = ()
     gaps: tuple[int, ...] = ()
     rim_modes: tuple[int, ...] = ()
+    unqualified: tuple[tuple[str, int], ...] = ()
 
     @property
     def applicable(self) -> bool:
-        """Whether the theorem applies: the map does not jump, and is defined around the trajectory."""
-        return self.jumping is None and not self.gaps
+        """Whether the theorem applies: the map does not jump and is defined around the trajectory, and cones are known.
+
+        These are the normal cones of path constraints.
+        """
+        return self.jumping is None and not self.gaps and not self.unqualified
+
+    @property
+    def dependent_gradients(self) -> str:
+        """Return where active gradients of path constraints are dependent, in words."""
+        names = dict.fromkeys(name for name, _ in self.unqualified)
+        times = [np.array([t for one, t in self.unqualified if one == name]) for name in names]
+        parts = [f"{name!r} at t = {runs_in_words(runs_of(at))}" for name, at in zip(names, times, strict=True)]
+        return f"the active gradients of {' and of '.join(parts)} are dependent or zero"
 
     @property
     def stationary_on_rims(self) -> bool:
@@ -165,6 +180,8 @@ class SwitchingFacts(Facts):
             parts.append(f"the map jumps between {first} and {second}: the theorem does not apply")
         if self.gaps:
             parts.append(f"{self.touched_gaps}: the theorem does not apply")
+        if self.unqualified:
+            parts.append(f"{self.dependent_gradients}: the theorem does not apply there")
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             several = len(self.mode_names) > 1

@@ -2,8 +2,9 @@
 
     sum_t d_t' H_t d_t + dx_T' P dx_T >= 0   for all d_t = (dx_t, du_t) with dx_{t+1} = A_t dx_t + B_t du_t, C_t d_t = 0
 
-H_t is the Hessian of c_t - <eta_t, f_t>, and C_t are the bounds and rows that are active with a multiplier: they span
-the critical cone. The Riccati recursion decides in O(T): the problem is convex if all its pivots
+H_t is the Hessian of c_t - <eta_t, f_t> + <mu_t, h_t>, h_t the path constraints, and C_t are the bounds, rows and
+gradients of h_t that are active with a multiplier: they span the critical cone. The Riccati recursion decides in O(T):
+the problem is convex if all its pivots
 
     H_uu + B' P_{t+1} B     with    P_t = Q_t - K_t' (H_uu + B' P_{t+1} B) K_t
 
@@ -26,6 +27,7 @@ from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 ACTIVE_BOUND = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
@@ -61,7 +63,13 @@ def second_order_test(
     terms[:-1] = np.einsum(
         "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
     )
-    added = np.zeros((n, n)) if terminal is None else terminal
+    added = np.zeros((n, n)) if terminal is None else terminal.copy()
+    for one in problem.path_constraints:
+        prices = multipliers.stage.get(one.name, np.zeros(one.values_along.shape))
+        bends = np.einsum("ti,tijk->tjk", prices, one.values_along.jets_along(x, u).curvatures)
+        H += bends[:T] * scale
+        terms[:T] += np.einsum("tii->ti", np.abs(bends[:T]))
+        added += bends[T:, :n, :n].sum(axis=0)
     P = (problem.quadratic.P + added) * scale[:n, :n]
     terms[-1, :n] = np.abs(np.diag(problem.quadratic.P)) + np.abs(added).max(axis=0)
     sizes = (terms * units**2).max(axis=0)
@@ -69,7 +77,8 @@ def second_order_test(
     if largest == 0:
         return SecondOrder(True, "")
     error = np.diag(CURVATURE * sizes + CURVATURE_FLOOR * largest)
-    AB, rows = slopes * units / units[:n, None], _active_rows(problem, trajectory, multipliers, units)
+    AB, linear = slopes * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(trajectory))
+    rows = _active_rows(linear, trajectory, multipliers, units)
     strong = np.zeros((T + 1, len(units), len(units)))
     for t, row, sign, is_strong in rows:
         strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
@@ -84,7 +93,7 @@ def second_order_test(
     moved = [(float(row @ d[t]), sign, is_strong) for t, row, sign, is_strong in rows]
     keeps = all(abs(change) <= ALLOWED_VIOLATION for change, sign, is_strong in moved if is_strong or sign == 0)
     weak = [change * sign for change, sign, is_strong in moved if sign and not is_strong]
-    others = [term.name for term in problem.terms if term.polyhedron(n, problem.control_dim) is None]
+    others = [term.name for term in linear.terms if term.polyhedron(n, problem.control_dim) is None]
     reason = "constraints couple all times" if problem.control_stop.any() or problem.state_stop.any() else ""
     reason = reason or (f"{others[0]} is curved or couples times" if others else "")
     if reason or curvature >= 0 or not keeps:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.bound import Bound
+from lin_freq_ocp.certificate.bound import NUMERICAL, Bound
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
@@ -26,12 +26,13 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
     required_slopes,
     stationarity_scale,
 )
+from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
-from lin_freq_ocp.formulas.convexity import convex_curvature
+from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
@@ -59,6 +60,7 @@ def judge_smooth(
         flip_stationary=facts.flip_stationary and not rising,
         printed=facts.printed and not rising,
         regular=facts.regular and not rising,
+        unqualified=dependent_gradients(problem, trajectory),
     )
     satisfied, test = all(condition.passed for condition in judgement.conditions), None
     if satisfied and facts.applicable and multipliers.eta_C == 1:
@@ -72,11 +74,13 @@ def judge_smooth(
 
 
 def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
-    """Judge a trajectory of a problem with a cost by formulas: with the cost as a state, which has its gradient."""
+    """Judge a trajectory of a problem with formulas; their cost is a state, which has its gradient."""
     problem.require(trajectory)
     require_fitting(problem, multipliers)
     inverse = cost_as_state(problem, trajectory)
-    assert inverse is not None  # there is a cost by formulas
+    if inverse is None:
+        found = judge_smooth(problem, trajectory, multipliers)
+        return replace(found, bound=convex_bound(problem, trajectory, multipliers))
     n, terminal = problem.state_dim, problem.cost.formulas[1]
     hessian = np.zeros((n + 1, n + 1))
     if terminal is not None:
@@ -110,11 +114,11 @@ def own_certificate(problem: OptimalControlProblem, trajectory: Trajectory, cert
 
 
 def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
-    """Return the global bound of a convex problem with costs by formulas; None if it is not proven to be convex.
+    """Return the global bound of a convex problem with formulas; None if it is not proven to be convex.
 
     At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
-    over the sets. The problem with these in its place has a quadratic cost, and the bound of one: a lower bound for the
-    given problem, which is close if its multipliers fit.
+    over the sets. A path constraint is at least its tangent. The problem with these in their place has a quadratic cost
+    and rows, and the bound of one: a lower bound for the given problem, which is close if its multipliers fit.
     """
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
@@ -134,6 +138,15 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         if curvature is None:
             return None
         slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
+    declared, of_rows = list[str](), 0.0
+    for one in problem.path_constraints:
+        times, tangents = slice(len(one.limits())), one.linearised(trajectory.x, trajectory.u)
+        if not all(is_convex(formula, lower[times], upper[times]) for formula in one.formulas):
+            if not one.convex or one.bends_down(trajectory.x, trajectory.u):
+                return None
+            declared.append(f"{one.name!r} is convex, as declared")
+        terms = tangents.sizes_along(trajectory.x, trajectory.u)
+        of_rows += float((np.maximum(multipliers.stage.get(one.name, 0.0 * terms), 0.0) * terms).sum())
     x, u = cost.deviations(trajectory.x, trajectory.u)
     slopes -= curved * np.hstack([x, np.pad(u, ((0, 1), (0, 0)))])  # the parabola has no slope at the trajectory
     minorant = replace(
@@ -145,15 +158,19 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         P=cost.P + np.diag(curved[T, :n]),
         p=cost.p + slopes[T, :n],
     )
-    below = replace(problem, dynamics=stated, cost=CostSum([minorant, *problem.cost.without_formulas.norms]))
+    costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
+    below = replace(problem, dynamics=stated, cost=costs, stage_rows=rows)
     extremal = extremal_at(below, trajectory, replace(multipliers, weights=None))
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)
     if bound is None:
         return None
     constant = problem.value(trajectory.x, trajectory.u) - extremal.cost
-    rounding = ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory))
-    return replace(bound, value=bound.value + constant - rounding)
+    rounding = ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
+    bound = replace(bound, value=bound.value + constant - rounding)
+    return (
+        replace(bound, kind=NUMERICAL, sets="; ".join([*filter(None, [bound.sets]), *declared])) if declared else bound
+    )
 
 
 def _judge_norms(

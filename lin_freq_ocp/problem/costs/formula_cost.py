@@ -130,10 +130,13 @@ class SmoothCost(NonsmoothCost):
         return values
 
 
-def with_cost(dynamics: Dynamics, cost: Cost) -> Dynamics:
-    """Return dynamics whose modes have the cost by formulas of a problem; without formulas, the dynamics as stated."""
+def with_cost(dynamics: Dynamics, cost: Cost, constrained: bool) -> Dynamics:
+    """Return dynamics whose modes have the cost by formulas of a problem; without formulas, the dynamics as stated.
+
+    They are smooth modes, too, if the problem is ``constrained`` by formulas.
+    """
     stated = dynamics.without_cost
-    return entry_for(PRICED, stated)(stated, cost.formulas[0]) if cost.has_formulas else stated
+    return entry_for(PRICED, stated)(stated, cost.formulas[0]) if cost.has_formulas or constrained else stated
 
 
 def _one_formula(field: str, given: object, dimensions: tuple[int, int], known: Mapping[str, Formula]) -> Formula:

@@ -264,7 +264,8 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
     if isinstance(form, kind):
         return form
     if dynamics.without_cost is not dynamics:
-        raise UnsupportedError("cost: got a cost by formulas; expected quadratic, L1 and L-infinity costs only.")
+        expected = "quadratic, L1 and L-infinity costs, and linear rows"
+        raise UnsupportedError(f"cost: got a cost by formulas, or stage_rows: a path constraint; expected {expected}.")
     raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
 
 

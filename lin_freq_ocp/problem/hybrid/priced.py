@@ -89,10 +89,6 @@ class DynamicsWithFormulaCost(Dynamics):
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t; their problem has the cost of x."""
         return self.dynamics.augmented(A, B, names, horizon)
 
-    def affine_at(self, x: Array, u: Array, selections: object = None) -> Dynamics:
-        """Raise UnsupportedError: affine dynamics would lack the cost; ``cost_as_state`` has it."""
-        raise UnsupportedError("dynamics: got a cost by formulas; expected one that is a state (cost_as_state).")
-
 
 def price_smooth(dynamics: Dynamics, stage: Formula | None) -> DynamicsWithFormulaCost:
     """Return piecewise-smooth dynamics with a stage cost."""

@@ -24,12 +24,16 @@ from lin_freq_ocp.base.arrays import (
     times_vectors,
     to_shape,
     upper_limits,
+    with_columns,
     with_products,
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, inequalities, plural, price
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.term import LinearRows, Term
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.penalties import HalfSpaces
+from lin_freq_ocp.problem.terms.penalty import weight_of
+from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -115,9 +119,33 @@ class StageRows:
         """Return the rows of x - origin, origin (n,)."""
         return self.with_limits(with_products(self.e, (-self.C, origin)))
 
+    def augmented(self, n: int, k: int) -> StageRows:
+        """Return the rows on (x, w), w in R^k, for x in R^n."""
+        return StageRows(with_columns(self.C, k), self.D, self.e, self.name, self.penalty)
+
+    def linearised(self, x: Array, u: Array) -> StageRows:
+        """Return the rows, which are linear; a path constraint to first order along a trajectory."""
+        return self
+
+    def term(self, horizon: int) -> Term:
+        """Return the term of the rows."""
+        rows = StageMap(np.arange(horizon), self.C, self.D, np.zeros(self.rows))
+        limits = np.where(self.bounded(horizon), self.e, np.inf)
+        return Term(self.name, TermKind.STAGE_ROWS, rows, HalfSpaces(limits, weight_of(self.penalty)))
+
+    def pattern(self, x: Array, u: Array, sizes: tuple[Array, Array]) -> StageRows:
+        """Return the rows, which are linear; of a path constraint, rows with all its coefficients and of its sizes."""
+        return self
+
     def with_limits(self, e: Array) -> StageRows:
         """Return the rows with other limits, (rows,) or (T, rows)."""
         return StageRows(self.C, self.D, e, self.name, self.penalty)
+
+    def free_first_state(self, horizon: int) -> StageRows:
+        """Return the rows without limits on the state alone at time 0."""
+        limits = np.array(np.broadcast_to(self.e, (horizon, self.rows)))
+        limits[0, ~np.broadcast_to(self.D, (horizon, *self.D.shape[-2:]))[0].any(axis=-1)] = np.inf
+        return self.with_limits(limits)
 
     def softened(self, penalty: float) -> StageRows:
         """Return the rows with a price per unit of violation, unless they have one already."""
@@ -182,7 +210,7 @@ def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, 
     if isinstance(given, StageRows):
         return (given.at_dimensions(n, m, horizon, "stage_rows"),)
     if not isinstance(given, Sequence) or not all(isinstance(rows, StageRows) for rows in given):
-        raise ProblemError("stage_rows", brief(given), "StageRows, a sequence of them, or None")
+        raise ProblemError("stage_rows", brief(given), "StageRows, PathConstraint, a sequence of them, or None")
     names = [rows.name for rows in given]
     if len(set(names)) != len(names):
         raise ProblemError("stage_rows", f"the names {brief(names)}", "a different name for each", "Give name=.")

@@ -26,6 +26,7 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -42,6 +43,7 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
+AT_REST = 1e-8  # of its size: a component that is nowhere larger is set to zero where its rounding would count
 # Parts of a direction of descent to start from; its largest entry is of order 1
 PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
 
@@ -155,6 +157,11 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
+    if not certificate.feasible:  # barriers on one side push components that are at rest by less than they notice
+        pairs = zip((local.trajectory.x, local.trajectory.u), stated_sizes(problem), strict=True)
+        still = Trajectory(*(np.where(np.abs(part).max(0) > AT_REST * size, part, 0.0) for part, size in pairs))
+        certificate, multipliers = best_multipliers(problem, still, first)
+        plain = (still, multipliers, certificate) if certificate.feasible else plain
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:
@@ -258,8 +265,10 @@ class _Bounding:
                 self.best, self.sets = level.value, "dynamic programming over cells of the states, with intervals"
             if self._proven:
                 return False
-            if level.path is None or level.sequence is None or level.sequence.tobytes() in self._known:
+            if level.path is None or level.sequence is None:
                 continue
+            if level.sequence.tobytes() in self._known and not self.search.problem.path_constraints:
+                continue  # around obstacles, a single mode has several local optima
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
                 better = refine_optimum(self.search.problem, self.search.best, self.deadline)
@@ -297,10 +306,13 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
     if search.message and (judged is None or search.interrupted):
         return Status.LIMIT, search.message
     if judged is None:
-        undefined = "dynamics or the cost" if search.problem.cost.has_formulas else "dynamics"
+        problem = search.problem
+        constrained = ["path constraints"] * bool(problem.path_constraints)
+        undefined = " or ".join(["dynamics", *["the cost"] * problem.cost.has_formulas, *constrained])
         nearest = f", where the {undefined} are not defined; start= takes a trajectory where they are"
         if search.best is not None:
-            nearest = f"; the nearest violates dynamics by {search.best.violation:.1e}"
+            violated = " or ".join(["dynamics", *constrained])
+            nearest = f"; the nearest violates {violated} by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
     status = judged[2].status_within(GAP_TOLERANCE)
     if status == Status.OPTIMAL:
@@ -310,6 +322,8 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         holds = "hold" if facts.stationary_on_rims else "do not hold"
         advice = f"the map is not defined beyond it, and the conditions {holds} with the region as a constraint"
         return status, f"{facts.touched_gaps}; {advice} (docs/borders.md, Gaps)"
+    if facts is not None and facts.unqualified:
+        return status, f"{facts.dependent_gradients}: the theorem does not apply there"
     if status == Status.NUMERICAL_ERROR and search.message:
         return Status.LIMIT, search.message
     if status == Status.NUMERICAL_ERROR:

@@ -7,7 +7,7 @@ of terms h(L(x, u)) (hamiltonian.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -55,7 +56,10 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
     terminal = cost.P @ x_ref[T]
     constants = [*(0.5 * (y_ref * of_reference).sum(1)), float(0.5 * x_ref[T] @ terminal)]
     in_x, in_u = problem.in_time(multipliers.rho_x), time_signal(multipliers.rho_u, T)
+    by_formulas = [one.name for one in problem.path_constraints]  # which bound the boxes, or cost nothing or more
     for term in problem.terms:
+        if term.name in by_formulas:
+            continue
         values = term.map.values(x_ref, u_ref)
         weights = term.penalty.subgradient(multipliers.stage.get(term.name, np.zeros(term.shape)), 1.0)
         pulled_x, pulled_u = term.map.pull_back(weights, (x_ref.shape, u_ref.shape))
@@ -93,6 +97,14 @@ class PricedProblem:
         shadows = [form.shadow(max(left, 0.0) if np.isfinite(left) else np.inf) for form in forms]
         x, u = np.array([shadow[:, :n] for shadow in shadows]), np.array([shadow[:, n:] for shadow in shadows[:-1]])
         return cls(problem, costs, *_clip_shadow(u, problem.control_tube), *_clip_shadow(x, problem.state_tube))
+
+    def modes(self, t: int) -> tuple[SmoothMode, ...]:
+        """Return the modes at a time, within the hard path constraints of that time."""
+        modes = piecewise_smooth(self.problem).modes
+        constraints = [one for one in self.problem.path_constraints if one.hard_part is not None]
+        pairs = [(h, float(e)) for one in constraints for h, e in zip(one.formulas, one.limits()[t], strict=True)]
+        rows = [formula - limit for formula, limit in pairs if limit < np.inf]
+        return tuple(replace(mode, region=(*mode.region, *rows)) for mode in modes) if rows else modes
 
     def cost(self, t: int, y: Array) -> Array:
         """Return c_t of pairs (points, n + m) without its formulas."""

@@ -39,7 +39,7 @@ def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]
         x, u = lattice.centres, lower + (points + 1) / 2 * (upper - lower)
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
         total = np.repeat(to_come[t], len(u)) + stages.whole_cost(t, pairs)
-        for mode in piecewise_smooth(stages.problem).modes:
+        for mode in stages.modes(t):
             y = values_of(mode.f, pairs, np.array([t]))
             inside = holds(mode, pairs, t) & np.isfinite(y).all(axis=1)
             cells = after.numbers(after.indices(np.where(inside[:, None], y, 0.0)))
@@ -146,7 +146,7 @@ class Samples:
         pairs = np.hstack([np.repeat(x, count, axis=0), u.reshape(-1, u.shape[2])])
         costs = self.stages.whole_cost(self.t, pairs)
         best, at, chosen = np.full(len(x), np.inf), pairs[::count].copy(), np.zeros(len(x), dtype=np.intp)
-        for i, mode in enumerate(piecewise_smooth(self.stages.problem).modes):
+        for i, mode in enumerate(self._modes):
             y = values_of(mode.f, pairs, np.array([self.t]))
             inside = holds(mode, pairs, self.t) & np.isfinite(y).all(axis=1)
             y = np.where(inside[:, None], y, 0.0)
@@ -163,6 +163,10 @@ class Samples:
             best[better], chosen[better] = totals[better], i
             at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
         return best, at, chosen
+
+    @cached_property
+    def _modes(self) -> tuple[SmoothMode, ...]:
+        return self.stages.modes(self.t)
 
     @cached_property
     def _prices(self) -> Array:

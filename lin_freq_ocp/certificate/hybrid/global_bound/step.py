@@ -15,7 +15,6 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import ROUNDING, CostToGo, Lattice, Minima, PricedProblem
 from lin_freq_ocp.certificate.hybrid.global_bound.samples import Samples, free_slopes, holds
 from lin_freq_ocp.formulas.jets import IntervalJets, interval_jets, mean_value
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 
 BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak are the next level's work
@@ -171,7 +170,7 @@ class BackwardStep:
     """The step from t to t + 1."""
 
     def __init__(self, stages: PricedProblem, t: int, lattice: Lattice, after: CostToGo, deadline: float):
-        self._modes, self._n, self._t = piecewise_smooth(stages.problem).modes, stages.problem.state_dim, t
+        self._modes, self._n, self._t = stages.modes(t), stages.problem.state_dim, t
         self._stages, self._lattice, self._after, self._deadline = stages, lattice, after, deadline
         self._pole = after.lattice.width == 0
         self._minima = Minima(after)

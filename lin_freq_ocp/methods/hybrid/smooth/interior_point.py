@@ -1,6 +1,7 @@
 """A primal-dual barrier method for smooth dynamics.
 
-    minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   other rows of y:  A y + s = b,  s in the cone
+    minimise J(y) - mu log det s   subject to   x_{t+1} = c_t(y_t),   h_t(y_t) + s = upper,
+                                                other rows of y:  A y + s = b,  s in the cone
 
 Newton's method solves the conditions of this problem, with the scalings of Nesterov and Todd for z o s = mu e, while mu
 falls to zero. Each step is one system of the structured method. Its Hessian is that of the Lagrangian if the reduced
@@ -112,6 +113,7 @@ class Trial(NamedTuple):
     s: dict[int, Array]
     measure: Measure
     defects: Array
+    path: Array  # residuals of the rows of path constraints, (rows,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +210,12 @@ class BarrierPoint:
         if curved:
             curvature = np.einsum("ti,tijk->tjk", eta, self._derivatives.curvatures)
             lagrangian[:-1, : curvature.shape[1], : curvature.shape[1]] -= curvature
+        rows = self._model.path
+        if self._objective.curved and len(rows.values):
+            bends, curved = self._derivatives.bends, True
+            width = slice(0, bends.shape[1])
+            prices = self.point.z[STAGES][rows.times, rows.slots]
+            np.add.at(lagrangian, (rows.times, width, width), prices[:, None, None] * bends)
         convex = curved and self._is_convex(lagrangian, applied)
         if not convex and curved and self.theta <= NEAR:
             convex = detected = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
@@ -258,12 +266,14 @@ class BarrierPoint:
     def trial(self, y: Array, s: dict[int, Array], length: float) -> Trial | None:
         """Return the point at a part of a step; None if the map is not defined there."""
         after, slacks = self.point.y + length * y, {i: slack + length * s[i] for i, slack in self.point.s.items()}
-        defects = self._model.defects(after)
-        if not np.isfinite(defects).all():
+        defects, path = self._model.defects(after), self._model.path
+        bent = self._model.path_values(after) + slacks[STAGES][path.times, path.slots]
+        if not (np.isfinite(defects).all() and np.isfinite(bent).all()):
             return None
-        linear = self.theta - float(np.abs(self.left[DYNAMICS]).sum())
-        theta = float(np.abs(defects).sum()) + (1 - length) * linear
-        return Trial(after, slacks, Measure(theta, self.phi(after, slacks, self.mu)), defects)
+        curved = self.left[DYNAMICS], self.left[STAGES][path.times, path.slots]
+        linear = self.theta - sum(float(np.abs(part).sum()) for part in curved)
+        theta = float(np.abs(defects).sum() + np.abs(bent).sum()) + (1 - length) * linear
+        return Trial(after, slacks, Measure(theta, self.phi(after, slacks, self.mu)), defects, bent)
 
 
 FIRST_MU, LEAST_MU = 0.1, 1e-11  # in units in which the steepest slope of the cost is 10
@@ -334,7 +344,7 @@ class Barrier:
         return BarrierResult(ended, last.point, largest(last.left), last.error(0.0), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
-        mu, last, system = self.mu, 0.0, System(self.model.stages, self.loops)
+        mu, last, system = self.mu, 0.0, System(self.model.stages_at(y), self.loops)
         rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
         s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
@@ -384,7 +394,7 @@ class Barrier:
         for _ in range(MOST_SHIFTS):
             shift = local.factor(mu, self._solvers, self._shift, least)
             self._shift, step = shift or self._shift, local.step()
-            short = largest([step[0]]) <= self._longest
+            short = largest([step[0]]) <= self._longest and largest(step[1]) < np.inf
             after = self._search_line(local, entries, *step) if short else None
             if after is not None:
                 return after
@@ -421,8 +431,10 @@ class Barrier:
         """Return a point that the filter takes by steps corrected for the curvature of the dynamics, or None."""
         current, left, part = local.measure(local.mu), [*local.left], length
         for _ in range(CORRECTIONS):
-            left[DYNAMICS] = part * left[DYNAMICS]
+            left[DYNAMICS], left[STAGES] = part * left[DYNAMICS], left[STAGES].copy()
             left[DYNAMICS][:-1] += trial.defects
+            at = self.model.path.times, self.model.path.slots
+            left[STAGES][at] = part * left[STAGES][at] + trial.path
             y, _, s = local.step(left)
             part = local.longest(s, -1)
             after = local.trial(y, s, part)
@@ -453,6 +465,8 @@ class Barrier:
                     return after
             restoring.factor(mu, self._solvers)
             y, z, s = restoring.step()
+            if largest(z) == np.inf:
+                return None
             of_duals, length = restoring.longest({i: z[i] for i in s}, 1), restoring.longest(s, -1)
             while length > SHORTEST:
                 trial = restoring.trial(y, s, length)

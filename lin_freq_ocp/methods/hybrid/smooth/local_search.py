@@ -188,6 +188,8 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
+SIDES = (1.0, -1.0)  # of an obstacle
+REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
 SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DIVERGED_STATES = (
@@ -243,6 +245,10 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
+        self._lines = list[Trajectory]()
+        if self._smooth and self.problem.path_constraints:
+            line = self._constant_trajectory(SHARES[0], replayed=False)
+            self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
         self._with_cost = None if self._smooth else cost_as_state(self.problem)
 
     def run(self) -> LocalSearch:
@@ -258,7 +264,7 @@ class LocalSearch:
             for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or (alone and feasible and self.tried >= SMOOTH_STARTS):
+                if self._late() or (alone and feasible and self.tried >= self.enough_starts):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -268,6 +274,11 @@ class LocalSearch:
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
         return self
+
+    @property
+    def enough_starts(self) -> int:
+        """Return how many starts are enough if there is an answer and there are no modes to search."""
+        return SMOOTH_STARTS + len(self._lines)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -348,11 +359,13 @@ class LocalSearch:
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
 
-        Of one smooth map, a straight line between the ends comes last.
+        Of one smooth map, a straight line between the ends comes last; with path constraints first, after the lines
+        that pass obstacles on either side.
         """
         dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
         bounded = np.isfinite([tube.lower, tube.upper]).any()
         alone = np.zeros(self.problem.horizon, dtype=np.intp)
+        yield from ((line, alone) for line in self._lines)
         for share in SHARES if bounded else SHARES[:1]:
             trajectory = self._constant_trajectory(share)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
@@ -379,6 +392,29 @@ class LocalSearch:
         end = np.where(bounded & self._smooth, _middle(box, middle), start)
         part = np.linspace(0.0, 1.0, self.problem.horizon + 1)[:, None]
         return Trajectory((1 - part) * start + part * end, u)
+
+
+def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, sizes: Array) -> list[Trajectory]:
+    """Return a line through obstacles, bent along each state to either side until it is outside of them.
+
+    Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,).
+    """
+    hard = [one for one in problem.path_constraints if one.hard_part is not None]
+
+    def largest_violation(x: Array) -> float:
+        return max(
+            (float(np.nan_to_num(one.violation(x, line.u)[1:-1], nan=np.inf).max()) for one in hard), default=0.0
+        )
+
+    bend, bent = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory]()
+    if len(line.u) < 3 or largest_violation(line.x) == 0:
+        return []
+    for i in np.flatnonzero(np.any([one.used[:, : len(sizes)].any(axis=0) for one in hard], axis=0)):
+        for side in SIDES:
+            moves = (np.outer(side * share * sizes[i] * bend, np.arange(len(sizes)) == i) for share in REACHES)
+            passing = next((line.x + move for move in moves if largest_violation(line.x + move) == 0), None)
+            bent += [] if passing is None else [Trajectory(passing, line.u)]
+    return bent
 
 
 def _middle(box: Box, share: Array) -> Array:

@@ -8,11 +8,12 @@ ignores the end, would reject a reduced Hessian that is positive definite only b
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
 from lin_freq_ocp.methods.structured.kkt.system import Values
@@ -29,16 +30,31 @@ LEAST_CURVATURE = 1e-3  # in units of order 1
 
 
 class Derivatives(NamedTuple):
-    """The map at a point: successors c (T, n), slopes (T, n, n+m), curvatures (T, n, n+m, n+m), in units of stages."""
+    """The map at a point: successors c (T, n), slopes (T, n, n+m), curvatures (T, n, n+m, n+m), in units of stages.
+
+    Of path constraints, in their slots: values less limits (rows,), slopes (rows, n+m), curvatures (rows, n+m, n+m).
+    """
 
     successors: Array
     slopes: Array
     curvatures: Array
+    violations: Array
+    normals: Array
+    bends: Array
 
     @property
     def finite(self) -> bool:
         """Whether all are numbers."""
         return all(bool(np.isfinite(part).all()) for part in self)
+
+
+class PathSlots(NamedTuple):
+    """The values of all path constraints that are rows of the stages: where they stand, (rows,) each."""
+
+    values: Indices  # among those of all path constraints, one after the other, flat
+    times: Indices
+    slots: Indices
+    units: Array  # factors from units of the problem to those of the stages
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +67,18 @@ class SmoothModel:
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
         """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
-        linear = replace(problem, dynamics=problem.dynamics_along(trajectory), cost=problem.cost.without_formulas)
-        assembly = assemble_stages(linear, stated_sizes(problem))
+        sizes = stated_sizes(problem)
+        linear = replace(
+            problem,
+            dynamics=problem.dynamics_along(trajectory),
+            cost=problem.cost.without_formulas,
+            stage_rows=[rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows],
+        )
+        assembly = assemble_stages(linear, sizes)
         if problem.cost.has_formulas:
             assembly = cls(problem, assembly).with_unit_of_cost(trajectory)
+        if problem.path_constraints:
+            assembly = cls(problem, assembly).without_constants()
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
@@ -75,9 +99,39 @@ class SmoothModel:
 
     def multipliers(self, y: Array, z: Values) -> Multipliers:
         """Return the multipliers of duals at a point."""
-        assembly, dynamics = self.assembly, self.problem.dynamics_along(self.trajectory(y))
-        program = LinearProgram(replace(assembly.problem, dynamics=dynamics), assembly.program.origin)
+        assembly, trajectory = self.assembly, self.trajectory(y)
+        dynamics, rows = self.problem.dynamics_along(trajectory), self.problem.rows_along(trajectory)
+        program = LinearProgram(replace(assembly.problem, dynamics=dynamics, stage_rows=rows), assembly.program.origin)
         return replace(assembly, program=program).multipliers(z, 1.0, y)
+
+    @cached_property
+    def path(self) -> PathSlots:
+        """The rows of path constraints in the stages."""
+        assembly, n = self.assembly, self.problem.state_dim
+        layout, shape, constraints = assembly.program.layout, self.stages.g.shape, self.problem.path_constraints
+        first = dict(zip((name for name, _ in layout.names), layout.terms, strict=True))
+        sizes = [one.values_along.shape[0] * one.rows for one in constraints]
+        targets = [first[one.name] + np.arange(size) for one, size in zip(constraints, sizes, strict=True)]
+        slot_of = np.full(layout.count + 1, -1)
+        slot_of[assembly.targets[n : n + shape[0] * shape[1]]] = np.arange(shape[0] * shape[1])
+        slots = slot_of[np.concatenate([np.arange(0), *targets])]
+        values = np.flatnonzero(slots >= 0)
+        values = values[np.isfinite(self.stages.g.ravel()[slots[values]])]
+        times, slots = np.divmod(slots[values], max(shape[1], 1))
+        return PathSlots(values, times, slots, assembly.units.rows[n:][times * shape[1] + slots])
+
+    def path_values(self, y: Array) -> Array:
+        """Return the values less limits, and less the slacks of soft ones, of path constraints at a point, (rows,)."""
+        rows, points, first, violations = self.path, self._points(y), self._units.shape[1], [np.zeros(0)]
+        for constraint in self.problem.path_constraints:
+            times = constraint.values_along.times
+            violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
+        less = np.einsum("ri,ri->r", self.stages.G[rows.times, rows.slots, first:], y[rows.times, first:])
+        return np.concatenate(violations)[rows.values] * rows.units + less
+
+    def stages_at(self, y: Array) -> Stages:
+        """Return the stages with the path constraints linearised at a point; without any, those of the model."""
+        return self.linearised(y, self.derivatives(y)) if len(self.path.values) else self.stages
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
@@ -94,7 +148,33 @@ class SmoothModel:
         after = self._units[1:, : self.problem.state_dim]
         slopes = map_jets.slopes * units[:, None, :] / after[:, :, None]
         curvatures = map_jets.curvatures * (units[:, :, None] * units[:, None, :])[:, None] / after[:, :, None, None]
-        return Derivatives(self._deviations(map_jets.values), slopes, curvatures)
+        return Derivatives(self._deviations(map_jets.values), slopes, curvatures, *self._path_derivatives(y, units))
+
+    def _path_derivatives(self, y: Array, units: Array) -> tuple[Array, Array, Array]:
+        """Return values less limits of path constraints, slopes and curvatures by signals with units (T, n + m)."""
+        points, rows, width = self._points(y), self.path, units.shape[1]
+        normals, bends = [np.zeros((0, width))], [np.zeros((0, width, width))]
+        for constraint in self.problem.path_constraints:
+            times = constraint.values_along.times
+            at = jets(constraint.formulas, points[times], times=times)
+            normals.append(at.slopes.reshape(-1, width))
+            bends.append(at.curvatures.reshape(-1, width, width))
+        columns = np.vstack([units, self._units[-1:]])[rows.times]
+        return (
+            self.path_values(y),
+            np.concatenate(normals)[rows.values] * columns * rows.units[:, None],
+            np.concatenate(bends)[rows.values] * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
+        )
+
+    def without_constants(self) -> Assembly:
+        """Return the stages without the rows of path constraints that depend on fixed ends alone."""
+        stages, n, limits = self.stages, self.problem.state_dim, self.stages.g.copy()
+        fixed = np.zeros((2, stages.G.shape[2]), dtype=bool)
+        fixed[0, :n], fixed[1, stages.coupling.terminal] = stages.fixed, True
+        for t, k in zip(self.path.times, self.path.slots, strict=True):
+            if t in (0, self.problem.horizon) and not stages.G[t, k, ~fixed[int(t > 0)]].any():
+                limits[t, k] = np.inf
+        return replace(self.assembly, stages=replace(stages, g=limits))
 
     def with_unit_of_cost(self, trajectory: Trajectory) -> Assembly:
         """Return the stages in the unit of cost in which the cost with its formulas is as steep as usual there."""
@@ -116,10 +196,9 @@ class SmoothModel:
 
     def expanded_cost(self, y: Array) -> tuple[Array, Array]:
         """Return H and h of 1/2 y'H y + h'y + ..., the cost with its formulas to second order at a point."""
-        stages, origin = self.stages, self.assembly.program.origin
-        n, m = self.problem.state_dim, self.problem.control_dim
+        stages, (n, m) = self.stages, (self.problem.state_dim, self.problem.control_dim)
         gradients, hessians = np.zeros((len(y), n + m)), np.zeros((len(y), n + m, n + m))
-        end = np.append(origin.x[-1] + y[-1, :n] * self.assembly.units.columns[-1, :n], np.zeros(m))[None]
+        end = self._points(y)[-1:]
         terminal = [one for one in self.problem.cost.formulas[1:] if one is not None]
         mode = piecewise_smooth(self.problem).modes[0]
         for formulas, signals, times in ((mode.cost, self._signals(y), slice(-1)), (terminal, end, slice(-1, None))):
@@ -139,7 +218,12 @@ class SmoothModel:
         A, B, d = np.zeros_like(stages.A), np.zeros_like(stages.B), np.zeros_like(stages.d)
         A[:-1], B[:-1, :, : count - n] = derivatives.slopes[:, :, :n], derivatives.slopes[:, :, n:]
         d[:-1] = derivatives.successors - np.einsum("tij,tj->ti", derivatives.slopes, y[:-1, :count])
-        return replace(stages, A=A, B=B, d=d, H=stages.H.copy())
+        if not len(self.path.values):
+            return replace(stages, A=A, B=B, d=d, H=stages.H.copy())
+        at, G, g = (self.path.times, self.path.slots), stages.G.copy(), stages.g.copy()
+        G[(*at, slice(0, count))] = derivatives.normals
+        g[at] = np.einsum("ri,ri->r", G[at], y[at[0]]) - derivatives.violations
+        return replace(stages, A=A, B=B, d=d, H=stages.H.copy(), G=G, g=g)
 
     @property
     def _units(self) -> Array:
@@ -148,6 +232,12 @@ class SmoothModel:
     def _signals(self, y: Array) -> Array:
         origin, units = self.assembly.program.origin, self._units[:-1]
         return np.hstack([origin.x[:-1], origin.u]) + y[:-1, : units.shape[1]] * units
+
+    def _points(self, y: Array) -> Array:
+        """Return (x_t, u_t) in units of the problem for t = 0 .. T, (T + 1, n + m), with zeros for u_T."""
+        n = self.problem.state_dim
+        end = self.assembly.program.origin.x[-1] + y[-1, :n] * self._units[-1, :n]
+        return np.vstack([self._signals(y), np.append(end, np.zeros(self.problem.control_dim))])
 
     def _deviations(self, values: Array) -> Array:
         return (values - self.assembly.program.origin.x[1:]) / self._units[1:, : self.problem.state_dim]

@@ -1,17 +1,19 @@
 """A local optimum of one mode sequence of piecewise-smooth dynamics, by sequential quadratic programming.
 
-Each program has the dynamics and regions of the modes linearised at the last trajectory, and the frequency
-constraints, sets and costs as they are. The curvature of <eta_t, f_t> is added to that of the cost as far as a stage
-stays convex, so that the last steps are Newton's. Steps are limited to a trust region, and violations of dynamics and
-regions have a price, so that every program has a solution. A step is taken if it improves the merit
+Each program has the dynamics and regions of the modes and the path constraints linearised at the last trajectory, and
+the frequency constraints, sets and costs as they are. The curvature of -<eta_t, f_t> + <mu_t, h_t> is added to that of
+the cost as far as a stage stays convex, so that the last steps are Newton's. Steps are limited to a trust region, and
+violations of dynamics, regions and path constraints have a price, so that every program has a solution. A step is taken
+if it improves the merit
 
-    cost + price * (sum |x_{t+1} - f_t(x_t, u_t)| + sum of violations of regions),     all in natural units.
+    cost + price * (sum |x_{t+1} - f_t(x_t, u_t)| + sum of violations of regions and h),     all in natural units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +24,8 @@ from lin_freq_ocp.methods.hybrid.smooth.newton import jets_of
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
@@ -112,7 +116,7 @@ def _solve_at_price(
         z, y, predicted = step
         length = float(np.abs(z - point.z).max())
         multipliers_after = point.fixed.multipliers(y)
-        after = point.fixed.at(z, multipliers_after.eta)
+        after = point.fixed.at(z, multipliers_after)
         gained = -np.inf if after is None else point.merit(price) - after.merit(price)
         if length <= SMALLEST_STEP or predicted <= MERIT_ROUNDING * abs(point.merit(price)):
             multipliers, taken = multipliers_after, point if gained < 0 else after
@@ -122,7 +126,7 @@ def _solve_at_price(
             radius = min(2 * radius, LARGEST_RADIUS) if gained >= GOOD * predicted else radius
         else:
             radius = 0.25 * min(radius, length)
-            point = replace(point, eta=multipliers_after.eta)
+            point = replace(point, multipliers=multipliers_after)
     if taken is None or multipliers is None:
         return None
     cost = problem.value(taken.trajectory.x, taken.trajectory.u)
@@ -134,7 +138,7 @@ class _SequenceProgram:
     """The program of a mode sequence in natural units, without the derivatives of maps and regions.
 
     ``signals`` (T, n + m) are the variables of (x_t, u_t), ``maps`` (T, n) and ``regions`` (T, rows) rows of the
-    program; -1 where there is no row.
+    program; -1 where there is no row. ``paths`` are those of the values of each path constraint, (groups, components).
     """
 
     problem: OptimalControlProblem
@@ -145,6 +149,7 @@ class _SequenceProgram:
     signals: Indices
     maps: Indices
     regions: Indices
+    paths: tuple[Indices, ...]
 
     @classmethod
     def build(cls, problem: OptimalControlProblem, start: Trajectory, sequence: Indices) -> _SequenceProgram | None:
@@ -152,23 +157,55 @@ class _SequenceProgram:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = piecewise_smooth(problem)
         y = np.hstack([start.x[:T], start.u])
-        if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all():
+        rows, sizes = problem.path_constraints, stated_sizes(problem)
+        at_start = [one.values_along.jets_along(start.x, start.u) for one in rows]
+        finite = all(np.isfinite(at.values).all() and np.isfinite(at.slopes).all() for at in at_start)
+        if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all() or not finite:
             return None
-        linear = LinearProgram(problem.affine_at(start).with_modes(sequence))
+        patterns = tuple(one.pattern(start.x, start.u, sizes) for one in problem.stage_rows)
+        linear = LinearProgram(replace_fields(problem.affine_at(start), stage_rows=patterns).with_modes(sequence))
         scaling = natural_scaling(linear)
         program = linear.sparse.scaled(scaling)
         numbers = linear.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
         maps, regions = (part.astype(np.intp) - 1 for part in (numbers.eta, numbers.stage[REGION]))
+        paths = tuple(numbers.stage[one.name].astype(np.intp) - 1 for one in rows)
         signals = signal_columns(T, n, m)
         entries = sp.coo_array(program.A)
         row, column = entries.coords
         of_maps, of_regions = np.isin(row, maps), np.isin(row, regions[regions >= 0])
+        of_regions |= np.isin(row, np.concatenate([maps[:0, 0], *map(np.ravel, paths)])) & (column < linear.signals)
         after = np.full(len(program.lower), -1)
         after[maps] = np.arange(n, (T + 1) * n).reshape(T, n)
         constant = np.where(of_maps, after[row] == column, ~of_regions)
         A = sp.csc_array((entries.data[constant], (row[constant], column[constant])), shape=program.A.shape)
         program = replace(program, A=A)
-        return cls(problem, sequence, linear, scaling, program, signals, maps, regions)
+        return cls(problem, sequence, linear, scaling, program, signals, maps, regions, paths)
+
+    @cached_property
+    def path_rows(self) -> Indices:
+        """The rows of all path constraints that have limits, one after the other, (rows,)."""
+        rows = np.concatenate([self.maps[:0, 0], *map(np.ravel, self.paths)])
+        return rows[rows >= 0]
+
+    @cached_property
+    def inequalities(self) -> Indices:
+        """The rows of regions and of hard path constraints, which may be violated at a price, (rows,)."""
+        pairs = zip(self.problem.path_constraints, self.paths, strict=True)
+        hard = [rows.ravel() for one, rows in pairs if one.hard_part is not None]
+        rows = np.concatenate([self.regions.ravel(), *hard])
+        return rows[rows >= 0]
+
+    def path_jets(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+        """Return of path constraints values less limits (rows,), slopes (rows, n+m) and variables (rows, n+m)."""
+        n = self.problem.state_dim
+        last = np.append(self.signals[-1, :n] + n, self.signals[-1, n:])  # of x_T, with those of u_{T-1}, unused
+        values, slopes, columns = [np.zeros(0)], [np.zeros((0, len(last)))], [self.signals[:0]]
+        for one, rows in zip(self.problem.path_constraints, self.paths, strict=True):
+            at, limited = one.values_along.jets_along(trajectory.x, trajectory.u), rows >= 0
+            values.append((at.values - one.limits())[limited])
+            slopes.append(at.slopes[limited])
+            columns.append(np.vstack([self.signals, last])[np.nonzero(limited)[0]])
+        return np.concatenate(values), np.concatenate(slopes), np.concatenate(columns)
 
     def trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory of a point of the program."""
@@ -182,7 +219,7 @@ class _SequenceProgram:
         """Return the nearest point that satisfies all but maps and regions; None if it was not found."""
         z, program = self.scaling.scaled_primal(self.linear.point(trajectory)), self.program
         other_rows = np.ones(len(program.lower), dtype=bool)
-        other_rows[self.maps] = other_rows[self.regions[self.regions >= 0]] = False
+        other_rows[self.maps] = other_rows[self.regions[self.regions >= 0]] = other_rows[self.path_rows] = False
         lower, upper = np.where(other_rows, program.lower, -np.inf), np.where(other_rows, program.upper, np.inf)
         sets = replace(program, lower=lower, upper=upper)
         if sets.residuals(z, np.zeros(len(lower))).primal <= VIOLATION:
@@ -193,7 +230,7 @@ class _SequenceProgram:
         solution = backend("clarabel")(replace(sets, P=P, q=q), QP_TOLERANCE, None)
         return solution.z if solution.claim is Claim.SOLVED else None
 
-    def at(self, z: Array, eta: Array | None) -> _Linearised | None:
+    def at(self, z: Array, multipliers: Multipliers | None) -> _Linearised | None:
         """Return the linearised program at a point; None if a piece is not defined there."""
         problem, T = self.problem, self.problem.horizon
         trajectory, times = self.trajectory(z), np.arange(T)
@@ -206,30 +243,36 @@ class _SequenceProgram:
         for i, region in enumerate(mode_jets.regions):
             in_mode, rows = self.sequence == i, region.values.shape[1]
             switching[in_mode, :rows], facets[in_mode, :rows] = region.values[in_mode], region.slopes[in_mode]
+        path_values, normals, path_columns = self.path_jets(trajectory)
+        if not (np.isfinite(path_values).all() and np.isfinite(normals).all()):
+            return None
         scale, base, chosen = self.scaling.rows, self.program, self.regions >= 0
-        maps, regions = self.maps.ravel(), self.regions[chosen]
+        maps, regions = self.maps.ravel(), np.append(self.regions[chosen], self.path_rows)
         rows = np.concatenate([maps, regions])
         stage = np.concatenate([np.repeat(times, self.maps.shape[1]), np.nonzero(chosen)[0]])
-        column = self.signals[stage]
-        entries = np.vstack([-slopes.reshape(-1, column.shape[1]), facets[chosen]])
+        column = np.vstack([self.signals[stage], path_columns])
+        entries = np.vstack([-slopes.reshape(-1, column.shape[1]), facets[chosen], normals])
         entries = entries * scale[rows, None] * self.scaling.columns[column]
         row = np.broadcast_to(rows[:, None], column.shape).ravel()
-        A = sp.csc_array(base.A + sp.csc_array((entries.ravel(), (row, column.ravel())), shape=base.A.shape))
+        changed = sp.csc_array((entries.ravel(), (row, column.ravel())), shape=base.A.shape)
+        A = sp.csc_array(base.A + changed)
         Az, lower, upper = A @ z, base.lower.copy(), base.upper.copy()
+        Az[self.path_rows] = (changed @ z)[self.path_rows]  # without slacks
         defects = scale[maps] * (trajectory.x[1:] - values).ravel()
-        outside = scale[regions] * switching[chosen]
+        outside = scale[regions] * np.append(switching[chosen], path_values)
         lower[maps] = upper[maps] = Az[maps] - defects
         upper[regions] = Az[regions] - outside
         program = replace(base, A=A, lower=lower, upper=upper)
-        return _Linearised(self, trajectory, program, z, defects, np.maximum(outside, 0.0), curvatures, eta)
+        outside = np.maximum(outside[np.isin(regions, self.inequalities)], 0.0)
+        return _Linearised(self, trajectory, program, z, defects, outside, curvatures, multipliers)
 
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
     """A trajectory with the program of the mode sequence linearised there, in natural units.
 
-    ``defects`` are x_{t+1} - f_t(x_t, u_t), ``outside`` the positive parts of the switching functions, ``curvatures``
-    (T, n, n + m, n + m) those of the maps in the problem's units.
+    ``defects`` are x_{t+1} - f_t(x_t, u_t), ``outside`` the positive parts of the switching functions and of hard path
+    constraints, ``curvatures`` (T, n, n + m, n + m) those of the maps in the problem's units.
     """
 
     fixed: _SequenceProgram
@@ -239,7 +282,7 @@ class _Linearised:
     defects: Array
     outside: Array
     curvatures: Array
-    eta: Array | None
+    multipliers: Multipliers | None
 
     @property
     def violation(self) -> float:
@@ -252,12 +295,16 @@ class _Linearised:
         return cost + price * float(np.abs(self.defects).sum() + self.outside.sum())
 
     def added_curvature(self) -> sp.csc_array:
-        """Return the curvature of -<eta_t, f_t>, as far as every stage stays convex."""
-        shape, fixed = (len(self.z), len(self.z)), self.fixed
-        if self.eta is None:
+        """Return the curvature of -<eta_t, f_t> + <mu_t, h_t> for t < T, as far as every stage stays convex."""
+        shape, fixed, x, u = (len(self.z), len(self.z)), self.fixed, self.trajectory.x, self.trajectory.u
+        if self.multipliers is None:
             return sp.csc_array(shape)
         hessians = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
-        values, vectors = np.linalg.eigh(hessians - np.einsum("ti,tijk->tjk", self.eta, self.curvatures))
+        bent = hessians - np.einsum("ti,tijk->tjk", self.multipliers.eta, self.curvatures)
+        for one in fixed.problem.path_constraints:
+            prices, bends = self.multipliers.stage[one.name], one.values_along.jets_along(x, u).curvatures
+            bent += np.einsum("ti,tijk->tjk", prices, bends)[: len(bent)]
+        values, vectors = np.linalg.eigh(bent)
         added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - hessians
         units = fixed.scaling.columns[fixed.signals]
         scaled = fixed.scaling.cost * added * units[:, :, None] * units[:, None, :]
@@ -269,7 +316,7 @@ class _Linearised:
 def _trust_region_step(point: _Linearised, price: float, radius: float) -> tuple[Array, Array, float] | None:
     """Solve the program in the trust region; return the point, its duals, and the predicted improvement."""
     program, fixed, count = point.program, point.fixed, len(point.z)
-    maps, regions = fixed.maps.ravel(), fixed.regions[fixed.regions >= 0]
+    maps, regions = fixed.maps.ravel(), fixed.inequalities
     relaxed = np.concatenate([maps, maps, regions])
     signs = np.concatenate([np.ones(len(maps)), -np.ones(len(maps) + len(regions))])
     slacks, curvature, signals = len(relaxed), point.added_curvature(), fixed.linear.signals

@@ -17,6 +17,7 @@ if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -253,5 +254,5 @@ def _head_ratio(cone: Cone) -> Array:
 
 def largest(parts: Values) -> float:
     """Return the largest absolute entry; inf if an entry is not finite."""
-    size = max((float(np.abs(part).max(initial=0.0)) for part in parts), default=0.0)
-    return size if np.isfinite(size) else np.inf
+    sizes = [float(np.abs(part).max(initial=0.0)) for part in parts]
+    return max(sizes, default=0.0) if math.isfinite(sum(sizes)) else np.inf

@@ -1,0 +1,87 @@
+"""The constraint qualification of path constraints: positive linear independence of the active gradients.
+
+The set S_t = {(x, u) : h(t, x, u) <= upper} of a time has the normal cone {h'mu : mu >= 0, mu_i (h_i - upper_i) = 0}
+at a point, also within the bounds and rows of that time, if
+
+    sum_i mu_i grad h_i + (a normal to the active bounds and rows) = 0,   mu >= 0,   only for mu = 0
+
+(Mangasarian and Fromovitz). Nonnegative least squares finds the shortest sum with sum_i mu_i = 1 of gradients of length
+1. Fixed components count as constants. Everything is in the sizes of the states and controls, so that neither their
+units nor a factor of h decide. A gradient is zero if h changes within these sizes by curvature alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
+
+# Lengths up to which a gradient, or a sum of gradients of length 1, is zero: points whose violation of a quadratic
+# constraint is within the judge's tolerance are as near to a zero of its gradient, up to a factor of ten
+DEPENDENT = 1e-4
+
+
+def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[tuple[str, int], ...]:
+    """Return the names of hard path constraints, and the times, at which the qualification fails."""
+    constraints = [one for one in problem.path_constraints if one.hard_part is not None]
+    if not constraints:
+        return ()
+    units, found = np.concatenate(trajectory_sizes(problem, trajectory)), list[tuple[str, int]]()
+    active = list[tuple[int, str, Array, float]]()  # time, name, gradient in sizes, and size of the changes of h
+    for one in constraints:
+        at, used = one.values_along.jets_along(trajectory.x, trajectory.u), one.used
+        slopes = at.slopes * units
+        changes = np.abs(slopes).sum(axis=2) + np.einsum("j,tijk,k->ti", units, np.abs(at.curvatures), units)
+        near = CONDITION_TOLERANCE * changes.max(axis=0)
+        for t, i in np.argwhere(one.slack(trajectory.x, trajectory.u) <= near):
+            free = _free_components(problem, int(t))
+            if (used[i] & free).any():  # else h is a constant there
+                active.append((int(t), one.name, np.where(free, slopes[t, i], 0.0), float(changes[t, i])))
+    for t in sorted({t for t, *_ in active}):
+        here = [(name, gradient, change) for time, name, gradient, change in active if time == t]
+        zero = [name for name, gradient, change in here if not np.linalg.norm(gradient) > DEPENDENT * change]
+        normals = [normal for normal in _active_normals(problem, trajectory, t, units)]
+        if zero or _dependent([gradient for _, gradient, _ in here], normals):
+            found += [(name, t) for name in dict.fromkeys(zero or [name for name, *_ in here])]
+    return tuple(found)
+
+
+def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
+    """Whether a sum of gradients, with weights >= 0 that are not all zero, and of normals is zero."""
+    from scipy.optimize import nnls  # slow to import
+
+    columns = np.array([vector / np.linalg.norm(vector) for vector in (*gradients, *normals) if vector.any()]).T
+    total = np.append(np.ones(len(gradients)), np.zeros(columns.shape[1] - len(gradients)))
+    weights = nnls(np.vstack([columns, total]), np.append(np.zeros(len(columns)), 1.0))[0]
+    share = float(total @ weights)
+    return not np.linalg.norm(columns @ weights) > DEPENDENT * share
+
+
+def _free_components(problem: OptimalControlProblem, t: int) -> Array:
+    """Return which states and controls are not fixed at a time, (n + m,); there is no control at T."""
+    controls, m = problem.control_tube, problem.control_dim
+    free = controls.lower[t] < controls.upper[t] if t < problem.horizon else np.zeros(m, dtype=bool)
+    return np.append(problem.state_tube.lower[t] < problem.state_tube.upper[t], free)
+
+
+def _active_normals(problem: OptimalControlProblem, trajectory: Trajectory, t: int, units: Array) -> Iterator[Array]:
+    """Yield the normals to the active bounds and rows of a time, in sizes and without fixed components."""
+    n, m, free = problem.state_dim, problem.control_dim, _free_components(problem, t)
+    identity, near = np.eye(n + m), CONDITION_TOLERANCE * units
+    for first, signal, tube in ((0, trajectory.x, problem.state_tube), (n, trajectory.u, problem.control_tube)):
+        for i in np.flatnonzero(free[first : first + signal.shape[1]]):
+            for sign, distance in ((1.0, tube.upper[t, i] - signal[t, i]), (-1.0, signal[t, i] - tube.lower[t, i])):
+                if distance <= near[first + i]:
+                    yield sign * identity[first + i]
+    for term in problem.terms:
+        rows = term.polyhedron(n, m)
+        for k in () if rows is None else np.flatnonzero(rows.times == t):
+            matrix, values = rows.matrix(int(k)) * units, term.map.values(trajectory.x, trajectory.u)[k]
+            holds = values >= rows.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
+            yield from (np.where(free, normal, 0.0) for normal in matrix[holds])
