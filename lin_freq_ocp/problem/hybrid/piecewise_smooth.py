@@ -348,14 +348,14 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         for i, name in enumerate(self.mode_names):
             ok = defined[:, i]
             F = np.where(ok[:, None, None], jets_along.f[i].slopes, 0.0)
-            offset = np.where(ok[:, None], jets_along.f[i].values, 0.0) - np.einsum("tij,tj->ti", F, y)
+            offset = _constants(F, y, np.where(ok[:, None], jets_along.f[i].values, 0.0))
             rows, values = jets_along.regions[i].slopes, jets_along.regions[i].values
             if not rows.shape[1]:
                 rows, values = np.zeros((T, 1, y.shape[1])), np.full((T, 1), -np.inf)
             far = np.zeros(rows.shape)
             far[..., 0] = 1.0  # a function that is above zero and flat has no row that leads below zero
             G = np.where(ok[:, None, None] & (rows.any(axis=2) | (values <= 0))[..., None], rows, far)
-            h = np.einsum("trj,tj->tr", G, y) - np.where(ok[:, None], values, OUTSIDE)
+            h = -_constants(G, y, np.where(ok[:, None], values, OUTSIDE))
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
@@ -423,3 +423,11 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             raise NumericalError(f"No mode of the dynamics is defined and holds at {where}.")
 
         return step
+
+
+def _constants(slopes: Array, y: Array, values: Array) -> Array:
+    """Return values - slopes y, (T, rows), zero where that is rounding: it would be taken for a small limit."""
+    images = np.einsum("tij,tj->ti", slopes, y)
+    terms = np.einsum("tij,tj->ti", np.abs(slopes), np.abs(y)) + np.abs(values)
+    constants = values - images
+    return np.where(np.abs(constants) < SIMULATION_ROUNDING * terms, 0.0, constants)

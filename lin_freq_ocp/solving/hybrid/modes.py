@@ -6,7 +6,7 @@ cover of the sequences.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -19,8 +19,8 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.candidate import SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, trajectory_without_cost
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
@@ -29,12 +29,11 @@ from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
-from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
-from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search
+from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fixed_modes
+from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
@@ -302,23 +301,34 @@ def _judge_search(
     return outcome_of_search(problem, method, judged, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
 
-def _solve_sequence(
-    problem: OptimalControlProblem, sequence: Indices, time_limit: float | None
-) -> tuple[Trajectory, Multipliers, Certificate] | None:
-    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all."""
+def _solve_sequence(problem: OptimalControlProblem, sequence: Indices, time_limit: float | None) -> Judged | None:
+    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all.
+
+    In place of one that violates the theorem comes a trajectory nearby that costs nothing: solvers approach it to the
+    root of their tolerance only.
+    """
     first = None
     inverse = fixed_modes(problem, sequence)
     for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, SolveOptions(time_limit=time_limit)):
-        if candidate.trajectory is None or candidate.multipliers is None:
-            continue
-        for trajectory in inverse.trajectories(candidate.trajectory):
-            weights = inverse.multipliers(candidate.multipliers, trajectory)
-            certificate, multipliers = best_multipliers(problem, trajectory, weights)
-            point = trajectory, multipliers, certificate
-            if certificate.feasible:
+        for point in _judge_candidate(inverse, candidate):
+            if point[2].feasible and point[2].pmp == "violated":
+                resting = trajectory_without_cost(inverse.problem, point[0])
+                points = () if resting is None else _judge_candidate(inverse, resting)
+                return next((one for one in points if one[2].cost <= point[2].cost and not one[2].failed), point)
+            if point[2].feasible:
                 return point
             first = first or point
     return first
+
+
+def _judge_candidate(inverse: FixedModes, candidate: Candidate) -> Iterator[Judged]:
+    """Yield the trajectories of a candidate for a mode sequence, judged with the best multipliers."""
+    if candidate.trajectory is None or candidate.multipliers is None:
+        return
+    for trajectory in inverse.trajectories(candidate.trajectory):
+        first = inverse.multipliers(candidate.multipliers, trajectory)
+        certificate, multipliers = best_multipliers(inverse.given, trajectory, first)
+        yield trajectory, multipliers, certificate
 
 
 def _status(

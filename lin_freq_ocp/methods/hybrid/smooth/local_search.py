@@ -7,7 +7,7 @@ constraints couple all times; their multipliers, as functions of time, are in th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.sequential import PRICES, LocalOptimum, local_optimum, neighbouring_sequences
+from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
@@ -283,7 +283,7 @@ class LocalSearch:
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
         before = self.best
-        self._try(trajectory, sequence, PRICES[:1])
+        self._try(trajectory, sequence, self._cost)
         while self.best is not before and self._improve_neighbours():
             pass
         return self.best is not before and self.best is not None and self.best.feasible
@@ -307,12 +307,12 @@ class LocalSearch:
         for sequence in neighbouring_sequences(self.problem, before):
             if self._late():
                 return False
-            self._try(before.trajectory, sequence, PRICES[:1])
+            self._try(before.trajectory, sequence, self._cost)
             if self.best is not before:
                 return True
         return False
 
-    def _try(self, start: Trajectory, sequence: Indices, prices: Sequence[float] = PRICES, warm: bool = False) -> None:
+    def _try(self, start: Trajectory, sequence: Indices, below: float = np.inf, warm: bool = False) -> None:
         own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
         key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
         if self._late() or key in self._known:
@@ -327,10 +327,10 @@ class LocalSearch:
             except UnsupportedError:  # too large for the structured method
                 self._smooth, self._with_cost = False, cost_as_state(self.problem)
         if not self._smooth and self._with_cost is None:
-            optimum = local_optimum(self.problem, start, sequence, prices, self.end)
+            optimum = local_optimum(self.problem, start, sequence, below, self.end)
         elif not self._smooth and self._with_cost is not None:
             priced = self._with_cost
-            optimum = local_optimum(priced.problem, priced.with_cost(start), sequence, prices, self.end)
+            optimum = local_optimum(priced.problem, priced.with_cost(start), sequence, below, self.end)
             if optimum is not None:
                 trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
                 optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
@@ -344,8 +344,12 @@ class LocalSearch:
         elif optimum is not None:
             self.best = optimum
         if self.progress is not None:
-            known = self.best is not None and self.best.feasible
-            self.progress(SmoothProgress(self.best.cost if known and self.best else np.inf, -np.inf, self.tried))
+            self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
+
+    @property
+    def _cost(self) -> float:
+        """The cost of the best trajectory, infinite without one."""
+        return self.best.cost if self.best is not None and self.best.feasible else np.inf
 
     def _late(self) -> bool:
         if self.interrupted:

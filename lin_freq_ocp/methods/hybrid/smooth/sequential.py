@@ -11,7 +11,7 @@ if it improves the merit
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -65,23 +65,20 @@ class LocalOptimum:
 
 
 def local_optimum(
-    problem: OptimalControlProblem,
-    start: Trajectory,
-    sequence: Indices,
-    prices: Sequence[float] = PRICES,
-    end: float = np.inf,
+    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, below: float = np.inf, end: float = np.inf
 ) -> LocalOptimum | None:
     """Return the local optimum of a mode sequence from a trajectory, which need not be feasible, or the last point.
 
-    None if no program could be solved, as where a piece is not defined; ``end`` is by ``clock.now``.
+    A higher price raises the cost: it is tried only while that is less than ``below``. None if no program could be
+    solved, as where a piece is not defined; ``end`` is by ``clock.now``.
     """
     best: LocalOptimum | None = None
-    for price in prices:
+    for price in PRICES:
         optimum = _solve_at_price(problem, start if best is None else best.trajectory, sequence, price, end)
         if optimum is None:
             return best
         best = optimum
-        if best.feasible or now() > end:
+        if best.feasible or best.cost >= below or now() > end:
             break
     return best
 
@@ -104,7 +101,7 @@ def _solve_at_price(
     fixed = _SequenceProgram.build(problem, start, sequence)
     z = None if fixed is None else fixed.within_sets(start)
     point = None if fixed is None or z is None else fixed.at(z, None)
-    radius, taken, steps = FIRST_RADIUS, None, 0
+    radius, steps = FIRST_RADIUS, 0
     multipliers: Multipliers | None = None
     while point is not None and steps < MOST_STEPS and radius > SMALLEST_RADIUS:
         if now() > end:
@@ -119,18 +116,19 @@ def _solve_at_price(
         after = point.fixed.at(z, multipliers_after)
         gained = -np.inf if after is None else point.merit(price) - after.merit(price)
         if length <= SMALLEST_STEP or predicted <= MERIT_ROUNDING * abs(point.merit(price)):
-            multipliers, taken = multipliers_after, point if gained < 0 else after
+            point, multipliers = after if after is not None and gained >= 0 else point, multipliers_after
             break
         if after is not None and gained >= ACCEPTED * predicted:
-            point, multipliers, taken = after, multipliers_after, after
+            point, multipliers = after, multipliers_after
             radius = min(2 * radius, LARGEST_RADIUS) if gained >= GOOD * predicted else radius
         else:
             radius = 0.25 * min(radius, length)
             point = replace(point, multipliers=multipliers_after)
-    if taken is None or multipliers is None:
+            multipliers = multipliers or multipliers_after  # of a start that no step improves
+    if point is None or multipliers is None:
         return None
-    cost = problem.value(taken.trajectory.x, taken.trajectory.u)
-    return LocalOptimum(sequence, taken.trajectory, multipliers, cost, taken.violation)
+    cost = problem.value(point.trajectory.x, point.trajectory.u)
+    return LocalOptimum(sequence, point.trajectory, multipliers, cost, point.violation)
 
 
 @dataclass(frozen=True, eq=False)
