@@ -203,10 +203,10 @@ class ModeRelaxation:
 
     @cached_property
     def _bounds(self) -> PathBounds | None:
-        """What duals prove; None for a problem with terms that are not equations of x and u."""
+        """What duals prove; None for a problem with terms that are not rows of x and u."""
         program, form, at, stages = self._program, self._sides, self._at, self._stages
         (T, k), n, units = at.y.shape, self._n, stages.units
-        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - n):
+        if form.cones or len(program.q) > at.x.size + T * (k - n):
             return None
         dense, cost = form.A.toarray(), self.problem.quadratic
         rows, price, hessians = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k)), np.zeros((T + 1, k, k))
@@ -227,6 +227,7 @@ class ModeRelaxation:
             price=price,
             coupled=rows,
             right=form.b,
+            equations=form.equations,
         )
         return PathBounds(model, hessians)
 

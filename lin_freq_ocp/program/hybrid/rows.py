@@ -321,7 +321,8 @@ class PathModel:
     """What the relaxations of one problem share, in natural units y; at T there is only mode 0, without map and region.
 
     maps (T+1, modes, n, k), offsets (T+1, modes, n), rows (T+1, modes, r, k) and limits (T+1, modes, r) of regions,
-    roots (T+1, rank, k) of Hessians, price (T+1, k), coupled (q, T+1, k) and right (q,) of rows over all times.
+    roots (T+1, rank, k) of Hessians, price (T+1, k), coupled (q, T+1, k) and right (q,) of rows over all times; the
+    first of these are ``equations``, the others coupled y <= right.
     """
 
     maps: Array
@@ -332,6 +333,12 @@ class PathModel:
     price: Array
     coupled: Array
     right: Array
+    equations: int
+
+    @property
+    def of_end(self) -> bool:
+        """Whether all inequalities are those of x_T."""
+        return not self.coupled[self.equations :, :-1].any()
 
     def pairs(self, allowed: Mask, low: Array, high: Array) -> Mask:
         """Return which modes can follow each other, (T, modes, modes), as far as boxes (T+1, modes, k) tell."""
@@ -389,7 +396,12 @@ class PathBounds:
         value = np.zeros(pairs.shape[1])
         for length in self.lengths(pairs, low, high, duals)[::-1]:
             value = (length + value).min(axis=1)
-        return float(value.min()) - float(duals.sides @ self.model.right)
+        return float(value.min()) - float(self._sides(duals) @ self.model.right)
+
+    def _sides(self, duals: Duals) -> Array:
+        """Return the multipliers of rows over all times; those of inequalities are not negative."""
+        equations, inequalities = np.split(duals.sides, [self.model.equations])
+        return np.append(equations, np.maximum(inequalities, 0.0))
 
     def lengths(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> Array:
         """Return phi (T+1, modes, modes), inf where an edge is missing; at T, of mode 0 to mode 0."""
@@ -398,7 +410,7 @@ class PathBounds:
         eta = duals.adjoint[:, None] if duals.vertices is None else duals.vertices
         regions = duals.regions[:, :, None] if duals.vertices is None else duals.regions
         ahead = eta[:, None] if duals.images is None else eta[:, None] + duals.images
-        slope = duals.eta_C * model.price + np.tensordot(duals.sides, model.coupled, axes=1)
+        slope = duals.eta_C * model.price + np.tensordot(self._sides(duals), model.coupled, axes=1)
         slopes = np.zeros((T + 1, modes, regions.shape[2], slope.shape[1]))
         slopes += slope[:, None, None]
         slopes[1:, ..., : eta.shape[2]] += eta[:, :, None]

@@ -18,12 +18,14 @@ from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
+TURNED = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 FIELDS = {
     "plain": {},
     "band": {"control_spectrum": lfo.stop_band(bins=[1])},
     "full": {"cost": FULL},
     "free": {"initial_state": None},
     "end": {"terminal_state": [0.2, 0.1]},
+    "rows of the end": {"terminal_state": lfo.sets.Polyhedron(TURNED, [0.5, 0.3, 0.2, 0.1])},
     "one state without cost": {"cost": lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0, x_ref=[0.5, 0.0])},
 }
 
@@ -68,7 +70,7 @@ def test_paths_leave_less_open_than_shares():
     assert 0 < paths < 0.5 * shares
 
 
-@pytest.mark.parametrize("name", ["plain", "band"])
+@pytest.mark.parametrize("name", ["plain", "band", "rows of the end"])
 def test_any_duals_prove_less_than_any_trajectory_costs(name):
     problem = random_problem(1, horizon=4, **FIELDS[name])
     relaxation, reach = root(problem)
@@ -97,7 +99,31 @@ def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
 
 
-@pytest.mark.parametrize("name", ["plain", "band", "free"])
+@pytest.mark.parametrize("seed", range(3))
+def test_any_duals_of_rows_at_all_times_prove_less_than_any_trajectory_costs(seed):
+    """Rows of states before the end are those of all modes together: shares of modes solve them, not paths."""
+    diamond = lfo.sets.Polyhedron(TURNED, np.full(4, 1.5))
+    problem = random_problem(seed, horizon=4, initial_state=[0.3, 0.2], state_set=diamond)
+    relaxation, reach = root(problem)
+    assert relaxation.path_member(reach) is None
+    answer, best, rng = solve_relaxation(relaxation, reach), lfo.solve(problem).cost, np.random.default_rng(0)
+    assert relaxation.proven(reach, answer.duals) == pytest.approx(answer.bound, rel=1e-5)
+    for size in (0.01, 0.1, 1.0):
+        moved = replace(answer.duals, sides=answer.duals.sides + size * rng.normal(size=answer.duals.sides.shape))
+        assert relaxation.proven(reach, moved) <= best + 1e-9 * abs(best)
+
+
+def test_rows_of_the_end_that_no_reachable_state_violates_are_left_out():
+    problem = random_problem(4, horizon=5, **FIELDS["rows of the end"])
+    relaxation, reach = root(problem)
+    assert relaxation.path_member(reach).program.ends.tolist() == [0, 1, 2, 3]
+    far = replace(problem, terminal_state=lfo.sets.Polyhedron(TURNED, [0.5, 90.0, 0.2, 80.0]))
+    relaxation, reach = root(far)
+    assert relaxation.path_member(reach).program.ends.tolist() == [0, 2]
+    assert not solve_relaxation(relaxation, reach).duals.sides[[1, 3]].any()
+
+
+@pytest.mark.parametrize("name", ["plain", "band", "free", "rows of the end"])
 def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
     pytest.importorskip("numba", reason="the extra fast is not installed")
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
