@@ -63,7 +63,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None, False).bound == np.inf
+        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]

@@ -11,7 +11,7 @@ from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import node as path_node
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
-from lin_freq_ocp.methods.hybrid.search.node import has_compiled_code
+from lin_freq_ocp.methods.hybrid.search.path_native import path_library
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -31,15 +31,12 @@ FIELDS = {
 
 
 @pytest.fixture(params=["compiled", "by Clarabel"])
-def compiled(request):
-    if request.param == "compiled":
-        pytest.importorskip("numba", reason="the extra fast is not installed")
-        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
-
-        paths.KERNELS.prepare()
-        has_compiled_code.cache_clear()
-        assert has_compiled_code()
-    return request.param == "compiled"
+def solver(request, monkeypatch):
+    """Solve nodes by compiled code, or as if there were none."""
+    if request.param == "by Clarabel":
+        monkeypatch.setattr(path_node, "path_library", lambda: None)
+    elif path_library() is None:
+        pytest.skip("no C compiler")
 
 
 def root(problem, kind=PathRelaxation):
@@ -49,10 +46,10 @@ def root(problem, kind=PathRelaxation):
 
 
 @pytest.mark.parametrize("name", FIELDS)
-def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, compiled):
+def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, solver):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
-    answer = solve_relaxation(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach)
     assert answer.duals.vertices is not None
     close = 1e-2 if name == "full" else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
     proven = relaxation.proven(reach, answer.duals)
@@ -89,11 +86,11 @@ def test_any_duals_prove_less_than_any_trajectory_costs(name):
         assert judged <= best + 1e-9 * abs(best)
 
 
-def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
+def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(solver):
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2))
     exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - 0.3 * abs(exact), exact + 0.3 * abs(exact)):
-        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled)
+        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff)
         assert (rough.bound > cutoff) == (exact > cutoff)
         assert rough.bound <= exact + 1e-6 * abs(exact)
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
@@ -125,28 +122,28 @@ def test_rows_of_the_end_that_no_reachable_state_violates_are_left_out():
 
 @pytest.mark.parametrize("name", ["plain", "band", "free", "rows of the end"])
 def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if path_library() is None:
+        pytest.skip("no C compiler")
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
     exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
-        answer = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
+        answer = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff)
         assert answer.bound == pytest.approx(relaxation.proven(reach, answer.duals), rel=1e-9)
         assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
         assert (answer.bound > cutoff) == (exact > cutoff)
 
 
-def test_what_has_no_trajectory_is_proven_empty(compiled):
+def test_what_has_no_trajectory_is_proven_empty(solver):
     problem = random_problem(0, horizon=4, terminal_state=[2, 2], control_spectrum=lfo.stop_band(bins=[1]))
     relaxation, reach = root(problem)
-    answer = solve_relaxation(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach)
     assert answer.bound == np.inf
     node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
 
 
 @pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
-def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypatch):
-    monkeypatch.setattr(path_node, "has_compiled_code", lambda: compiled)
+def test_searches_agree_with_and_without_compiled_code(name, solver):
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)
     result = lfo.solve(problem)
