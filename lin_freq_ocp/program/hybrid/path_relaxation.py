@@ -237,7 +237,7 @@ class PathRelaxation(ModeRelaxation):
         unbounded = taken & ((reach.mode_lower <= -LARGEST_BOUND) | (reach.mode_upper >= LARGEST_BOUND))
         if self._bounds is None or not self._bounds.model.of_end or unbounded.any():
             return None
-        pairs, low, high = self._boxes(self._bounds.model, reach)
+        pairs, low, high = (part[0] for part in self._boxes(self._bounds.model, [reach]))
         if (np.abs(low) >= LARGEST_BOUND).any() or (np.abs(high) >= LARGEST_BOUND).any():
             return None
         (T, modes), edges = reach.allowed.shape, np.count_nonzero(pairs)

@@ -1,4 +1,4 @@
-"""The embedding of path relaxations in C: strict C99, points and bounds by the rows themselves, and Clarabel without a compiler."""
+"""The embedding of path relaxations in C: strict C99, its points satisfy the rows, and Clarabel replaces it."""
 
 from __future__ import annotations
 

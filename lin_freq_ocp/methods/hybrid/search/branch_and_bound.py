@@ -219,13 +219,15 @@ class TreeSearch:
         reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
+        claims, units = dict[int, tuple[Reach, Duals]](), self._relaxation.level / self._first_level
         for index, reach in zip(leaves, reaches, strict=True):
-            bound, start_duals = np.inf if reach is None else -np.inf, cover[index].duals
+            start_duals = cover[index].duals
             if reach is not None and start_duals is not None:
-                start_duals = start_duals.times(
-                    self._relaxation.level / self._first_level
-                )  # the first answer may have changed it
-                bound, duals[index] = self._relaxation.proven(reach, start_duals), start_duals
+                claims[index] = reach, start_duals.times(units)  # the first answer may have changed the units
+        proven = dict(zip(claims, self._relaxation.proven_each(list(claims.values())).tolist(), strict=True))
+        for index, reach in zip(leaves, reaches, strict=True):
+            bound = np.inf if reach is None else proven.get(index, -np.inf)
+            duals[index] = claims[index][1] if index in claims else None
             nodes[index] = replace(nodes[index], bound=bound)
             if reach is not None and bound < np.inf:
                 open_.append((bound, index, reach))
