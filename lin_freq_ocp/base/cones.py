@@ -5,8 +5,7 @@ d_1, d_2, ... rows after them are cones v_0 >= |(v_1, ...)|. The identity e has 
 The scaling of Nesterov and Todd, (w, eta), has W z = W^{-1} s: in an orthant w = sqrt(s/z), in a cone
 W^2 = eta^2 (2 w w' - J) with w'Jw = 1, J = diag(1, -1, ..), and eta (cones, members).
 
-The functions are written in the part of NumPy that numba compiles, and kernels call the same source. ``Cone`` applies
-them to rows of which some are absent.
+``Cone`` applies the functions to rows of which some are absent.
 """
 
 from __future__ import annotations

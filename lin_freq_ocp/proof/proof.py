@@ -243,9 +243,9 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             found = proof, checked_enclosure(proof.lines())
     proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
-        region, whole = stated_bounds(outcome.problem), IntervalReach(outcome.problem).whole()
+        region, whole = stated_bounds(outcome.problem), IntervalReach(outcome.problem).whole
         if whole is not None:  # a box around all trajectories
-            lower, upper = np.array([stage.lower for stage in whole]), np.array([stage.upper for stage in whole])
+            lower, upper = whole.lower, whole.upper
             x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
             region = Region(x, outcome.problem.control_tube.bounds, np.inf, "forward reach")
         by = raised_by(outcome.problem, problem, region)

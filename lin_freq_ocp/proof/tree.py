@@ -55,7 +55,7 @@ def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[Writte
         number, t = len(found) - 1, tree.nodes[below[0]].stage
         chosen = [np.flatnonzero(tree.nodes[child].allowed[t]) for child in below]
         waiting += [(child, number, t, kept) for child, kept in zip(below, chosen, strict=True)]
-        left = np.setdiff1d(np.flatnonzero(stages[t].modes), np.concatenate(chosen))
+        left = np.setdiff1d(np.flatnonzero(stages.modes[t]), np.concatenate(chosen))
         found += [WrittenNode(number, t, np.array([i]), None, None) for i in left]
     return found
 

@@ -40,7 +40,7 @@ from helpers.checks.claimed import resolved
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
-from lin_freq_ocp.methods.hybrid.search.node import has_compiled_code
+from lin_freq_ocp.methods.hybrid.search.path_native import path_library
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.program_rows import real_rows
 
@@ -307,10 +307,7 @@ def main(arguments: Sequence[str]) -> None:
         return
     known = CASES | LONG
     cases = {name: known[name] for name in options.case or (known if options.long else CASES)}
-    if has_compiled_code():
-        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
-
-        paths.KERNELS.prepare()
+    path_library()  # compiled, if it is the first time
     with Record(options.write) as record, threadpool_limits(1):
         if options.relaxations:
             record.show(relaxations(cases, options.limit_s, options.gap))

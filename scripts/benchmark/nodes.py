@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 from rich.table import Table
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.methods.hybrid.search import branch_and_bound
+from lin_freq_ocp.methods.hybrid.search import branch_and_bound, node
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
@@ -49,17 +51,13 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
         everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
         root = relaxation.reach.from_start(everything)
         assert root is not None
-        duals = solve_relaxation(relaxation, root, compiled=True).duals
+        duals = solve_relaxation(relaxation, root).duals
         assert duals is not None
-        set_up, bound, *solves = (
-            part_seconds(work)
-            for work in (
-                partial(relaxation.path_member, root),
-                partial(relaxation.proven, root, duals),
-                partial(solve_relaxation, relaxation, root, TOLERANCES, compiled=True),
-                partial(solve_relaxation, relaxation, root, TOLERANCES),
-            )
-        )
+        solve = partial(solve_relaxation, relaxation, root, TOLERANCES)
+        parts_of_node = partial(relaxation.path_member, root), partial(relaxation.proven, root, duals), solve
+        set_up, bound, compiled = (part_seconds(work) for work in parts_of_node)
+        with by_clarabel():
+            solves = compiled, part_seconds(solve)
         reach = part_seconds(partial(relaxation.reach.after, root, 0, [root.allowed[0]] * 8)) / 8
         alone = (solve - set_up for solve in solves)
         seconds = ((ended - started) / solved, (ended - searched) / solved, reach, set_up, *alone, bound)
@@ -67,18 +65,20 @@ def nodes(cases: Mapping[str, Build], count: int = 200) -> Table:
     return table
 
 
-def by_clarabel(
-    relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, cutoff: float, _compiled: bool
-) -> NodeSolution:
-    """Solve a relaxation as if there were no compiled code."""
-    return solve_relaxation(relaxation, reach, tolerances, end, cutoff)
+def by_clarabel() -> AbstractContextManager[object]:
+    """Solve relaxations as if there were no compiled code."""
+    return patch.object(node, "path_library", return_value=None)
 
 
-def to_the_end(
-    relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, _cutoff: float, compiled: bool
-) -> NodeSolution:
-    """Solve a relaxation as if the cutoff decided nothing."""
-    return solve_relaxation(relaxation, reach, tolerances, end, None, compiled)
+def to_the_end() -> AbstractContextManager[object]:
+    """Solve relaxations as if the cutoff decided nothing."""
+
+    def solve(
+        relaxation: ModeRelaxation, reach: Reach, tolerances: tuple[float, ...], end: float, _cutoff: float
+    ) -> NodeSolution:
+        return solve_relaxation(relaxation, reach, tolerances, end)
+
+    return patch.object(branch_and_bound, "solve_relaxation", solve)
 
 
 class WithoutImages(PathRelaxation):
@@ -87,14 +87,14 @@ class WithoutImages(PathRelaxation):
     images = False
 
 
-VARIANTS: dict[str, tuple[type[ModeRelaxation], dict[str, object]]] = {
-    "all": (PathRelaxation, {}),
-    "shares of modes instead of paths": (ModeRelaxation, {}),
-    "images not bounded": (WithoutImages, {}),
-    "by Clarabel": (PathRelaxation, {"relaxed": by_clarabel}),
-    "solved to the end": (PathRelaxation, {"relaxed": to_the_end}),
+VARIANTS: dict[str, tuple[type[ModeRelaxation], Callable[[], AbstractContextManager[object]]]] = {
+    "all": (PathRelaxation, nullcontext),
+    "shares of modes instead of paths": (ModeRelaxation, nullcontext),
+    "images not bounded": (WithoutImages, nullcontext),
+    "by Clarabel": (PathRelaxation, by_clarabel),
+    "solved to the end": (PathRelaxation, to_the_end),
 }
-"""Our search without one acceleration each: the relaxation, and the change in ``branch_and_bound``."""
+"""Our search without one acceleration each: the relaxation, and what else changes."""
 
 
 def layers(cases: Mapping[str, Build], limit: float, gap: float, times: int = 3) -> Table:
@@ -102,16 +102,12 @@ def layers(cases: Mapping[str, Build], limit: float, gap: float, times: int = 3)
     least = dict[tuple[str, str], tuple[float, int]]()
     for _ in range(times):
         for variant, (relaxation, changed) in VARIANTS.items():
-            before = {name: getattr(branch_and_bound, name) for name in changed}
-            for name, value in changed.items():
-                setattr(branch_and_bound, name, value)
             for case, build in cases.items():
                 started = time.process_time()
-                outcome = TreeSearch(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
+                with changed():
+                    outcome = TreeSearch(build(), SearchLimits(gap, limit), relaxation=relaxation).run()
                 found = time.process_time() - started, outcome.nodes
                 least[variant, case] = min(least.get((variant, case), found), found)
-            for name, value in before.items():
-                setattr(branch_and_bound, name, value)
     table = Table("seconds, relaxations", *cases)
     for variant in VARIANTS:
         cells = (least[variant, case] for case in cases)

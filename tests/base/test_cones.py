@@ -178,21 +178,3 @@ def test_outside_there_is_no_barrier(outside):
     row, entries, values = outside  # the second is in the cone below, where s'J s > 0, too
     s[row, entries] = values
     assert cone.log_determinant(s) == -np.inf
-
-
-def test_compiled_code_runs_the_same_source(points):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
-    from numba import njit
-
-    from lin_freq_ocp.methods.hybrid.search import path_kernels  # lets compiled code call the algebra
-
-    @njit
-    def run(ends, s, z, d):
-        w, eta = cones.compute_scaling(ends, s, z)
-        lam = cones.apply_scaling(ends, w, eta, z)
-        quotient = cones.quotient(ends, lam, cones.product(ends, s, d))
-        return w, eta, lam, quotient, cones.spectral_values(ends, d), cones.steepest(ends, s, d)
-
-    assert path_kernels.KERNELS is not None
-    for compiled, plain in zip(run(*points), run.py_func(*points), strict=True):
-        np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-12)

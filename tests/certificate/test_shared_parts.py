@@ -106,7 +106,7 @@ def test_that_search_would_have_been_wrong(monkeypatch):
 def test_boxes_of_the_judge_that_are_too_small_are_seen_by_trajectories(given):
     """The judge's boxes hold every replayed trajectory, those on the border of the sets too."""
     problem, rng = made(given), np.random.default_rng(0)
-    stages = IntervalReach(problem).whole()
+    reach = IntervalReach(problem)
     tube, inside = problem.control_tube, 0
     for _ in range(400):
         share = rng.choice([0.0, 0.3, 0.5, 0.8, 1.0], size=tube.lower.shape)
@@ -115,9 +115,9 @@ def test_boxes_of_the_judge_that_are_too_small_are_seen_by_trajectories(given):
         if (problem.state_tube.violation(x) > 0)[:-1].any():
             continue
         inside += 1
-        for stage, state in zip(stages[:-1], x[:-1], strict=True):
-            assert ((stage.lower <= state) & (state <= stage.upper)).all()
-            assert (np.abs(state - stage.centre) <= np.abs(stage.generators).sum(axis=1) + 1e-9).all()
+        assert ((reach.whole.lower <= x) & (x <= reach.whole.upper))[:-1].all()
+        for (centre, generators), state in zip(reach.zonotopes[:-1], x[:-1], strict=True):
+            assert (np.abs(state - centre) <= np.abs(generators).sum(axis=1) + 1e-9).all()
     assert inside > 20
 
 

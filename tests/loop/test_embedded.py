@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
-from lin_freq_ocp.methods.condensed.native import compiler
+from lin_freq_ocp.methods.native_code import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 

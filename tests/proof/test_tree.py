@@ -73,7 +73,7 @@ def test_modes_that_no_child_keeps_are_leaves_of_their_own():
         if kept:
             times = {other.stage for other in nodes if other.parent == number}
             assert len(times) == 1
-            assert set(np.flatnonzero(node.stages[times.pop()].modes).tolist()) <= set.union(*kept)
+            assert set(np.flatnonzero(node.stages.modes[times.pop()]).tolist()) <= set.union(*kept)
 
 
 def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():

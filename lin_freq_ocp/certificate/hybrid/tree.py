@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.certificate.bound import (
@@ -45,125 +45,130 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """The reachable set at a time: the state lies in lower .. upper, and in centre + generators [-1, 1]^count.
+class Stages:
+    """The reachable sets of a mask of modes: at each time the state lies in a box, lower .. upper (T+1, n).
 
-    ``modes`` (modes,) can be active; pair_lower, pair_upper (modes, n + m) bound (x, u) in their regions.
+    ``modes`` (T, modes) can be active; pair_lower, pair_upper (T, modes, n + m) bound (x, u) in their regions.
     """
 
     lower: Array
     upper: Array
-    centre: Array
-    generators: Array
     modes: Mask
     pair_lower: Array
     pair_upper: Array
 
 
-SIDE_BY_SIDE = 64  # paths in one array: with more, arrays do not fit into the cache
-Stages = tuple[Stage, ...]  # T + 1 of them; the last has no modes
+SIDE_BY_SIDE = 64  # masks in one array: with more, arrays do not fit into the cache
 
 
 class IntervalReach:
-    """Forward interval propagation for one problem."""
+    """Forward interval propagation for one problem.
+
+    ``whole`` are the stages of all mode sequences, None if there is no trajectory; each of their states also lies in
+    the zonotope of its time, centre + generators [-1, 1]^count.
+    """
 
     def __init__(self, problem: OptimalControlProblem):
-        self._problem, arrays = problem, piecewise_affine(problem).arrays(problem.horizon)
-        n, tube = problem.state_dim, problem.control_tube
-        self._x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
-        self._u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        self._maps, self._offset = arrays.maps, arrays.offset
+        arrays, tube, T = piecewise_affine(problem).arrays(problem.horizon), problem.control_tube, problem.horizon
+        x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
+        u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        self._maps, self._offset, n = arrays.maps, arrays.offset, problem.state_dim
         self._sizes = np.abs(self._maps)
         self._rising, self._falling = (self._maps + self._sizes) / 2, (self._maps - self._sizes) / 2
-        middle, half = (self._u[0] + self._u[1]) / 2, (self._u[1] - self._u[0]) / 2
+        middle, half = (u[0] + u[1]) / 2, (u[1] - u[0]) / 2
         self._A, self._pushed = self._maps[..., :n], np.einsum("tkij,tj->tki", arrays.B, middle) + arrays.offset
         self._pushes = arrays.B * half[:, None, None]
+        self._push_sizes = np.abs(self._pushes).sum(axis=-1)
         self._rows, self._limits = arrays.rows, np.minimum(arrays.h, INFINITE)
         used = (self._limits < FINITE)[..., None]
         self._above, self._below = (self._rows > 0) & used, (self._rows < 0) & used
         self._divisors = np.where(self._rows == 0, 1.0, self._rows)
+        everything = np.ones((1, T, self._rows.shape[1]), dtype=bool)
+        pairs = (np.hstack([of_x[:-1], of_u])[:, None] for of_x, of_u in zip(x, u, strict=True))
+        stated = Stages(*x, everything[0], *(pair.repeat(everything.shape[2], axis=1) for pair in pairs))
+        self.zonotopes = [_zonotope(x[0][0], x[1][0])]
+        self.whole = self._propagate(stated, everything, np.zeros(1, dtype=int), np.full(1, T))[0]
 
-    def whole(self) -> Stages | None:
-        """Return the stages of all mode sequences, or None if there is no trajectory."""
-        (lower, upper), modes, stages = self._x, self._rows.shape[1], list[Stage]()
-        for t in range(self._problem.horizon + 1):
-            controls = [side[min(t, len(side) - 1)] for side in self._u]  # those of the last stage are not used
-            pairs = (np.tile(np.append(x[t], u), (modes, 1)) for x, u in zip(self._x, controls, strict=True))
-            stages.append(Stage(lower[t], upper[t], *_zonotope(lower[t], upper[t]), np.ones(modes, dtype=bool), *pairs))
-        return None if self._forward([stages], [0], known=False) else tuple(stages)
+    def restricted_each(self, masks: Mask) -> list[Stages | None]:
+        """Return the stages of each mask (count, T, modes), or None if they are empty."""
+        whole, found = self.whole, list[Stages | None]()
+        if whole is None:
+            return [None] * len(masks)
+        for start in range(0, len(masks), SIDE_BY_SIDE):
+            some = masks[start : start + SIDE_BY_SIDE]
+            changed = (whole.modes & ~some).any(axis=2)
+            last = changed.shape[1] - 1 - changed[:, ::-1].argmax(axis=1)
+            found += self._propagate(whole, some, np.where(changed.any(axis=1), changed.argmax(axis=1), last + 1), last)
+        return found
 
-    def restricted_each(self, choices: Sequence[tuple[Stages, int, Mask]]) -> list[Stages | None]:
-        """Return, for each choice, its stages with only these modes (modes,) at a time, or None if they are empty.
+    def _propagate(self, within: Stages, masks: Mask, first: Indices, last: Indices) -> list[Stages | None]:
+        """Propagate masks side by side, each of which restricts known stages at times from first to last, (count,).
 
-        All are propagated in one array, which takes less time.
+        Their zonotopes are those of this object, to which those of the first mask are added where they are not known.
         """
-        paths = [list(before) for before, _, _ in choices]
-        for stages, (_, t, modes) in zip(paths, choices, strict=True):
-            stages[t] = replace(stages[t], modes=stages[t].modes & modes)
-        empty = self._forward(paths, [t for _, t, _ in choices], known=True)
-        return [None if index in empty else tuple(stages) for index, stages in enumerate(paths)]
-
-    def _forward(self, paths: list[list[Stage]], firsts: Sequence[int], known: bool) -> set[int]:
-        """Propagate paths forward from the first times, in place; return the numbers of empty paths."""
-        empty, settled = set[int](), set[int]()
-        for t in range(min(firsts, default=0), self._problem.horizon):
-            going = [i for i, first in enumerate(firsts) if first <= t and i not in empty and i not in settled]
-            for start in range(0, len(going), SIDE_BY_SIDE):
-                some = going[start : start + SIDE_BY_SIDE]
-                steps = self._step(t, [paths[i][t] for i in some], [paths[i][t + 1] for i in some])
-                for i, step in zip(some, steps, strict=True):
-                    if step is None:
-                        empty.add(i)
-                        continue
-                    stages, after = paths[i], step[1]
-                    stages[t], several = step[0], np.count_nonzero(step[0].modes) > 1
-                    same = (after.lower == stages[t + 1].lower).all() and (after.upper == stages[t + 1].upper).all()
-                    if known and same and several:
-                        settled.add(i)  # nothing changes at later times
-                    else:
-                        stages[t + 1] = after
-        return empty
-
-    def _step(self, t: int, now: Sequence[Stage], after: Sequence[Stage]) -> list[tuple[Stage, Stage] | None]:
-        """Return the stages without modes whose image is empty, and the next stages within the other images."""
-        n = len(now[0].lower)
-        low, high = (np.array([getattr(stage, side) for stage in now]) for side in ("pair_lower", "pair_upper"))
-        np.maximum(low[..., :n], np.array([stage.lower for stage in now])[:, None], out=low[..., :n])
-        np.minimum(high[..., :n], np.array([stage.upper for stage in now])[:, None], out=high[..., :n])
-        low, high, possible = self._cut_boxes(t, low, high)
-        # the images of the boxes, as intervals and as zonotopes
-        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(self._offset[t])
-        rising, falling, rounding = self._rising[t], self._falling[t], INTERVAL_ROUNDING * size
-        image_low = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + self._offset[t] - rounding
-        image_high = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + self._offset[t] + rounding
-        generators = np.zeros((len(now), 1, n, max(stage.generators.shape[1] for stage in now)))
-        for i, stage in enumerate(now):
-            generators[i, 0, :, : stage.generators.shape[1]] = stage.generators
-        generators, pushes = self._A[t] @ generators, np.abs(self._pushes[t]).sum(axis=-1)
-        centres = (self._A[t] @ np.array([stage.centre for stage in now])[:, None, :, None])[..., 0] + self._pushed[t]
-        radius = np.abs(generators).sum(axis=-1) + pushes
-        radius = radius + INTERVAL_ROUNDING * (np.abs(centres) + radius)
-        image_low = np.maximum(np.maximum(image_low, centres - radius), np.array([s.lower for s in after])[:, None])
-        image_high = np.minimum(np.minimum(image_high, centres + radius), np.array([s.upper for s in after])[:, None])
-        possible_modes = np.array([stage.modes for stage in now]) & possible & (image_low <= image_high).all(axis=-1)
-        lower = np.where(possible_modes[..., None], image_low, np.inf).min(axis=1)
-        upper = np.where(possible_modes[..., None], image_high, -np.inf).max(axis=1)
-        steps: list[tuple[Stage, Stage] | None] = []
-        for i, (stage, following) in enumerate(zip(now, after, strict=True)):
-            left = np.flatnonzero(possible_modes[i])
-            if not len(left):
-                steps.append(None)
+        (count, T, _), n, m = masks.shape, within.lower.shape[1], self._pushes.shape[-1]
+        modes, paths = within.modes & masks, np.arange(count)
+        lower, upper, low, high = (
+            np.repeat(part[None], count, axis=0)
+            for part in (within.lower, within.upper, within.pair_lower, within.pair_upper)
+        )
+        going, empty, sizes = np.ones(count, dtype=bool), np.zeros(count, dtype=bool), np.zeros(count, dtype=int)
+        centres, generators = np.zeros((count, n)), np.zeros((count, n, n + m * T))  # of which ``sizes`` are used
+        for t in range(T):
+            for i in np.flatnonzero(first == t):
+                centres[i], known = self.zonotopes[t]
+                sizes[i] = known.shape[1]
+                generators[i, :, : sizes[i]] = known
+            at = paths[(first <= t) & going]
+            if not len(at):
                 continue
-            stage_now = Stage(
-                stage.lower, stage.upper, stage.centre, stage.generators, possible_modes[i], low[i], high[i]
+            box_low, box_high, possible = self._cut_boxes(
+                t,
+                np.concatenate([np.maximum(low[at, t, :, :n], lower[at, None, t]), low[at, t, :, n:]], axis=-1),
+                np.concatenate([np.minimum(high[at, t, :, :n], upper[at, None, t]), high[at, t, :, n:]], axis=-1),
             )
-            sets = _zonotope(lower[i], upper[i])
-            if len(left) == 1:
-                state_generators = generators[i, left[0], :, : stage.generators.shape[1]]
-                sets = centres[i, left[0]], np.concatenate([state_generators, self._pushes[t, left[0]]], axis=-1)
-            pairs = following.pair_lower, following.pair_upper
-            steps.append((stage_now, Stage(lower[i], upper[i], *sets, following.modes, *pairs)))
-        return steps
+            image_low, image_high = self._images(t, box_low, box_high)
+            centre = (self._A[t] @ centres[at, None, :, None])[..., 0] + self._pushed[t]
+            spread = self._A[t] @ generators[at, None, :, : sizes[at].max()]
+            radius = np.abs(spread).sum(axis=-1) + self._push_sizes[t]
+            radius = radius + INTERVAL_ROUNDING * (np.abs(centre) + radius)
+            before = lower[at, t + 1], upper[at, t + 1]
+            image_low = np.maximum(np.maximum(image_low, centre - radius), before[0][:, None])
+            image_high = np.minimum(np.minimum(image_high, centre + radius), before[1][:, None])
+            left = modes[at, t] & possible & (image_low <= image_high).all(axis=-1)
+            modes[at, t], low[at, t], high[at, t] = left, box_low, box_high
+            lower[at, t + 1] = np.where(left[..., None], image_low, np.inf).min(axis=1)
+            upper[at, t + 1] = np.where(left[..., None], image_high, -np.inf).max(axis=1)
+            number = left.sum(axis=1)
+            empty[at] = number == 0
+            same = (lower[at, t + 1] == before[0]).all(axis=1) & (upper[at, t + 1] == before[1]).all(axis=1)
+            going[at] = (number > 0) & ~(same & (number > 1) & (last[at] < t))  # else nothing changes at later times
+            # the zonotope of the image of a single mode; of several, the box around them
+            generators[at] = 0.0
+            for k, i in enumerate(at):
+                if number[k] == 1:
+                    only, used = int(left[k].argmax()), int(sizes[i])
+                    centres[i] = centre[k, only]
+                    generators[i, :, :used], generators[i, :, used : used + m] = (
+                        spread[k, only, :, :used],
+                        self._pushes[t, only],
+                    )
+                    sizes[i] = used + m
+                elif number[k]:
+                    centres[i], generators[i, :, :n] = _zonotope(lower[i, t + 1], upper[i, t + 1])
+                    sizes[i] = n
+            if len(self.zonotopes) == t + 1 and going[0]:
+                self.zonotopes.append((centres[0].copy(), generators[0, :, : sizes[0]].copy()))
+        parts = lower, upper, modes, low, high
+        return [None if empty[i] else Stages(*(part[i] for part in parts)) for i in paths]
+
+    def _images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return intervals around the images of boxes (..., modes, k)."""
+        rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
+        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
+        least = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + offset
+        most = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + offset
+        return least - INTERVAL_ROUNDING * size, most + INTERVAL_ROUNDING * size
 
     def _cut_boxes(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""
@@ -179,6 +184,7 @@ class IntervalReach:
 
 
 def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return centre and generators of a box."""
     return (lower + upper) / 2, np.diag((upper - lower) / 2)
 
 
@@ -225,59 +231,51 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     """
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
-    judge, bounds = LeafJudge(problem), np.full(len(tree.nodes), np.nan)
-    for index, (node, stages) in enumerate(zip(tree.nodes, reached, strict=True)):
-        if index in parents:
-            continue
-        if stages is None:
-            bounds[index] = np.inf
-        else:
-            late = now() > end
-            bounds[index] = -np.inf if node.proof is None or late else judge.bound(stages, node.proof)
+    leaves = [index for index in range(len(tree.nodes)) if index not in parents]
+    bounds, proven = np.full(len(tree.nodes), np.nan), dict[int, tuple[Stages, ModeMultipliers]]()
+    for index in leaves:
+        stages, proof = reached[index], tree.nodes[index].proof
+        bounds[index] = np.inf if stages is None else -np.inf
+        if stages is not None and proof is not None:
+            proven[index] = stages, proof
+    bounds[list(proven)] = LeafJudge(problem).bounds(list(proven.values()), end)
     value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)
 
 
 def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
     """Return the reachable stages of each node (None: empty), and whether the leaves cover all sequences."""
-    reach = IntervalReach(problem)
-    T, modes = problem.horizon, len(piecewise_affine(problem).modes)
+    nodes, (T, modes) = tree.nodes, (problem.horizon, len(piecewise_affine(problem).modes))
     children: dict[int, list[int]] = {}
-    for index, node in enumerate(tree.nodes):
+    for index, node in enumerate(nodes):
         if node.allowed.shape != (T, modes) or not (-1 <= node.parent < index) or (node.parent < 0) != (index == 0):
-            return [None] * len(tree.nodes), False
+            return [None] * len(nodes), False
         children.setdefault(node.parent, []).append(index)
-    reached: list[Stages | None] = [reach.whole()] + [None] * (len(tree.nodes) - 1)
-    covers = bool(tree.nodes) and _is_covered(reached[0], tree, 0)
-    level = [0]
-    while level:
-        parents = [index for index in level if reached[index] is not None and index in children]
-        level = [child for index in parents for child in children[index]]
-        choices: list[tuple[Stages, int, Mask]] = []
-        others: list[tuple[Stages, int, Mask]] = []
-        for index in parents:
-            before, times = reached[index], {tree.nodes[child].stage for child in children[index]}
-            t = times.pop()
-            if before is None or times or not 0 <= t < T:
-                return reached, False
-            chosen = np.array([tree.nodes[child].allowed[t] for child in children[index]])
-            choices += [(before, t, mask) for mask in chosen]
-            left = np.flatnonzero(before[t].modes & ~chosen.any(axis=0))
-            others += [(before, t, np.arange(modes) == i) for i in left]
-        for child, stages in zip(level, reach.restricted_each(choices), strict=True):
-            reached[child] = stages
-            covers &= _is_covered(stages, tree, child)
-        covers &= all(stages is None for stages in reach.restricted_each(others))
-    return reached, covers
-
-
-def _is_covered(stages: Stages | None, tree: ModeTree, index: int) -> bool:
-    return stages is None or not (_allowed_modes(stages) & ~tree.nodes[index].allowed).any()
-
-
-def _allowed_modes(stages: Stages) -> Mask:
-    """Return which modes can hold, (T, modes)."""
-    return np.array([stage.modes for stage in stages[:-1]])
+    # the masks that the splits leave, and for each split one of each mode that no child has
+    masks, others = np.ones((len(nodes), T, modes), dtype=bool), list[tuple[int, Mask]]()
+    unclear = list[int]()
+    for index in range(len(nodes)):
+        below = children.get(index, [])
+        times = {nodes[child].stage for child in below}
+        if not below:
+            continue
+        t = times.pop()
+        if times or not 0 <= t < T:
+            unclear.append(index)
+            continue
+        chosen = np.array([nodes[child].allowed[t] for child in below])
+        masks[below] = masks[index]
+        masks[below, t] &= chosen
+        for i in np.flatnonzero(masks[index, t] & ~chosen.any(axis=0)):
+            others.append((index, masks[index].copy()))
+            others[-1][1][t] = np.arange(modes) == i
+    found = IntervalReach(problem).restricted_each(np.concatenate([masks, *(mask[None] for _, mask in others)]))
+    reached, left = found[: len(nodes)], found[len(nodes) :]
+    covers = bool(nodes) and all(
+        stages is None or not (stages.modes & ~node.allowed).any() for stages, node in zip(reached, nodes, strict=True)
+    )
+    covers &= all(reached[index] is None for index in unclear)
+    return reached, covers and all(stages is None for stages in left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,118 +300,151 @@ class LeafJudge:
         self._problem = replace(problem, dynamics=at_rest)
         self._arrays = piecewise_affine(problem).arrays(T)
         self._maps, self._rows = self._arrays.maps, self._arrays.rows
-        self._limits = np.where(np.isfinite(self._arrays.h), self._arrays.h, 0.0)
+        self._sizes = np.abs(self._maps), np.abs(self._rows)
+        self._bounded = np.isfinite(self._arrays.h)
         x = np.broadcast_to(cost.x_ref, (T + 1, n))
         u = np.broadcast_to(cost.u_ref, (T, m))
         self._centre = Trajectory(x, u)
         self._cost = problem.value(x, u)
         self._y = np.hstack([self._centre.x[:-1], self._centre.u])
         self._images = np.einsum("tijk,tk->tij", self._maps, self._y) + self._arrays.offset
-        self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - self._limits
-        self._hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))
+        limits = np.where(self._bounded, self._arrays.h, 0.0)
+        self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - limits
+        hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))[:, None, None]
+        self._hessians = _Hessians(hessians), _Hessians(cost.P)
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
         self._shape = T, len(piecewise_affine(problem).modes), n
 
+    def bounds(self, leaves: Sequence[tuple[Stages, ModeMultipliers]], end: float = np.inf) -> Array:
+        """Return D of each leaf; for eta_C = 0, inf if it is above zero and -inf else.
+
+        Leaves that are not checked before ``end``, by ``clock.now``, have -inf.
+        """
+        found, groups = np.full(len(leaves), -np.inf), dict[tuple[float, bool], list[int]]()
+        for index, (_, proof) in enumerate(leaves):  # leaves in one array have multipliers of the same shapes
+            groups.setdefault((proof.multipliers.eta_C, proof.paths is None), []).append(index)
+        for (eta_C, _), group in groups.items():
+            for start in range(0, len(group), LEAVES_SIDE_BY_SIDE):
+                some = group[start : start + LEAVES_SIDE_BY_SIDE]
+                if now() <= end:
+                    found[some] = self._bounds([leaves[index] for index in some], eta_C)
+        return found
+
     @np.errstate(over="ignore", invalid="ignore")
-    def bound(self, stages: Stages, proof: ModeMultipliers) -> float:
-        """Return D; for eta_C = 0, inf if it is above zero and -inf else."""
-        extremal, centre = extremal_at(self._problem, self._centre, proof.multipliers), self._centre
-        eta, eta_C = proof.multipliers.eta, proof.multipliers.eta_C
-        boxes, last = _boxes_of_stages(stages, self._y, centre.x[-1]), self._shape[2]
-        # phi_t(i, j) for every pair of modes, and the sizes of its terms, (T, modes, modes or 1)
-        x = centre.x
-        ahead, behind, region = self._parts(proof)
-        slope, size = self._slopes(extremal, proof)
-        hessians = (proof.multipliers.eta_C * self._hessians)[:, None, None]
-        minima, spread = _box_minimum(slope, hessians, boxes.low[:-1, :, None], boxes.high[:-1, :, None])
-        after = np.zeros((1, 1, 1))
-        if proof.paths is not None and proof.paths.images.any():  # the least <nu, x> over the boxes that follow
-            images, n = proof.paths.images, self._shape[2]
-            low, high = (part[1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
-            after = (images * np.where(images > 0, low, np.where(images < 0, high, 0.0))).sum(axis=-1)
-        constants = (region @ self._slack[..., None])[..., 0] - (ahead @ self._images[..., None])[..., 0]
-        constants = constants + (behind @ x[:-1, :, None])[..., 0][:, :, None] + after
-        sizes = (
-            (size * spread).sum(-1) + (region @ np.abs(self._slack)[..., None])[..., 0] + np.abs(minima) + np.abs(after)
-        )
-        sizes += (np.abs(ahead) @ np.abs(self._images)[..., None])[..., 0]
-        sizes += (np.abs(behind) @ np.abs(x[:-1, :, None]))[..., 0][:, :, None]
+    def _bounds(self, leaves: Sequence[tuple[Stages, ModeMultipliers]], eta_C: float) -> Array:
+        """Return D of leaves side by side, the first axis of all arrays."""
+        parts, centre, n = self._leaf_parts(leaves), self._centre, self._shape[2]
+        boxes, last, x = parts.boxes, self._y.shape[1] - centre.u.shape[1], centre.x
+        # phi_t(i, j) for every pair of modes, and the sizes of its terms, (leaves, T, modes, modes or 1)
+        slope, size = self._slopes(parts)
+        low, high = boxes.low[:, :-1, :, None], boxes.high[:, :-1, :, None]
+        minima, spread = self._hessians[0].least(eta_C, slope, low, high)
+        after = np.zeros((1, 1, 1, 1))
+        if parts.images.any():  # the least <nu, x> over the boxes that follow
+            low, high = (part[:, 1:, None, :, :n] + x[1:, None, None] for part in (boxes.low, boxes.high))
+            after = (parts.images * np.where(parts.images > 0, low, np.where(parts.images < 0, high, 0.0))).sum(axis=-1)
+        constants = (parts.region @ self._slack[..., None])[..., 0] - (parts.ahead @ self._images[..., None])[..., 0]
+        constants = constants + (parts.behind @ x[:-1, :, None])[..., 0][..., None] + after
+        sizes = (size * spread).sum(-1) + (parts.region @ np.abs(self._slack)[..., None])[..., 0]
+        sizes += np.abs(minima) + np.abs(after) + (np.abs(parts.ahead) @ np.abs(self._images)[..., None])[..., 0]
+        sizes += (np.abs(parts.behind) @ np.abs(x[:-1, :, None]))[..., 0][..., None]
         lengths = minima + constants
-        after = np.zeros(self._shape[1])
-        for t, edges in reversed(list(enumerate(self._edges(boxes)))):
-            after = np.where(edges, lengths[t] + after, np.inf).min(axis=1)
-        rounding = float(np.where(boxes.allowed[..., None], sizes, 0.0).max(axis=(1, 2)).sum())
-        end_slope = (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64)
-        end_low, end_high = boxes.low[-1, 0, :last], boxes.high[-1, 0, :last]
-        final, largest = _box_minimum(end_slope, eta_C * self._problem.quadratic.P, end_low, end_high)
-        size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
-        cost = self._cost if eta_C else 0.0
-        gaps = extremal.terms_gap
-        at_centre = float((eta * centre.x[1:]).sum())
-        at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
-        rounding += float(size_x.astype(np.float64) @ largest) + abs(float(final)) + abs(cost) + abs(gaps)
-        rounding += float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
-        rounding += float(sum(term.gap_terms.sum() for term in extremal.terms))
-        value = cost - gaps + at_centre + float(after.min()) + float(final) - ARITHMETIC_ROUNDING * rounding
+        after = np.zeros((len(leaves), self._shape[1]))
+        for t, edges in reversed(list(enumerate(np.moveaxis(self._edges(boxes), 1, 0)))):
+            after = np.where(edges, lengths[:, t] + after[:, None], np.inf).min(axis=2)
+        rounding = np.where(boxes.allowed[..., None], sizes, 0.0).max(axis=(2, 3)).sum(axis=1)
+        extremals = parts.extremals
+        end_slope = np.array([e.eta_before[-1] - e.in_x[-1] for e in extremals]).astype(np.float64)
+        end_box = boxes.low[:, -1, 0, :last], boxes.high[:, -1, 0, :last]
+        final, largest = self._hessians[1].least(eta_C, end_slope, *end_box)
+        values = np.empty(len(leaves))
+        for k, extremal in enumerate(extremals):
+            eta, gaps, cost = extremal.multipliers.eta, extremal.terms_gap, self._cost if eta_C else 0.0
+            size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
+            at_centre = float((eta * centre.x[1:]).sum())
+            at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
+            terms = float(rounding[k]) + float(size_x.astype(np.float64) @ largest[k]) + abs(float(final[k]))
+            terms += abs(cost) + abs(gaps) + float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
+            terms += float(sum(term.gap_terms.sum() for term in extremal.terms))
+            value = cost - gaps + at_centre + float(after[k].min()) + float(final[k]) - ARITHMETIC_ROUNDING * terms
+            values[k] = value
         if eta_C == 0:
-            return np.inf if value > 0 else -np.inf
-        return value if value == value else -np.inf
+            return np.where(values > 0, np.inf, -np.inf)
+        return np.where(np.isnan(values), -np.inf, values)
 
     def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
         """Return the minimisers of the stages of D, as far as a box with infinite bounds has them."""
         eta_C, n = proof.multipliers.eta_C, self._shape[2]
-        extremal = extremal_at(self._problem, self._centre, proof.multipliers)
         with np.errstate(invalid="ignore"):
-            boxes = _boxes_of_stages(stages, self._y, self._centre.x[-1])
-        hessians, end = (eta_C * self._hessians)[:, None, None], eta_C * self._problem.quadratic.P
-        slope, low, high = self._slopes(extremal, proof)[0], boxes.low[:, :, None], boxes.high[:, :, None]
-        v = box_minimiser(slope, hessians, low[:-1], high[:-1])
+            parts = self._leaf_parts([(stages, proof)])
+        (of_stage, of_end), boxes, extremal = self._hessians, parts.boxes, parts.extremals[0]
+        slope, low, high = self._slopes(parts)[0][0], boxes.low[0, :, :, None], boxes.high[0, :, :, None]
+        v = box_minimiser(slope, eta_C * of_stage.hessian, low[:-1], high[:-1])
         slope = (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64)
-        last = box_minimiser(slope, end, low[-1, 0, 0, :n], high[-1, 0, 0, :n])
-        return Minimisers(self._edges(boxes), v + self._y[:, None, None], last + self._centre.x[-1])
+        last = box_minimiser(slope, eta_C * of_end.hessian, low[-1, 0, 0, :n], high[-1, 0, 0, :n])
+        return Minimisers(self._edges(boxes)[0], v + self._y[:, None, None], last + self._centre.x[-1])
 
-    def _slopes(self, extremal: Extremal, proof: ModeMultipliers) -> tuple[Array, Array]:
-        """Return the slopes of phi_t(i, j) at the centre and the sizes of their terms, (T, modes, modes | 1, n + m)."""
-        n = self._shape[2]
-        ahead, behind, region = self._parts(proof)
-        slope_x, slope_u = extremal.eta_before - extremal.in_x, -extremal.in_u
-        size_x, size_u = np.abs(extremal.eta_before) + extremal.in_x_terms, extremal.in_u_terms
-        slope = np.hstack([slope_x[:-1], slope_u])[:, None, None] - ahead @ self._maps
-        slope = (slope + region @ self._rows).astype(np.float64)
-        size = np.hstack([size_x[:-1], size_u])[:, None, None] + np.abs(ahead) @ np.abs(self._maps)
-        size = (size + region @ np.abs(self._rows)).astype(np.float64)
-        slope[..., :n] += behind[:, :, None]
-        size[..., :n] += np.abs(behind)[:, :, None]
+    def _leaf_parts(self, leaves: Sequence[tuple[Stages, ModeMultipliers]]) -> _LeafParts:
+        """Return e_tij, v_{t-1,i}, nu_tij and lambda_tij of leaves, with what else their bounds are made of."""
+        (T, modes, n), proofs = self._shape, [proof for _, proof in leaves]
+        paths = [proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n))) for proof in proofs]
+        vertices, images = np.array([part.vertices for part in paths]), np.array([part.images for part in paths])
+        region = np.array([proof.region if proof.paths else proof.region[:, :, None] for proof in proofs])
+        behind = np.zeros((len(leaves), T, vertices.shape[2], n))
+        behind[:, 1:] = vertices[:, :-1]
+        eta = np.array([proof.multipliers.eta for proof in proofs])
+        # boxes around the centre, and the modes that may follow each other; mode 0 at T
+        reached, y = [stages for stages, _ in leaves], self._y
+        allowed = np.array([stages.modes for stages in reached])
+        following = np.zeros_like(allowed)
+        following[:, :-1], following[:, -1, 0] = allowed[:, 1:], True
+        low, high = np.zeros((2, len(leaves), T + 1, modes, y.shape[1]))
+        pairs = ((stages.pair_lower, stages.pair_upper, stages.lower[-1], stages.upper[-1]) for stages in reached)
+        of_low, of_high, end_low, end_high = (np.array(part) for part in zip(*pairs, strict=True))
+        for part, bounds, end in ((low, of_low, end_low), (high, of_high, end_high)):
+            part[:, :-1] = np.where(allowed[..., None], _with_infinities(bounds) - y[:, None], 0.0)
+            part[:, -1, 0, :n] = _with_infinities(end) - self._centre.x[-1]
+        return _LeafParts(
+            extremals=[extremal_at(self._problem, self._centre, proof.multipliers) for proof in proofs],
+            ahead=eta[:, :, None, None] + vertices[:, :, None] + images,
+            behind=behind,
+            images=images,
+            region=np.where(self._bounded[:, :, None], np.maximum(region, 0.0), 0.0),
+            boxes=_Boxes(allowed, following, low, high),
+        )
+
+    def _slopes(self, parts: _LeafParts) -> tuple[Array, Array]:
+        """Return the slopes of phi_t(i, j) at the centre and their terms' sizes, (leaves, T, modes, modes | 1, k)."""
+        n, extremals = self._shape[2], parts.extremals
+        at_centre = [np.hstack([e.eta_before[:-1] - e.in_x[:-1], -e.in_u]) for e in extremals]
+        terms = [np.hstack([np.abs(e.eta_before[:-1]) + e.in_x_terms[:-1], e.in_u_terms]) for e in extremals]
+        slope, size = (np.array(part).astype(np.float64)[:, :, None, None] for part in (at_centre, terms))
+        slope = slope - parts.ahead @ self._maps + parts.region @ self._rows
+        size = size + np.abs(parts.ahead) @ self._sizes[0] + parts.region @ self._sizes[1]
+        slope[..., :n] += parts.behind[..., None, :]
+        size[..., :n] += np.abs(parts.behind)[..., None, :]
         return slope, size
 
-    def _parts(self, proof: ModeMultipliers) -> tuple[Array, Array, Array]:
-        """Return e_tij, v_{t-1,i} and lambda_tij."""
-        T, _, n = self._shape
-        parts = proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n)))
-        region_multipliers = proof.region if proof.paths else proof.region[:, :, None]
-        region = np.where(np.isfinite(self._arrays.h)[:, :, None], np.maximum(region_multipliers, 0.0), 0.0)
-        ahead = proof.multipliers.eta[:, None, None] + parts.vertices[:, None] + parts.images
-        behind = np.zeros((T, parts.vertices.shape[1], n))
-        behind[1:] = parts.vertices[:-1]
-        return ahead, behind, region
-
     def _edges(self, boxes: _Boxes) -> Mask:
-        """Return which modes can follow each other, (T, modes, modes); after the last time, mode 0 represents x_T."""
+        """Return which modes can follow each other, (leaves, T, modes, modes); after the last time, mode 0 for x_T."""
         n = self._shape[2]
-        low, high = (np.clip(part[:-1, ..., None], -INFINITE, INFINITE) for part in (boxes.low, boxes.high))
+        low, high = (np.clip(part[:, :-1, ..., None], -INFINITE, INFINITE) for part in (boxes.low, boxes.high))
         least = (self._rising @ low + self._falling @ high)[..., 0] + self._images
         most = (self._rising @ high + self._falling @ low)[..., 0] + self._images
-        size = (np.abs(self._maps) @ np.maximum(np.abs(low), np.abs(high)))[..., 0] + np.abs(self._images)
+        size = (self._sizes[0] @ np.maximum(np.abs(low), np.abs(high)))[..., 0] + np.abs(self._images)
         size = INTERVAL_ROUNDING * (size + np.abs(self._centre.x[1:, None]))
-        next_low, next_high = (part[1:, :, :n] + self._centre.x[1:, None] for part in (boxes.low, boxes.high))
-        meets = (least - size)[:, :, None] <= next_high[:, None]
-        meets &= (most + size)[:, :, None] >= next_low[:, None]
-        return boxes.allowed[:, :, None] & boxes.following[:, None] & meets.all(axis=-1)
+        next_low, next_high = (part[:, 1:, :, :n] + self._centre.x[1:, None] for part in (boxes.low, boxes.high))
+        meets = (least - size)[:, :, :, None] <= next_high[:, :, None]
+        meets &= (most + size)[:, :, :, None] >= next_low[:, :, None]
+        return boxes.allowed[..., None] & boxes.following[:, :, None] & meets.all(axis=-1)
+
+
+LEAVES_SIDE_BY_SIDE = 32  # leaves in one array: with more, arrays do not fit into the cache
 
 
 @dataclass(frozen=True, eq=False)
 class _Boxes:
-    """Modes (T, modes), those that may follow them, and boxes (T+1, modes, k) around the centre; mode 0 at T."""
+    """Of leaves: modes (leaves, T, modes), those that may follow, boxes (leaves, T+1, modes, k) around the centre."""
 
     allowed: Mask
     following: Mask
@@ -421,32 +452,38 @@ class _Boxes:
     high: Array
 
 
-def _boxes_of_stages(reached: Stages, y: Array, last: Array) -> _Boxes:
-    allowed = _allowed_modes(reached)
-    following = np.zeros_like(allowed)
-    following[:-1], following[-1, 0] = allowed[1:], True
-    (T, modes), n = allowed.shape, len(last)
-    low, high = np.zeros((2, T + 1, modes, y.shape[1]))
-    pairs = zip(*((stage.pair_lower, stage.pair_upper) for stage in reached[:-1]), strict=True)
-    ends = reached[-1].lower, reached[-1].upper
-    for part, bounds, end in zip((low, high), pairs, ends, strict=True):
-        part[:-1] = np.where(allowed[..., None], _with_infinities(np.stack(bounds)) - y[:, None], 0.0)
-        part[-1, 0, :n] = _with_infinities(end) - last
-    return _Boxes(allowed, following, low, high)
+@dataclass(frozen=True, eq=False)
+class _LeafParts:
+    """Parts of D of several leaves: e, v of the time before, nu and lambda of the head of the file, and the rest."""
+
+    extremals: Sequence[Extremal]
+    ahead: Array
+    behind: Array
+    images: Array
+    region: Array
+    boxes: _Boxes
 
 
-def _box_minimum(slope: Array, hessian: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return a lower bound on slope v + 1/2 v'H v over boxes (..., k), and the largest |v_j| that counts there."""
-    curvature = diagonal_curvature(hessian)
-    if curvature is None:
-        return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
-    diagonal = np.array_equal(curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
-    v = np.zeros_like(slope) if diagonal else box_minimiser(slope, hessian, low, high)  # any v gives a bound
-    gradient = (hessian * v[..., None, :]).sum(-1)
-    there = (slope * v).sum(-1) + 0.5 * (v * gradient).sum(-1)
-    minimum = there + box_minimum(slope + gradient, curvature, low - v, high - v).sum(-1)
-    reachable = np.where(np.isfinite(low) & np.isfinite(high), np.maximum(np.abs(low), np.abs(high)), 0.0)
-    return minimum, reachable
+class _Hessians:
+    """1/2 v'H v for Hessians (..., k, k), to be minimised over boxes with slopes."""
+
+    def __init__(self, hessian: Array):
+        self.hessian, self._curvature = hessian, diagonal_curvature(hessian)
+        self._diagonal = np.array_equal(self._curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
+
+    def least(self, eta_C: float, slope: Array, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return a lower bound on slope v + eta_C/2 v'H v over boxes (..., k), and the largest |v_j| counting there."""
+        if eta_C < 0 or (self._curvature is None and eta_C):
+            return np.full(slope.shape[:-1], -np.inf), np.zeros_like(slope)
+        curvature = np.zeros(()) if self._curvature is None else eta_C * self._curvature
+        reachable = np.where(np.isfinite(low) & np.isfinite(high), np.maximum(np.abs(low), np.abs(high)), 0.0)
+        if self._diagonal or not eta_C:
+            return box_minimum(slope, curvature, low, high).sum(-1), reachable
+        hessian = eta_C * self.hessian
+        v = box_minimiser(slope, hessian, low, high)  # any v gives a bound
+        gradient = (hessian * v[..., None, :]).sum(-1)
+        there = (slope * v).sum(-1) + 0.5 * (v * gradient).sum(-1)
+        return there + box_minimum(slope + gradient, curvature, low - v, high - v).sum(-1), reachable
 
 
 def _with_infinities(bound: Array) -> Array:

@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
-import os
-import shutil
-import subprocess
-import sysconfig
-import tempfile
-import warnings
-from functools import cache
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.condensed.tables import GRADIENT_DEPENDENCE, ROW_TOLERANCE, CondensedTables
+from lin_freq_ocp.methods.native_code import compiled_library
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
 FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
-FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
-SECONDS_TO_COMPILE = 60.0
 
 INTEGERS = ("T", "n", "m", "p", "r", "families", "columns", "most_active", "most_changes")
 REALS = ("tolerance", "dependent")
@@ -50,47 +39,10 @@ class Memory(ctypes.Structure):
     )
 
 
-def cache_folder() -> Path:
-    """Return the folder of this user's compiled kernels."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "lin_freq_ocp"
-
-
-def compiler() -> str | None:
-    """Return the C compiler of this machine: CC, or the first one found; None without any."""
-    names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
-    return next((path for path in map(shutil.which, names) if path), None)
-
-
-@cache
 def library() -> ctypes.CDLL | None:
     """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
-    found = compiler()
-    if found is None:
-        return None
-    source = resources.files("lin_freq_ocp.methods.condensed")
-    texts = {name: source.joinpath(name).read_text() for name in ("kernel.h", "kernel.c")}
-    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
-    target = cache_folder() / f"kernel-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
-    try:
-        if not target.exists():
-            _compile(found, texts, target)
-        return ctypes.CDLL(str(target))
-    except (OSError, subprocess.SubprocessError) as error:
-        words = f"the control step in C could not be compiled, NumPy computes it: {error}"
-        warnings.warn(words, RuntimeWarning, stacklevel=2)
-        return None
-
-
-def _compile(compiler: str, texts: dict[str, str], target: Path) -> None:
-    """Write the library; a file that another process writes meanwhile is replaced as a whole."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        for name, text in texts.items():
-            (Path(folder) / name).write_text(text)
-        command = [compiler, *FLAGS, "kernel.c", "-o", "kernel.so", "-lm"]
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
-        os.replace(Path(folder) / "kernel.so", target)
+    purpose = "the control step in C could not be compiled, NumPy computes it"
+    return compiled_library("lin_freq_ocp.methods.condensed", ("kernel.h", "kernel.c"), purpose)
 
 
 def data_arrays(tables: CondensedTables) -> dict[str, Array]:

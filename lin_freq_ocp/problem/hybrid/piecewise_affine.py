@@ -382,8 +382,18 @@ class PiecewiseAffineDynamics(StandardDynamics):
         """Return the switching boundaries within the sets."""
         return switching_facets(self.arrays(sets.horizon), sets, self.time_varying)
 
+    @cached_property
+    def _arrays_of_horizons(self) -> dict[int, ModeArrays]:
+        """The modes at all times that are known so far: a search, the judge and each step of a loop ask for them."""
+        return {}
+
     def arrays(self, horizon: int) -> ModeArrays:
         """Return all modes at all times; constant data are stored once."""
+        if horizon not in self._arrays_of_horizons:
+            self._arrays_of_horizons[horizon] = self._stack_modes(horizon)
+        return self._arrays_of_horizons[horizon]
+
+    def _stack_modes(self, horizon: int) -> ModeArrays:
         n, m = self.state_dim, self.control_dim
         regions = [mode.region.at_dimensions(n, m, horizon, "dynamics") for mode in self.modes]
         most = max(region.rows for region in regions)

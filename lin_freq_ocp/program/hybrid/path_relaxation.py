@@ -7,7 +7,7 @@ comes into a vertex leaves it, weights as well as shares of the state:
 
     sum of delta_e over t = 0 is 1,   sum_in delta = sum_out delta,   sum_in (A_i y + B_i u + d_i delta) = sum_out x,
     y_e in delta_e (box and region of mode i at t),   A_i y + B_i u + d_i delta in delta_e (box of mode j at t + 1),
-    cost of y_e in perspective;   rows over all times on the sums of y_e
+    cost of y_e in perspective;   rows over all times on the sums of y_e, equations all of them;   rows of x_T
 
 (shortest paths in graphs of convex sets: Marcucci, Umenberger, Parrilo and Tedrake 2024). It is tighter than shares of
 modes at each time alone (relaxation.py), as a share keeps its mode for two times. The last edge is that of x_T alone.
@@ -56,6 +56,8 @@ class PathProgram:
     linear : (E, R, W), sizes : (E, R), present : (E, R)
         G for s >= 0, each row divided by its size: k upper and k lower bounds, regions, n upper and n lower images.
         Rows that can never be active are not present; delta >= 0 replaces them.
+    ends : (count,)
+        Which inequalities of x_T can be active: they are rows of the last edge, at the location of its region.
     cone : (E, rank + 2, W)
         G for the second-order cone.
     """
@@ -74,6 +76,7 @@ class PathProgram:
     linear: Array
     sizes: Array
     present: Mask
+    ends: Indices
     cone: Array
 
     @property
@@ -109,11 +112,11 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
     places[after_start, : n + 1] = 1 + number[t, i][after_start, None] * (n + 1) + np.arange(n + 1)
     places[~after_start, n] = 0
     places[:-1, n + 1 :] = 1 + number[t[:-1] + 1, j[:-1]][:, None] * (n + 1) + np.arange(n + 1)
-    used = model.coupled.any(axis=(0, 1))
+    equations, used = model.coupled[: model.equations], model.coupled[: model.equations].any(axis=(0, 1))
     cost = (model.price[t, None] @ y)[:, 0]
     cost[:, -1] = 1.0
     after = np.minimum(t + 1, T), j
-    linear, sizes, present = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n], images)
+    linear, sizes, present, ends = _linear_rows(model, y, image, t, i, low[after][:, :n], high[after][:, :n], images)
     cone = np.concatenate([np.zeros((len(t), 2, y.shape[-1])), -np.sqrt(2.0) * (model.roots[t] @ y)], axis=1)
     cone[:, :2, -1], cone[:, 0, -2], cone[:, 1, -2] = -1.0, -1.0, 1.0
     first = np.zeros(1 + int(present_vertices.sum()) * (n + 1))
@@ -127,41 +130,53 @@ def path_program(model: PathModel, pairs: Mask, low: Array, high: Array, images:
         C=C,
         places=places,
         signals=y[:, used],
-        coupled=np.ascontiguousarray(model.coupled[..., used]),
-        b=np.concatenate([first, model.right]),
+        coupled=np.ascontiguousarray(equations[..., used]),
+        b=np.concatenate([first, model.right[: model.equations]]),
         cost=cost,
         linear=linear,
         sizes=sizes,
         present=present,
+        ends=ends,
         cone=cone,
     )
 
 
 def _linear_rows(
     model: PathModel, y: Array, image: Array, t: Indices, i: Indices, low: Array, high: Array, images: bool
-) -> tuple[Array, Array, Mask]:
-    """Return the linear rows of edges, their sizes, and which can be active."""
+) -> tuple[Array, Array, Mask, Indices]:
+    """Return the linear rows of edges, their sizes, which can be active, and the inequalities of x_T that can be."""
     edges, k, width = y.shape
-    limits, count = model.limits[t, i], model.limits.shape[2]
-    rows = np.zeros((edges, 2 * k + count + 2 * low.shape[1], width))
-    box, region, upper, lower = np.split(rows, np.cumsum([2 * k, count, low.shape[1]]), axis=1)
+    limits, n = model.limits[t, i], low.shape[1]
+    of_end = model.coupled[model.equations :, -1] @ y[-1]
+    of_end[:, -2] -= model.right[model.equations :]
+    ends = np.flatnonzero(_can_be_active(of_end))
+    count, regions = max(limits.shape[1], len(ends)), limits.shape[1]
+    rows = np.zeros((edges, 2 * k + count + 2 * n, width))
+    box, region, upper, lower = np.split(rows, np.cumsum([2 * k, count, n]), axis=1)
     box[:, np.arange(k), np.arange(k)], box[:, k + np.arange(k), np.arange(k)], box[..., -2] = 1.0, -1.0, -1.0
-    region[:] = model.rows[t, i] @ y
-    region[..., -2] -= np.where(np.isfinite(limits), limits, 0.0)
+    region[:, :regions] = model.rows[t, i] @ y
+    region[:, :regions, -2] -= np.where(np.isfinite(limits), limits, 0.0)
     upper[:], lower[:] = image, -image
     upper[..., -2] -= high
     lower[..., -2] += low
-    spread, at = np.abs(rows[..., :k]).sum(axis=-1), rows[..., -2]
-    present = (spread + at > 0) & (spread + np.abs(at) > THIN)
-    present[:, 2 * k : 2 * k + count] &= np.isfinite(limits)
+    present = _can_be_active(rows)
+    present[:, 2 * k : 2 * k + regions] &= np.isfinite(limits)
+    present[:, 2 * k + regions : 2 * k + count] = False
     present[:, 2 * k + count :] &= images
     present[-1] = False
+    region[-1, : len(ends)], present[-1, 2 * k : 2 * k + len(ends)] = of_end[ends], True
     present[:, : 2 * k] = True
     rows[~present] = box[0, 0] - box[0, 0] * (np.arange(width) < k)
     sizes = np.sqrt((rows**2).sum(axis=-1))
     sizes[:, : 2 * k] = 1.0
     rows /= sizes[..., None]
-    return rows, sizes, present
+    return rows, sizes, present, ends
+
+
+def _can_be_active(rows: Array) -> Mask:
+    """Return which homogeneous rows (..., W) of (v, delta, epsilon) are active or violated at a |v| <= delta."""
+    spread, at = np.abs(rows[..., :-2]).sum(axis=-1), rows[..., -2]
+    return (spread + at > 0) & (spread + np.abs(at) > THIN)
 
 
 def path_form(program: PathProgram) -> StandardForm:
@@ -220,9 +235,9 @@ class PathRelaxation(ModeRelaxation):
         """Return the path relaxation of a reach; None where ``member`` has to do, as where a box has no end."""
         taken = reach.allowed[..., None]
         unbounded = taken & ((reach.mode_lower <= -LARGEST_BOUND) | (reach.mode_upper >= LARGEST_BOUND))
-        if self._bounds is None or unbounded.any():
+        if self._bounds is None or not self._bounds.model.of_end or unbounded.any():
             return None
-        pairs, low, high = self._boxes(self._bounds.model, reach)
+        pairs, low, high = (part[0] for part in self._boxes(self._bounds.model, [reach]))
         if (np.abs(low) >= LARGEST_BOUND).any() or (np.abs(high) >= LARGEST_BOUND).any():
             return None
         (T, modes), edges = reach.allowed.shape, np.count_nonzero(pairs)
@@ -233,12 +248,12 @@ class PathRelaxation(ModeRelaxation):
     def later(self, duals: Duals) -> Duals | None:
         """Return duals of paths moved to the time before, for a problem that begins one time later; None of others.
 
-        The new last time has the adjoint of the former end, and no other multipliers. The multipliers of rows over all
-        times are those whose sum is nearest to the former one, shifted cyclically.
+        The new last time has the adjoint of the former end, and no other multipliers. The multipliers of equations over
+        all times are those whose sum is nearest to the former one, shifted cyclically; those of x_T stay.
         """
         if self._bounds is None or duals.vertices is None or duals.images is None:
             return None
-        T, all_times = len(duals.vertices), self._bounds.model.coupled
+        T, all_times = len(duals.vertices), self._bounds.model.coupled[: self._bounds.model.equations]
         vertices, regions, images = (
             np.concatenate([part[1:], np.zeros_like(part[:1])])
             for part in (duals.vertices, duals.regions, duals.images)
@@ -248,11 +263,12 @@ class PathRelaxation(ModeRelaxation):
             part[T - 2] = part[T - 2, :, :1]
         adjoint = np.concatenate([duals.adjoint[1:], duals.adjoint[-1:]])
         sides = duals.sides
-        if len(sides):
-            total = np.tensordot(sides, all_times, axes=1)
+        if len(all_times):
+            total = np.tensordot(sides[: len(all_times)], all_times, axes=1)
             total[:-1] = np.roll(total[:-1], -1, axis=0)
-            rows = all_times.reshape(len(sides), -1)
-            sides = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
+            rows = all_times.reshape(len(all_times), -1)
+            nearest = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
+            sides = np.append(nearest, sides[len(all_times) :])
         return Duals(adjoint, sides, regions, duals.eta_C, vertices, images)
 
     def form_duals(self, program: PathProgram, y: Array, z: Array | None) -> Duals:
@@ -275,11 +291,13 @@ class PathRelaxation(ModeRelaxation):
         np.add.at(total, t, weights)
         of_rows = np.where(program.present, np.maximum(z, 0.0) / program.sizes, 0.0)
         regions, images = np.zeros((T, modes, modes, self._stages.limits.shape[2])), np.zeros((T, modes, modes, n))
-        regions[t, i, j] = of_rows[:-1, 2 * k : -2 * n]
+        regions[t, i, j] = of_rows[:-1, 2 * k : 2 * k + regions.shape[-1]]
         images[t, i, j] = of_rows[:-1, -n:] - of_rows[:-1, -2 * n : -n]
         adjoint /= np.where(total > 0, total, 1.0)[:, None]
-        sides, eta_C = p[program.vertex_rows :], 0.0 if w is None else 1.0
-        return Duals(adjoint, sides, regions, eta_C, vertices, images)
+        sides, of_equations = np.zeros(len(self._sides.b)), p[program.vertex_rows :]
+        sides[: len(of_equations)] = of_equations
+        sides[len(of_equations) + program.ends] = of_rows[-1, 2 * k : 2 * k + len(program.ends)]
+        return Duals(adjoint, sides, regions, 0.0 if w is None else 1.0, vertices, images)
 
     def no_path(self) -> Duals:
         """Return the duals that prove that no path leads through the modes."""

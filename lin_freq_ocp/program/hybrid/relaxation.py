@@ -15,10 +15,11 @@ It is the convex hull of graph and cost of each stage.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -45,6 +46,8 @@ from lin_freq_ocp.program.hybrid.rows import (
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.units import common_scaling
+
+Number = TypeVar("Number", float, Array)
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
 SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units
@@ -203,10 +206,10 @@ class ModeRelaxation:
 
     @cached_property
     def _bounds(self) -> PathBounds | None:
-        """What duals prove; None for a problem with terms that are not equations of x and u."""
+        """What duals prove; None for a problem with terms that are not rows of x and u."""
         program, form, at, stages = self._program, self._sides, self._at, self._stages
         (T, k), n, units = at.y.shape, self._n, stages.units
-        if form.inequalities or form.cones or len(program.q) > at.x.size + T * (k - n):
+        if form.cones or len(program.q) > at.x.size + T * (k - n):
             return None
         dense, cost = form.A.toarray(), self.problem.quadratic
         rows, price, hessians = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k)), np.zeros((T + 1, k, k))
@@ -227,18 +230,21 @@ class ModeRelaxation:
             price=price,
             coupled=rows,
             right=form.b,
+            equations=form.equations,
         )
         return PathBounds(model, hessians)
 
-    def _boxes(self, model: PathModel, reach: Reach) -> tuple[Mask, Array, Array]:
-        """Return the edges (T, modes, modes) and boxes (T+1, modes, k) of a reach."""
-        (T, modes), (n, stages) = reach.allowed.shape, (self._n, self._stages)
-        allowed = np.zeros((T + 1, modes), dtype=bool)
-        allowed[:-1], allowed[-1, 0] = reach.allowed, True
-        low, high = np.zeros((2, T + 1, modes, len(stages.units)))
-        for part, inner, last in ((low, reach.mode_lower, reach.lower), (high, reach.mode_upper, reach.upper)):
-            part[:-1] = np.where(reach.allowed[..., None], stages.scaled(inner), 0.0)
-            part[-1, 0, :n] = (last[-1] - stages.last_reference) / stages.units[:n]
+    def _boxes(self, model: PathModel, reaches: Sequence[Reach]) -> tuple[Mask, Array, Array]:
+        """Return the edges (count, T, modes, modes) and boxes (count, T+1, modes, k) of reaches."""
+        (T, modes), (n, stages), count = reaches[0].allowed.shape, (self._n, self._stages), len(reaches)
+        allowed = np.zeros((count, T + 1, modes), dtype=bool)
+        allowed[:, :-1], allowed[:, -1, 0] = [reach.allowed for reach in reaches], True
+        low, high = np.zeros((2, count, T + 1, modes, len(stages.units)))
+        lower = [reach.mode_lower for reach in reaches], [reach.lower[-1] for reach in reaches]
+        upper = [reach.mode_upper for reach in reaches], [reach.upper[-1] for reach in reaches]
+        for part, (inner, last) in ((low, lower), (high, upper)):
+            part[:, :-1] = np.where(allowed[:, :-1, :, None], stages.scaled(np.array(inner)), 0.0)
+            part[:, -1, 0, :n] = (np.array(last) - stages.last_reference) / stages.units[:n]
         return model.pairs(allowed, low, high), low, high
 
     @property
@@ -248,18 +254,26 @@ class ModeRelaxation:
 
     def proven(self, reach: Reach, duals: Duals) -> float:
         """Return the bound on the cost within a reach that any duals prove; inf if it has no trajectory."""
+        return float(self.proven_each([(reach, duals)])[0])
+
+    def proven_each(self, claims: Sequence[tuple[Reach, Duals]]) -> Array:
+        """Return the bounds that duals prove, each within its reach."""
+        found, groups = np.full(len(claims), -np.inf), dict[tuple[float, bool], list[int]]()
         if self._bounds is None:
-            return -np.inf
-        bound = self._bounds.bound(*self._boxes(self._bounds.model, reach), duals)
-        if duals.eta_C:
-            return self.cost(bound)
-        return np.inf if bound > 0 else -np.inf
+            return found
+        for index, (_, duals) in enumerate(claims):
+            groups.setdefault((duals.eta_C, duals.vertices is None), []).append(index)
+        for (eta_C, _), group in groups.items():
+            boxes = self._boxes(self._bounds.model, [claims[index][0] for index in group])
+            bounds = self._bounds.bounds(*boxes, [claims[index][1] for index in group])
+            found[group] = self.cost(bounds) if eta_C else np.where(bounds > 0, np.inf, -np.inf)
+        return found
 
     def objective(self, cost: float) -> float:
         """Return the objective of a member of a cost."""
         return (cost - self._host.sparse.constant) * self._scaling.cost
 
-    def cost(self, objective: float) -> float:
+    def cost(self, objective: Number) -> Number:
         """Return the cost of an objective of a member."""
         return objective / self._scaling.cost + self._host.sparse.constant
 

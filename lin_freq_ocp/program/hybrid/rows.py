@@ -10,6 +10,7 @@ not depend on the mode that follows: the length of an edge is then the least Lag
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
@@ -299,21 +300,18 @@ class Quadratic:
         self._hessians, self._diagonal = hessians, np.diagonal(hessians, axis1=-2, axis2=-1)
         sizes = np.sqrt(np.where(self._diagonal > 0, self._diagonal, 1.0))
         normed = hessians / (sizes[..., None] * sizes[..., None, :])
-        off = hessians - self._diagonal[..., None] * np.eye(hessians.shape[-1])
         convex = np.maximum(np.linalg.eigvalsh(normed)[..., :1], 0.0)
         self._least = convex * self._diagonal  # H - diag(least) is positive semidefinite
-        self._coupled = np.asarray(off.any(axis=tuple(range(1, off.ndim)) if off.ndim > 2 else None))  # at which times
+        self._coupled = bool((hessians - self._diagonal[..., None] * np.eye(hessians.shape[-1])).any())
 
     def least(self, slope: Array, low: Array, high: Array) -> Array:
-        """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...), times first where H depends on them."""
-        at = self._coupled
-        if not at.any():
+        """Return lower bounds of slope'y + 1/2 y'H y over boxes, (...)."""
+        if not self._coupled:
             return _box_minimum(slope, self._diagonal, low, high)
-        if at.all():
-            return _coupled_minimum(slope, self._hessians, self._least, low, high)
-        minima = _box_minimum(slope, self._diagonal, low, high)
-        minima[at] = _coupled_minimum(slope[at], self._hessians[at], self._least[at], low[at], high[at])
-        return minima
+        y = box_minimiser(slope, self._hessians, low, high)
+        gradient = (self._hessians * y[..., None, :]).sum(axis=-1)
+        there = ((slope + 0.5 * gradient) * y).sum(axis=-1)
+        return there + _box_minimum(slope + gradient, self._least, low - y, high - y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,7 +319,8 @@ class PathModel:
     """What the relaxations of one problem share, in natural units y; at T there is only mode 0, without map and region.
 
     maps (T+1, modes, n, k), offsets (T+1, modes, n), rows (T+1, modes, r, k) and limits (T+1, modes, r) of regions,
-    roots (T+1, rank, k) of Hessians, price (T+1, k), coupled (q, T+1, k) and right (q,) of rows over all times.
+    roots (T+1, rank, k) of Hessians, price (T+1, k), coupled (q, T+1, k) and right (q,) of rows over all times; the
+    first of these are ``equations``, the others coupled y <= right.
     """
 
     maps: Array
@@ -332,21 +331,30 @@ class PathModel:
     price: Array
     coupled: Array
     right: Array
+    equations: int
+
+    @property
+    def of_end(self) -> bool:
+        """Whether all inequalities are those of x_T."""
+        return not self.coupled[self.equations :, :-1].any()
 
     def pairs(self, allowed: Mask, low: Array, high: Array) -> Mask:
-        """Return which modes can follow each other, (T, modes, modes), as far as boxes (T+1, modes, k) tell."""
+        """Return which modes can follow each other, (..., T, modes, modes), as far as boxes (..., T+1, modes, k) tell.
+
+        ``allowed`` (..., T+1, modes): which vertices there are.
+        """
         n = self.maps.shape[2]
-        middle, half = (low + high)[:-1, ..., None] / 2, (high - low)[:-1, ..., None] / 2
-        centre = (self.maps[:-1] @ middle)[..., 0] + self.offsets[:-1]
-        radius = (np.abs(self.maps[:-1]) @ half)[..., 0] + THIN
-        above, below = (centre + radius)[:, :, None], (centre - radius)[:, :, None]
-        meets = ((above >= low[1:, None, :, :n]) & (below <= high[1:, None, :, :n])).all(axis=-1)
-        edges = allowed[:-1, :, None] & allowed[1:, None] & meets
+        of_stages = (low + high)[..., :-1, :, :, None] / 2, (high - low)[..., :-1, :, :, None] / 2
+        centre = (self.maps[:-1] @ of_stages[0])[..., 0] + self.offsets[:-1]
+        radius = (np.abs(self.maps[:-1]) @ of_stages[1])[..., 0] + THIN
+        above, below = (centre + radius)[..., :, None, :], (centre - radius)[..., :, None, :]
+        meets = ((above >= low[..., 1:, None, :, :n]) & (below <= high[..., 1:, None, :, :n])).all(axis=-1)
+        edges = allowed[..., :-1, :, None] & allowed[..., 1:, None, :] & meets
         while True:  # a vertex needs an edge in and an edge out
             live = np.ones(allowed.shape, dtype=bool)
-            live[:-1] &= edges.any(axis=2)
-            live[1:] &= edges.any(axis=1)
-            less = edges & live[:-1, :, None] & live[1:, None]
+            live[..., :-1, :] &= edges.any(axis=-1)
+            live[..., 1:, :] &= edges.any(axis=-2)
+            less = edges & live[..., :-1, :, None] & live[..., 1:, None, :]
             if (less == edges).all():
                 return edges
             edges = less
@@ -380,49 +388,47 @@ class PathBounds:
     """Bounds of one problem; Hessians (T+1, k, k) in natural units."""
 
     def __init__(self, model: PathModel, hessians: Array):
-        self.model, self._cost = model, Quadratic(hessians[:, None, None])
-        self._feasible = Quadratic(np.zeros_like(hessians[:, None, None]))
+        self.model, self._n = model, model.maps.shape[2]
+        self._cost, self._feasible = (
+            (Quadratic(factor * hessians[:-1, None, None]), Quadratic(factor * hessians[-1])) for factor in (1.0, 0.0)
+        )
         self._limits = np.where(np.isfinite(model.limits), model.limits, 0.0)
 
-    def bound(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> float:
-        """Return the bound of duals for edges (T, modes, modes) and boxes (T+1, modes, k); inf without a path."""
-        value = np.zeros(pairs.shape[1])
-        for length in self.lengths(pairs, low, high, duals)[::-1]:
-            value = (length + value).min(axis=1)
-        return float(value.min()) - float(duals.sides @ self.model.right)
+    def bounds(self, pairs: Mask, low: Array, high: Array, duals: Sequence[Duals]) -> Array:
+        """Return the bound of each of several duals, all of one kind: of paths or shares, with one eta_C; inf: no path.
 
-    def lengths(self, pairs: Mask, low: Array, high: Array, duals: Duals) -> Array:
-        """Return phi (T+1, modes, modes), inf where an edge is missing; at T, of mode 0 to mode 0."""
-        model, T, modes = self.model, len(pairs), pairs.shape[1]
-        # duals of shares are the same whichever mode follows: that axis has a length of 1
-        eta = duals.adjoint[:, None] if duals.vertices is None else duals.vertices
-        regions = duals.regions[:, :, None] if duals.vertices is None else duals.regions
-        ahead = eta[:, None] if duals.images is None else eta[:, None] + duals.images
-        slope = duals.eta_C * model.price + np.tensordot(duals.sides, model.coupled, axes=1)
-        slopes = np.zeros((T + 1, modes, regions.shape[2], slope.shape[1]))
-        slopes += slope[:, None, None]
-        slopes[1:, ..., : eta.shape[2]] += eta[:, :, None]
-        slopes[:-1] -= ahead @ model.maps[:-1]
-        slopes[:-1] += regions @ model.rows[:-1]
-        constant = np.zeros(slopes.shape[:-1])
-        constant[:-1] -= (ahead @ model.offsets[:-1, :, :, None])[..., 0]
-        constant[:-1] -= (regions @ self._limits[:-1, :, :, None])[..., 0]
-        if duals.images is not None:
-            ends = (side[1:, None, :, : eta.shape[2]] for side in (low, high))
-            constant[:-1] += np.where(duals.images > 0, *(duals.images * end for end in ends)).sum(axis=-1)
-        cost = self._cost if duals.eta_C else self._feasible
-        lengths = constant + cost.least(slopes, low[:, :, None], high[:, :, None])
-        present = np.zeros((T + 1, modes, modes), dtype=bool)
-        present[:-1], present[-1, 0, 0] = pairs, True
-        return np.where(present, lengths, np.inf)
-
-
-def _coupled_minimum(slope: Array, hessians: Array, least: Array, low: Array, high: Array) -> Array:
-    """Return lower bounds where H is not diagonal, H - diag(least) being positive semidefinite."""
-    y = box_minimiser(slope, hessians, low, high)
-    gradient = (hessians * y[..., None, :]).sum(axis=-1)
-    there = ((slope + 0.5 * gradient) * y).sum(axis=-1)
-    return there + _box_minimum(slope + gradient, least, low - y, high - y)
+        Edges are (count, T, modes, modes), boxes (count, T+1, modes, k). Duals of shares are the same whichever mode
+        follows: the axis of that mode then has a length of 1.
+        """
+        model, (count, T, modes), n = self.model, pairs.shape[:3], self._n
+        of_paths, eta_C = duals[0].vertices is not None, duals[0].eta_C
+        eta = np.array([one.adjoint[:, None] if one.vertices is None else one.vertices for one in duals])
+        regions = np.array([one.regions if of_paths else one.regions[:, :, None] for one in duals])
+        images = np.array([np.zeros(()) if one.images is None else one.images for one in duals])
+        ahead = eta[:, :, None] + (images if of_paths else 0.0)
+        sides = np.array([one.sides for one in duals])
+        sides[:, model.equations :] = np.maximum(sides[:, model.equations :], 0.0)  # those of inequalities
+        slope = eta_C * model.price + np.tensordot(sides, model.coupled, axes=1)
+        slopes = np.zeros((count, T, modes, regions.shape[3], slope.shape[-1]))
+        slopes += slope[:, :-1, None, None]
+        slopes[:, 1:, ..., :n] += eta[:, :-1, :, None]
+        slopes -= ahead @ model.maps[:-1]
+        slopes += regions @ model.rows[:-1]
+        constant = -(ahead @ model.offsets[:-1, :, :, None])[..., 0]
+        constant = constant - (regions @ self._limits[:-1, :, :, None])[..., 0]
+        if of_paths:
+            ends = (side[:, 1:, None, :, :n] for side in (low, high))
+            constant += np.where(images > 0, *(images * end for end in ends)).sum(axis=-1)
+        stages, last = self._cost if eta_C else self._feasible
+        lengths = constant + stages.least(slopes, low[:, :-1, :, None], high[:, :-1, :, None])
+        lengths = np.where(pairs, lengths, np.inf)
+        of_end = slope[:, -1]
+        of_end[:, :n] += eta[:, -1, 0]
+        value = np.zeros((count, modes))  # of x_T, in mode 0 alone
+        value[:, 0] = last.least(of_end, low[:, -1, 0], high[:, -1, 0])
+        for t in range(T - 1, -1, -1):
+            value = (lengths[:, t] + value[:, None]).min(axis=2)
+        return value.min(axis=1) - sides @ model.right
 
 
 def _box_minimum(slope: Array, curvature: Array, low: Array, high: Array) -> Array:

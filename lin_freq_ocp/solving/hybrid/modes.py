@@ -98,9 +98,9 @@ class TreeCache(SearchCache):
         """Search with the relaxations and the cover of the last search, and cache those of this one."""
         relaxation, cover = self._relaxation, self._cover
         if relaxation is not None and self._base is not None and self._base is self._last:
-            search = TreeSearch(problem, limits, progress, relaxation.moved, compiled_from=0)
+            search = TreeSearch(problem, limits, progress, relaxation.moved)
         else:
-            search = TreeSearch(problem, limits, progress, compiled_from=0)
+            search = TreeSearch(problem, limits, progress)
             cover = [replace(node, duals=None) for node in cover]  # whose units belong to other data
         self._cover, self.solved = (), 0  # in case the search fails
         outcome = search.run(start, cover=cover)

@@ -17,6 +17,7 @@ from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods import native_code
 from lin_freq_ocp.methods.condensed import native, plans
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import NativeKernel
@@ -256,8 +257,8 @@ def test_a_solver_can_be_copied_and_shared():
 def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    monkeypatch.setattr(native.shutil, "which", lambda name: compiler if name == compiler else None)
-    native.library.cache_clear()
+    monkeypatch.setattr(native_code.shutil, "which", lambda name: compiler if name == compiler else None)
+    native_code.compiled_library.cache_clear()
     try:
         if compiler:
             with pytest.warns(RuntimeWarning, match="could not be compiled"):
@@ -266,12 +267,12 @@ def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_p
             _, solver = solver_of(LOOPS["low pass"]())
         assert isinstance(solver.kernel, DenseKernel)
     finally:
-        native.library.cache_clear()
+        native_code.compiled_library.cache_clear()
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_the_kernel_is_strict_c99(real, tmp_path):
-    compiler = native.compiler()
+    compiler = native_code.compiler()
     if compiler is None:
         pytest.skip("no C compiler")
     source = Path(native.__file__).parent / "kernel.c"

@@ -17,7 +17,11 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 
-FIELDS = {"plain": {}, "band": {"control_spectrum": lfo.stop_band(bins=[2])}}
+FIELDS = {
+    "plain": {},
+    "band": {"control_spectrum": lfo.stop_band(bins=[2])},
+    "rows of the end": {"terminal_state": lfo.sets.Polyhedron([[1, 1], [-1, -1], [1, -1], [-1, 1]], np.full(4, 1.5))},
+}
 
 
 def stepped(problem, disturbance=0.0):

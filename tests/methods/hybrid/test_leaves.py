@@ -50,7 +50,7 @@ def test_rows_that_leave_room_one_by_one_and_none_together_leave_none(seed):
     problem = two_modes([[1, 0], [-1, 0]], [0.4, -0.6], seed)
     everything = np.ones((2, 2), dtype=bool)
     assert ModeReach(problem).from_start(everything).allowed.tolist() == [[False, True]] * 2
-    assert [stage.modes.tolist() for stage in IntervalReach(problem).whole()[:2]] == [[False, True]] * 2
+    assert IntervalReach(problem).whole.modes.tolist() == [[False, True]] * 2
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]
@@ -63,7 +63,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None, False).bound == np.inf
+        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]

@@ -8,7 +8,6 @@ import pytest
 
 pytest.importorskip("numba", reason="the extra fast is not installed")
 
-from lin_freq_ocp.methods.hybrid.search import path_kernels
 from lin_freq_ocp.methods.structured.kkt import compilation, kernels
 from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
 
@@ -135,4 +134,3 @@ def test_the_command_compiles_all_kernels_ahead(monkeypatch):
     monkeypatch.delitem(sys.modules, "lin_freq_ocp.methods.structured.__main__", raising=False)  # others import all
     runpy.run_module("lin_freq_ocp.methods.structured", run_name="__main__")
     assert kernels.KERNELS in prepared
-    assert path_kernels.KERNELS in prepared

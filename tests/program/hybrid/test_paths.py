@@ -11,33 +11,32 @@ from helpers.modes import random_problem
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import node as path_node
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
-from lin_freq_ocp.methods.hybrid.search.node import has_compiled_code
+from lin_freq_ocp.methods.hybrid.search.path_native import path_library
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
+TURNED = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 FIELDS = {
     "plain": {},
     "band": {"control_spectrum": lfo.stop_band(bins=[1])},
     "full": {"cost": FULL},
     "free": {"initial_state": None},
     "end": {"terminal_state": [0.2, 0.1]},
+    "rows of the end": {"terminal_state": lfo.sets.Polyhedron(TURNED, [0.5, 0.3, 0.2, 0.1])},
     "one state without cost": {"cost": lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0, x_ref=[0.5, 0.0])},
 }
 
 
 @pytest.fixture(params=["compiled", "by Clarabel"])
-def compiled(request):
-    if request.param == "compiled":
-        pytest.importorskip("numba", reason="the extra fast is not installed")
-        from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
-
-        paths.KERNELS.prepare()
-        has_compiled_code.cache_clear()
-        assert has_compiled_code()
-    return request.param == "compiled"
+def solver(request, monkeypatch):
+    """Solve nodes by compiled code, or as if there were none."""
+    if request.param == "by Clarabel":
+        monkeypatch.setattr(path_node, "path_library", lambda: None)
+    elif path_library() is None:
+        pytest.skip("no C compiler")
 
 
 def root(problem, kind=PathRelaxation):
@@ -47,10 +46,10 @@ def root(problem, kind=PathRelaxation):
 
 
 @pytest.mark.parametrize("name", FIELDS)
-def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, compiled):
+def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, solver):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
-    answer = solve_relaxation(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach)
     assert answer.duals.vertices is not None
     close = 1e-2 if name == "full" else 1e-6  # a Hessian that is not diagonal is bounded from below by one that is
     proven = relaxation.proven(reach, answer.duals)
@@ -68,7 +67,7 @@ def test_paths_leave_less_open_than_shares():
     assert 0 < paths < 0.5 * shares
 
 
-@pytest.mark.parametrize("name", ["plain", "band"])
+@pytest.mark.parametrize("name", ["plain", "band", "rows of the end"])
 def test_any_duals_prove_less_than_any_trajectory_costs(name):
     problem = random_problem(1, horizon=4, **FIELDS[name])
     relaxation, reach = root(problem)
@@ -87,40 +86,64 @@ def test_any_duals_prove_less_than_any_trajectory_costs(name):
         assert judged <= best + 1e-9 * abs(best)
 
 
-def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(compiled):
+def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(solver):
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2))
     exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - 0.3 * abs(exact), exact + 0.3 * abs(exact)):
-        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled)
+        rough = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff)
         assert (rough.bound > cutoff) == (exact > cutoff)
         assert rough.bound <= exact + 1e-6 * abs(exact)
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
 
 
-@pytest.mark.parametrize("name", ["plain", "band", "free"])
+@pytest.mark.parametrize("seed", range(3))
+def test_any_duals_of_rows_at_all_times_prove_less_than_any_trajectory_costs(seed):
+    """Rows of states before the end are those of all modes together: shares of modes solve them, not paths."""
+    diamond = lfo.sets.Polyhedron(TURNED, np.full(4, 1.5))
+    problem = random_problem(seed, horizon=4, initial_state=[0.3, 0.2], state_set=diamond)
+    relaxation, reach = root(problem)
+    assert relaxation.path_member(reach) is None
+    answer, best, rng = solve_relaxation(relaxation, reach), lfo.solve(problem).cost, np.random.default_rng(0)
+    assert relaxation.proven(reach, answer.duals) == pytest.approx(answer.bound, rel=1e-5)
+    for size in (0.01, 0.1, 1.0):
+        moved = replace(answer.duals, sides=answer.duals.sides + size * rng.normal(size=answer.duals.sides.shape))
+        assert relaxation.proven(reach, moved) <= best + 1e-9 * abs(best)
+
+
+def test_rows_of_the_end_that_no_reachable_state_violates_are_left_out():
+    problem = random_problem(4, horizon=5, **FIELDS["rows of the end"])
+    relaxation, reach = root(problem)
+    assert relaxation.path_member(reach).program.ends.tolist() == [0, 1, 2, 3]
+    far = replace(problem, terminal_state=lfo.sets.Polyhedron(TURNED, [0.5, 90.0, 0.2, 80.0]))
+    relaxation, reach = root(far)
+    assert relaxation.path_member(reach).program.ends.tolist() == [0, 2]
+    assert not solve_relaxation(relaxation, reach).duals.sides[[1, 3]].any()
+
+
+@pytest.mark.parametrize("name", ["plain", "band", "free", "rows of the end"])
 def test_the_bound_of_compiled_code_is_that_of_its_multipliers(name):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if path_library() is None:
+        pytest.skip("no C compiler")
     relaxation, reach = root(random_problem(2, horizon=6, kinks=2, **FIELDS[name]))
     exact = solve_relaxation(relaxation, reach).bound
     for cutoff in (exact - abs(exact), exact - 0.1 * abs(exact), exact + 0.1 * abs(exact), exact + 5 * abs(exact)):
-        answer = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff, compiled=True)
+        answer = solve_relaxation(relaxation, reach, TOLERANCES, np.inf, cutoff)
         assert answer.bound == pytest.approx(relaxation.proven(reach, answer.duals), rel=1e-9)
         assert answer.bound < exact - 1e-3 * abs(exact)  # it ended early
         assert (answer.bound > cutoff) == (exact > cutoff)
 
 
-def test_what_has_no_trajectory_is_proven_empty(compiled):
+def test_what_has_no_trajectory_is_proven_empty(solver):
     problem = random_problem(0, horizon=4, terminal_state=[2, 2], control_spectrum=lfo.stop_band(bins=[1]))
     relaxation, reach = root(problem)
-    answer = solve_relaxation(relaxation, reach, compiled=compiled)
+    answer = solve_relaxation(relaxation, reach)
     assert answer.bound == np.inf
     node = ModeNode(-1, -1, reach.allowed, np.inf, relaxation.multipliers(answer.duals))
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
 
 
 @pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
-def test_searches_agree_with_and_without_compiled_code(name, compiled, monkeypatch):
-    monkeypatch.setattr(path_node, "has_compiled_code", lambda: compiled)
+def test_searches_agree_with_and_without_compiled_code(name, solver):
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)
     result = lfo.solve(problem)

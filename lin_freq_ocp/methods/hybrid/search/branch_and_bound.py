@@ -33,7 +33,7 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     tree_with_proofs,
 )
 from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
-from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, has_loaded_code
+from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
@@ -97,7 +97,6 @@ def _restrict_at(mask: Mask, t: int, row: Mask) -> Mask:
 
 SHARE_OF_GAP = 0.5  # part of the gap at which leaves are closed; the rest is for the tolerance of a node's solver
 ROUNDING_EVERY = 8  # nodes between two attempts to round a relaxed point to a sequence, once there is a sequence
-COMPILED_FROM = 10  # nodes, unless it is loaded: until then, less time goes by than loading compiled code takes
 INTERRUPTED_SEARCH = "interrupted"  # message of a search that Ctrl-C ended
 CURVED_LOSS = 0.1  # part of d'H d in the loss of a step that misses by d: fewer nodes than with all or none of it
 
@@ -112,7 +111,6 @@ class TreeSearch:
     limits: SearchLimits = field(default_factory=SearchLimits)
     progress: Callable[[SearchProgress], None] | None = None
     relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation
-    compiled_from: int = COMPILED_FROM
 
     def __post_init__(self):
         self._started = now()
@@ -221,13 +219,15 @@ class TreeSearch:
         reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
+        claims, units = dict[int, tuple[Reach, Duals]](), self._relaxation.level / self._first_level
         for index, reach in zip(leaves, reaches, strict=True):
-            bound, start_duals = np.inf if reach is None else -np.inf, cover[index].duals
+            start_duals = cover[index].duals
             if reach is not None and start_duals is not None:
-                start_duals = start_duals.times(
-                    self._relaxation.level / self._first_level
-                )  # the first answer may have changed it
-                bound, duals[index] = self._relaxation.proven(reach, start_duals), start_duals
+                claims[index] = reach, start_duals.times(units)  # the first answer may have changed the units
+        proven = dict(zip(claims, self._relaxation.proven_each(list(claims.values())).tolist(), strict=True))
+        for index, reach in zip(leaves, reaches, strict=True):
+            bound = np.inf if reach is None else proven.get(index, -np.inf)
+            duals[index] = claims[index][1] if index in claims else None
             nodes[index] = replace(nodes[index], bound=bound)
             if reach is not None and bound < np.inf:
                 open_.append((bound, index, reach))
@@ -346,12 +346,11 @@ class TreeSearch:
     def _relax_node(self, reach: Reach, cutoff: float) -> NodeSolution:
         self._solved += 1
         end = self._started + self.limits.search_seconds
-        compiled = self._solved > self.compiled_from or has_loaded_code()
-        answer = solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+        answer = solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff)
         if self._solved == 1 and np.isfinite(answer.bound):
             first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
             if self._relaxation is not first:
                 factor = self._relaxation.level / first.level
                 self._duals = [None if one is None else one.times(factor) for one in self._duals]
-                return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff, compiled)
+                return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff)
         return answer

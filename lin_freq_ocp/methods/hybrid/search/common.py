@@ -100,18 +100,17 @@ def solve_relaxation(
     tolerances: Sequence[float] = TOLERANCES,
     end: float = np.inf,
     cutoff: float | None = None,
-    compiled: bool = False,
 ) -> NodeSolution:
     """Solve the relaxation of a reach to the first tolerance that the solver reaches until ``end``.
 
     With a cutoff, the solver stops as soon as it knows on which side of it the node lies; a single sequence below the
-    cutoff is solved to the end. The trajectory is None if it is not feasible: then only the bound holds. ``compiled``
-    allows compiled code. Raises KeyboardInterrupt if the solver was interrupted.
+    cutoff is solved to the end. The trajectory is None if it is not feasible: then only the bound holds. Raises
+    KeyboardInterrupt if the solver was interrupted.
     """
     if now() > end:
         return NodeSolution(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
-        answer = solve_path_relaxation(relaxation, reach, tolerances, end, cutoff, compiled)
+        answer = solve_path_relaxation(relaxation, reach, tolerances, end, cutoff)
         checked = None if answer is None else _check_solution(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked

@@ -6,16 +6,15 @@ enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bo
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib.util import find_spec
+from functools import partial
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.hybrid.search.path_native import INFEASIBLE, STALLED, path_library, run_path
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
@@ -72,84 +71,40 @@ PROVEN = 2e-7  # distance of bound and cost, relative to the cost, at which a no
 
 
 def solve_path_relaxation(
-    relaxation: PathRelaxation,
-    reach: Reach,
-    tolerances: Sequence[float],
-    end: float,
-    cutoff: float | None,
-    compiled: bool,
+    relaxation: PathRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
 ) -> NodeSolution | None:
-    """Solve the path relaxation of a reach, as ``solve_relaxation``; None if there is none, or no solver solves it.
-
-    ``compiled`` allows compiled code: loading it takes longer than a few nodes without it.
-    """
+    """Solve the path relaxation of a reach, as ``solve_relaxation``; None if there is none, or no solver solves it."""
     member = relaxation.path_member(reach)
     if member is None:
         return None
     if member.program is None:
         return NodeSolution(reach, np.inf, relaxation.no_path())
-    if compiled and has_compiled_code():
-        solution = _by_compiled_code(relaxation, reach, member.program, cutoff)
-        if solution is not None:
-            return solution
+    solution = _by_compiled_code(relaxation, reach, member.program, cutoff)
+    if solution is not None:
+        return solution
     duals_of, point_of = partial(relaxation.form_duals, member.program), partial(relaxation.path_point, member.program)
     return solve_by_clarabel(relaxation, reach, path_form(member.program), duals_of, point_of, tolerances, end, cutoff)
-
-
-@cache
-def has_compiled_code() -> bool:
-    """Whether the code of path relaxations is compiled and cached; compiling it takes longer than most searches."""
-    if find_spec("numba") is None:
-        return False
-    from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
-
-    return paths.KERNELS.ready
-
-
-def has_loaded_code() -> bool:
-    """Whether this process has loaded the compiled code of path relaxations."""
-    paths = sys.modules.get("lin_freq_ocp.methods.hybrid.search.path_kernels")
-    return paths is not None and paths.KERNELS.loaded
 
 
 def _by_compiled_code(
     relaxation: PathRelaxation, reach: Reach, program: PathProgram, cutoff: float | None
 ) -> NodeSolution | None:
-    """Return the solution of a node if compiled code decides it, and its bound is proven."""
-    from lin_freq_ocp.methods.hybrid.search import path_kernels as paths
-
-    paths.KERNELS.prepare()
-    k, n = program.middle.shape[1], (program.C.shape[1] - 2) // 2
-    G = np.concatenate([program.linear, program.cone], axis=1)
-    data = paths.PathData(  # arrays with edges side by side: the last index
-        np.ascontiguousarray(np.concatenate([program.C, program.signals], axis=1).transpose(1, 2, 0)),
-        np.ascontiguousarray(program.places.T),
-        program.t,
-        program.coupled,
-        program.b,
-        np.ascontiguousarray(program.cost.T),
-        np.ascontiguousarray(G.transpose(1, 2, 0)),
-        program.linear.shape[1],
-        np.ascontiguousarray((program.present / program.sizes)[:, 2 * k :].T),
-        program.i,
-        program.j,
-        n,
-    )
+    """Return the solution of a node if compiled code is available and decides it, and its bound is proven."""
+    library = path_library()
+    if library is None:
+        return None
     clear = 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
     decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
-    rows = len(data.G), len(program.t)
-    point = np.empty(data.cost.shape), np.empty(len(program.b)), np.empty(rows), np.empty(rows)
-    numbers = np.empty(paths.NUMBERS)
-    end = paths.run_path(*data, *point, numbers, COMPILED_TOLERANCE, PROVEN, decisive, clear)
-    w, p, z, tau = point[0].T, point[1], point[2][: data.linear].T, float(numbers[paths.TAU])
-    if end == paths.STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
+    run = run_path(library, program, COMPILED_TOLERANCE, PROVEN, decisive, clear)
+    w, p, z, tau = run.w, run.p, run.z, run.tau
+    if run.end == STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
         return None
-    if end == paths.INFEASIBLE:
-        unit = tau * float(numbers[paths.BOUND])
+    if run.end == INFEASIBLE:
+        unit = tau * run.bound
         duals = relaxation.path_duals(program, p / unit, z / unit, None)
         return NodeSolution(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
-    duals, bound = relaxation.path_duals(program, p / tau, z / tau, w / tau), float(numbers[paths.PROVEN])
-    return NodeSolution(reach, relaxation.cost(bound), duals, *relaxation.path_point(program, w / tau))
+    duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
+    return NodeSolution(reach, relaxation.cost(run.proven), duals, *relaxation.path_point(program, w / tau))
 
 
 def solve_by_clarabel(

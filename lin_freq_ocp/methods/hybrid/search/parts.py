@@ -82,5 +82,5 @@ def search_in_parts(
 def search_part(
     problem: OptimalControlProblem, reach: Reach, start: Indices | None, limits: SearchLimits
 ) -> SearchOutcome:
-    """Search the sequences within a reach, with compiled code at once: so a part does not depend on its worker."""
-    return TreeSearch(problem, limits, compiled_from=0).run(start, reach)
+    """Search the sequences within a reach."""
+    return TreeSearch(problem, limits).run(start, reach)

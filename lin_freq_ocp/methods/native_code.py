@@ -1,0 +1,65 @@
+"""C sources of the package, compiled once per user and called by ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import sysconfig
+import tempfile
+import warnings
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
+SECONDS_TO_COMPILE = 60.0
+
+
+def cache_folder() -> Path:
+    """Return the folder of this user's compiled code."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "lin_freq_ocp"
+
+
+def compiler() -> str | None:
+    """Return the C compiler of this machine: CC, or the first one found; None without any."""
+    names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
+    return next((path for path in map(shutil.which, names) if path), None)
+
+
+@cache
+def compiled_library(package: str, names: tuple[str, ...], purpose: str) -> ctypes.CDLL | None:
+    """Return the library of files of a package, the last of which is compiled; None without a compiler.
+
+    If the compilation fails: None, with a warning that names the ``purpose`` and what happens instead.
+    """
+    found = compiler()
+    if found is None:
+        return None
+    source = resources.files(package)
+    texts = {name: source.joinpath(name).read_text() for name in names}
+    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
+    stem = Path(names[-1]).stem
+    target = cache_folder() / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    try:
+        if not target.exists():
+            _compile(found, texts, target, stem)
+        return ctypes.CDLL(str(target))
+    except (OSError, subprocess.SubprocessError) as error:
+        warnings.warn(f"{purpose}: {error}", RuntimeWarning, stacklevel=2)
+        return None
+
+
+def _compile(compiler: str, texts: Mapping[str, str], target: Path, stem: str) -> None:
+    """Write the library; a file that another process writes meanwhile is replaced as a whole."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text)
+        command = [compiler, *FLAGS, f"{stem}.c", "-o", f"{stem}.so", "-lm"]
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
+        os.replace(Path(folder) / f"{stem}.so", target)
