@@ -268,7 +268,8 @@ class TreeSearch:
         if bound == np.inf:
             return
         if answer.sequence is not None:
-            self._accept(answer.sequence, answer)
+            if answer.bound < self._cutoff:  # else its solver stopped there, and its point is not the optimum
+                self._accept(answer.sequence, answer)
             return
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
