@@ -144,19 +144,17 @@ class IntervalReach:
             same = (lower[at, t + 1] == before[0]).all(axis=1) & (upper[at, t + 1] == before[1]).all(axis=1)
             going[at] = (number > 0) & ~(same & (number > 1) & (last[at] < t))  # else nothing changes at later times
             # the zonotope of the image of a single mode; of several, the box around them
+            only, single, several = left.argmax(axis=1), np.flatnonzero(number == 1), np.flatnonzero(number > 1)
+            one, used = at[single], spread.shape[3]
             generators[at] = 0.0
-            for k, i in enumerate(at):
-                if number[k] == 1:
-                    only, used = int(left[k].argmax()), int(sizes[i])
-                    centres[i] = centre[k, only]
-                    generators[i, :, :used], generators[i, :, used : used + m] = (
-                        spread[k, only, :, :used],
-                        self._pushes[t, only],
-                    )
-                    sizes[i] = used + m
-                elif number[k]:
-                    centres[i], generators[i, :, :n] = _zonotope(lower[i, t + 1], upper[i, t + 1])
-                    sizes[i] = n
+            generators[one, :, :used] = spread[single, only[single]]
+            pushes = self._pushes[t, only[single]].swapaxes(1, 2)
+            generators[one[:, None], :, sizes[one, None] + np.arange(m)] = pushes
+            centres[one], sizes[one] = centre[single, only[single]], sizes[one] + m
+            many = at[several]
+            box = lower[many, t + 1], upper[many, t + 1]
+            generators[many[:, None], np.arange(n), np.arange(n)] = (box[1] - box[0]) / 2
+            centres[many], sizes[many] = (box[0] + box[1]) / 2, n
             if len(self.zonotopes) == t + 1 and going[0]:
                 self.zonotopes.append((centres[0].copy(), generators[0, :, : sizes[0]].copy()))
         parts = lower, upper, modes, low, high
