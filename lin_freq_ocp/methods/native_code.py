@@ -15,7 +15,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
 SECONDS_TO_COMPILE = 60.0
 
 
