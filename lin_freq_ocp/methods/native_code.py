@@ -19,12 +19,6 @@ FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fopenmp-simd",
 SECONDS_TO_COMPILE = 60.0
 
 
-def cache_folder() -> Path:
-    """Return the folder of this user's compiled code."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "lin_freq_ocp"
-
-
 def compiler() -> str | None:
     """Return the C compiler of this machine: CC, or the first one found; None without any."""
     names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
@@ -44,7 +38,8 @@ def compiled_library(package: str, names: tuple[str, ...], purpose: str) -> ctyp
     texts = {name: source.joinpath(name).read_text() for name in names}
     key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
     stem = Path(names[-1]).stem
-    target = cache_folder() / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lin_freq_ocp"
+    target = folder / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     try:
         if not target.exists():
             _compile(found, texts, target, stem)

@@ -45,16 +45,6 @@ BLOCKS = Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL
 Entries = tuple[Array, Indices, Indices]  # of a matrix: values, rows and columns
 
 
-def same_maps(new: OptimalControlProblem, old: OptimalControlProblem) -> bool:
-    """Whether the dynamics of two problems of one horizon are known to have the same matrices; offsets may differ."""
-    if new.dynamics is old.dynamics:
-        return True
-    if any(problem.dynamics.response(problem.horizon) is not None for problem in (new, old)):
-        return False
-    maps = new.linear, old.linear
-    return all(np.array_equal(getattr(maps[0], name), getattr(maps[1], name)) for name in ("A", "B"))
-
-
 @dataclass(frozen=True, eq=False)
 class LinearProgram:
     """The program of a linear problem, with its own inverse for trajectories and multipliers."""
@@ -187,7 +177,11 @@ class LinearProgram:
         """Take over the matrices of a program that differs in right-hand sides and slopes alone; whether it does."""
         new, old = self.problem, other.problem
         pairs = [(getattr(new.quadratic, name), getattr(old.quadratic, name)) for name in ("Q", "R", "S", "P")]
-        same = self.layout.shape == other.layout.shape and same_maps(new, old)
+        same = self.layout.shape == other.layout.shape
+        if new.dynamics is not old.dynamics:
+            responses = (problem.dynamics.response(problem.horizon) for problem in (new, old))
+            same &= all(response is None for response in responses)
+            same = same and np.array_equal(new.linear.A, old.linear.A) and np.array_equal(new.linear.B, old.linear.B)
         same &= all(one is another or np.array_equal(one, another) for one, another in pairs)
         if not same or len(self.rows) != len(other.rows):
             return False

@@ -82,7 +82,7 @@ class ModeReach:
             np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
-        centre, spread = _box_zonotope(lower[0], upper[0])
+        centre, spread = (lower[0] + upper[0]) / 2, np.diag((upper[0] - lower[0]) / 2)
         unrestricted = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
         return _Propagation(self, unrestricted, 0, np.array(masks)).run()
 
@@ -178,7 +178,23 @@ class _Propagation:
         count = keep.sum(axis=1)
         same = (count > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
         same &= len(before.centres) > t + 1
-        self._follow_zonotopes(t, live, keep, (centre, spread), (new_low, new_high))
+        # the zonotope of the image of a single mode; of several, that of the box around the union
+        single, several, pushes, used = (
+            np.flatnonzero(count == 1),
+            np.flatnonzero(count > 1),
+            system.pushes[t],
+            spread.shape[3],
+        )
+        one, many, only = live[single], live[several], keep.argmax(axis=1)[single]
+        # new arrays, as reaches keep those of earlier times
+        m = pushes.shape[2]
+        self._centre, self._spread = self._centre.copy(), np.zeros((len(self._sizes), n, max(used + m, n)))
+        self._centre[one], self._spread[one, :, :used] = centre[single, only], spread[single, only]
+        self._spread[one[:, None], :, self._sizes[one, None] + np.arange(m)] = pushes[only].swapaxes(1, 2)
+        self._centre[many] = (new_low[several] + new_high[several]) / 2
+        self._spread[many[:, None], np.arange(n), np.arange(n)] = (new_high[several] - new_low[several]) / 2
+        self._sizes[one] += m
+        self._sizes[many] = n
         for b, settled, possible in zip(live, same, count > 0, strict=True):
             if settled:
                 self._centres[b] += before.centres[t + 1 :]
@@ -187,26 +203,3 @@ class _Propagation:
                 self._centres[b].append(self._centre[b])
                 self._generators[b].append(self._spread[b, :, : self._sizes[b]])
         return count > 0, same
-
-    def _follow_zonotopes(
-        self, t: int, live: Indices, keep: Mask, images: tuple[Array, Array], box: tuple[Array, Array]
-    ) -> None:
-        """Replace the zonotopes by the image of a single mode; of several, by the box around the union."""
-        (centre, spread), pushes, number = images, self._system.pushes[t], keep.sum(axis=1)
-        n, m, used = centre.shape[2], pushes.shape[2], spread.shape[3]
-        single, several = np.flatnonzero(number == 1), np.flatnonzero(number > 1)
-        one, many, only = live[single], live[several], keep.argmax(axis=1)[single]
-        # new arrays, as reaches keep those of earlier times
-        self._centre, self._spread = self._centre.copy(), np.zeros((len(self._sizes), n, max(used + m, n)))
-        self._centre[one], self._spread[one, :, :used] = centre[single, only], spread[single, only]
-        self._spread[one[:, None], :, self._sizes[one, None] + np.arange(m)] = pushes[only].swapaxes(1, 2)
-        low, high = (part[several] for part in box)
-        self._centre[many] = (low + high) / 2
-        self._spread[many[:, None], np.arange(n), np.arange(n)] = (high - low) / 2
-        self._sizes[one] += m
-        self._sizes[many] = n
-
-
-def _box_zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return centre and generators of a box."""
-    return (lower + upper) / 2, np.diag((upper - lower) / 2)
