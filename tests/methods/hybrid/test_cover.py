@@ -146,3 +146,12 @@ def test_a_leaf_that_its_bound_closes_is_no_better_sequence():
     np.testing.assert_array_equal(search._best, best)
     search._consider(0, replace(answer, bound=found.cost - 2 * width))
     np.testing.assert_array_equal(search._best, other)
+
+
+def test_without_duals_that_move_there_is_no_cover():
+    """Rows of states at all times: shares of modes solve the nodes, and a search from the root needs fewer of them."""
+    diamond = lfo.sets.Polyhedron([[1, 1], [-1, -1], [1, -1], [-1, 1]], np.full(4, 1.5))
+    search = TreeSearch(random_problem(3, horizon=5, initial_state=[0.3, 0.2], state_set=diamond))
+    assert search.run().sequence is not None
+    assert search.final_relaxation.proves
+    assert search.cover_after_step() == ()

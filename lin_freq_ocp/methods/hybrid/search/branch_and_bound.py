@@ -179,11 +179,15 @@ class TreeSearch:
         return self._relaxation
 
     def cover_after_step(self) -> tuple[CoverNode, ...]:
-        """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
+        """Return the cover that the tree leaves for the problem one time later.
+
+        Empty if nothing was found, or if no duals move with it: then a search from the root solves fewer nodes.
+        """
         relaxation = self._relaxation
         if self._best is None or not self._nodes or not isinstance(relaxation, PathRelaxation) or not relaxation.proves:
             return ()
-        return shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
+        cover = shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
+        return cover if any(node.duals is not None for node in cover) else ()
 
     def _loop(self) -> str:
         """Split the node with the least bound until none is open; return which limit stopped the search, or ""."""
