@@ -28,11 +28,6 @@ def inner(a: Array, b: Array) -> Array:
     return (a * b).sum(axis=0)
 
 
-def largest(v: Array) -> float:
-    """Return the largest entry of all members, at least zero."""
-    return v.max(initial=0.0)
-
-
 def tail_norms(v: Array, first: int, last: int) -> Array:
     """Return |(v_1, ...)| of the cone in rows first .. last - 1, (members,)."""
     return np.sqrt(inner(v[first + 1 : last], v[first + 1 : last]))
@@ -116,14 +111,14 @@ def apply_scaling_twice(ends: Ends, w: Array, eta: Array, v: Array) -> Array:
 
 def steepest(ends: Ends, lam: Array, direction: Array) -> float:
     """Return 1/a for the longest step a from lam along a direction that stays in the cone; zero if any step does."""
-    slope = largest(-direction[: ends[0]] / lam[: ends[0]])
+    slope = float((-direction[: ends[0]] / lam[: ends[0]]).max(initial=0.0))
     for j in range(len(ends) - 1):
         first, last = ends[j], ends[j + 1]
         size, head, tail = np.sqrt(determinants(lam, first, last)), direction[first], direction[first + 1 : last]
         along = (lam[first] * head - inner(lam[first + 1 : last], tail)) / size
         move = (along + head) / (lam[first] / size + 1.0) / size
         across = tail - move * lam[first + 1 : last]
-        slope = max(slope, largest(((np.sqrt(inner(across, across)) - along) / size).reshape(1, -1)))
+        slope = max(slope, float(((np.sqrt(inner(across, across)) - along) / size).max(initial=0.0)))
     return slope
 
 

@@ -5,24 +5,18 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sysconfig
 import tempfile
 import warnings
-from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
 
-FLAGS = ("-std=c99", "-O3", "-march=native", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
 SECONDS_TO_COMPILE = 60.0
-
-
-def cache_folder() -> Path:
-    """Return the folder of this user's compiled code."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "lin_freq_ocp"
 
 
 def compiler() -> str | None:
@@ -42,24 +36,20 @@ def compiled_library(package: str, names: tuple[str, ...], purpose: str) -> ctyp
         return None
     source = resources.files(package)
     texts = {name: source.joinpath(name).read_text() for name in names}
-    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), os.uname().nodename])
+    key = "\n".join([*texts.values(), found, *FLAGS, sysconfig.get_platform(), platform.node()])
     stem = Path(names[-1]).stem
-    target = cache_folder() / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lin_freq_ocp"
+    target = folder / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so"
     try:
         if not target.exists():
-            _compile(found, texts, target, stem)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=target.parent) as work:
+                for name, text in texts.items():
+                    (Path(work) / name).write_text(text)
+                command = [found, *FLAGS, f"{stem}.c", "-o", f"{stem}.so", "-lm"]
+                subprocess.run(command, cwd=work, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
+                os.replace(Path(work) / f"{stem}.so", target)  # as a whole, if another process writes it meanwhile
         return ctypes.CDLL(str(target))
     except (OSError, subprocess.SubprocessError) as error:
         warnings.warn(f"{purpose}: {error}", RuntimeWarning, stacklevel=2)
         return None
-
-
-def _compile(compiler: str, texts: Mapping[str, str], target: Path, stem: str) -> None:
-    """Write the library; a file that another process writes meanwhile is replaced as a whole."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        for name, text in texts.items():
-            (Path(folder) / name).write_text(text)
-        command = [compiler, *FLAGS, f"{stem}.c", "-o", f"{stem}.so", "-lm"]
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
-        os.replace(Path(folder) / f"{stem}.so", target)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, Stages, reached_nodes
+from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, ReachedSets, reached_nodes
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.problem.limits import replace_bounds
@@ -34,7 +34,7 @@ class WrittenNode:
     parent: int
     stage: int
     modes: Indices
-    stages: Stages | None
+    stages: ReachedSets | None
     proof: ModeMultipliers | None
 
 
@@ -109,7 +109,7 @@ class TreeDual:
 
 
 def _leaf_lines(
-    problem: OptimalControlProblem, judge: LeafJudge, number: int, stages: Stages, proof: ModeMultipliers
+    problem: OptimalControlProblem, judge: LeafJudge, number: int, stages: ReachedSets, proof: ModeMultipliers
 ) -> Iterator[str]:
     """Yield the dual of a leaf."""
     given, at = proof.multipliers, judge.minimisers(stages, proof)

@@ -1,4 +1,4 @@
-"""Problems of control loops: the pendulum, a cart-pole between walls, random plants; bounds, bands and windows."""
+"""Problems of control loops: pendulums, a cart-pole between walls, random plants; bounds, bands and windows."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
+from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 
+ROUNDING = 1e-9  # of a linear program, by which a row may cut nothing off
 ARRIVAL = np.diag([10.0, 100.0, 1.0, 1.0])  # the pendulum's terminal weights
 
 
@@ -29,6 +31,56 @@ def cart_pole(horizon: int = 20, sampling_time: float = 0.05) -> lfo.OptimalCont
     free = next(mode.linear for mode in piecewise_affine(base).modes if mode.name == "free")
     Q, R = sampling_time**2 * np.eye(4), sampling_time**2 * np.eye(1)
     return replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
+
+
+def elastic_wall(horizon: int = 20, sampling_time: float = 0.01) -> lfo.OptimalControlProblem:
+    """Return the pendulum beside an elastic wall of pympc's examples (hybrid_mpc), with its terminal polyhedron.
+
+    Cost and set of x_T are those of the linear regulator without the wall: Riccati's, and the largest set from which it
+    satisfies all bounds at all times, of 28 facets.
+    """
+    h, gravity, stiffness, wall = sampling_time, 10.0, 100.0, 0.1
+    A, B = np.array([[1.0, h], [gravity * h, 1.0]]), np.array([[0.0], [h]])
+    P = solve_discrete_are(A, B, np.eye(2), np.eye(1))
+    K = -np.linalg.solve(np.eye(1) + B.T @ P @ B, B.T @ P @ A)
+    rows = np.vstack([np.eye(2), -np.eye(2), K, -K])
+    limits = np.array([wall, 1.5, 2 * wall, 1.5, 4.0, 4.0])
+    at_wall = A - stiffness * h * np.array([[0.0, 0.0], [1.0, 0.0]])
+    modes = [
+        lfo.AffineMode(A, B, G=[[1, 0]], h=[wall], name="free"),
+        lfo.AffineMode(at_wall, B, [0, stiffness * wall * h], G=[[-1, 0]], h=[-wall], name="contact"),
+    ]
+    return lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes, sampling_time=h),
+        horizon,
+        lfo.QuadraticCost(np.eye(2), np.eye(1), P=P),
+        control_set=lfo.Box(-4, 4),
+        state_set=lfo.Box([-2 * wall, -1.5], [2 * wall, 1.5]),
+        initial_state=[0.0, 0.8],
+        terminal_state=lfo.sets.Polyhedron(*admissible_set(A + B @ K, rows, limits)),
+    )
+
+
+def admissible_set(A: np.ndarray, rows: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest set of x_0 for which x_{t+1} = A x_t satisfies rows x_t <= limits at all times.
+
+    Rows of later times are added until none of a whole step cuts anything off (Gilbert and Tan 1991); those that others
+    imply are left out.
+    """
+
+    def largest(row: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> float:
+        found = linprog(-row, matrix, right, bounds=(None, None))
+        return -found.fun if found.status == 0 else np.inf
+
+    matrix, right, after = rows, limits, rows @ A
+    while cuts := [i for i, row in enumerate(after) if largest(row, matrix, right) > limits[i] + ROUNDING]:
+        matrix, right, after = np.vstack([matrix, after[cuts]]), np.append(right, limits[cuts]), after @ A
+    kept = list(range(len(right)))
+    for i in range(len(right)):
+        others = [j for j in kept if j != i]
+        if largest(matrix[i], matrix[others], right[others]) <= right[i] + ROUNDING:
+            kept = others
+    return matrix[kept], right[kept]
 
 
 def soft_pendulum(horizon: int) -> lfo.OptimalControlProblem:

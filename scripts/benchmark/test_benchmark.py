@@ -16,6 +16,7 @@ import lin_freq_ocp as lfo
 from benchmark import loop, measures, modes, solvers
 from benchmark.cases import FAMILIES, small
 from benchmark.contenders import CONTENDERS, CvxpyModel, OurResolver
+from benchmark.loop_cases import elastic_wall
 from benchmark.measures import Row
 from benchmark.record import Record
 from benchmark.solvers import draw, label_shifts, summary
@@ -174,3 +175,10 @@ def test_contenders_of_the_loop_agree(name):
     expected = steps.pop("auto")(state)
     for contender, step in steps.items():
         np.testing.assert_allclose(step(state), expected, atol=2e-3, err_msg=contender)
+
+
+def test_the_pendulum_at_an_elastic_wall_is_that_of_pympc():
+    """Its notebook prints 28 facets of the terminal set; the optimum is that of the repository, 211.10986."""
+    problem = elastic_wall()
+    assert len(problem.terminal_state.g) == 28
+    assert lfo.solve(problem).cost == pytest.approx(211.10986, rel=1e-7)

@@ -103,3 +103,14 @@ def test_a_cache_forgets_what_was_used_longest_ago():
         cache.program(problem)
     assert cache.program(problems[1].with_ends([0.5, 0.0]))[0].sparse.A is second.sparse.A
     assert len(cache._known) == MOST_PROGRAMS
+
+
+def test_equal_dynamics_with_another_offset_share_matrices():
+    cache, problem = ProgramCache(), windowed(control_spectrum=None)
+    first, _ = cache.program(problem)
+    moved = replace(problem, dynamics=replace(DYNAMICS, offset=[0.1, 0.0]), initial_state=[0.5, 0.0])
+    second, _ = cache.program(moved)
+    assert second.sparse.A is first.sparse.A
+    exact = LinearProgram(moved).sparse
+    for part in ("lower", "upper", "q"):
+        np.testing.assert_array_equal(getattr(second.sparse, part), getattr(exact, part))

@@ -45,7 +45,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Stages:
+class ReachedSets:
     """The reachable sets of a mask of modes: at each time the state lies in a box, lower .. upper (T+1, n).
 
     ``modes`` (T, modes) can be active; pair_lower, pair_upper (T, modes, n + m) bound (x, u) in their regions.
@@ -85,23 +85,23 @@ class IntervalReach:
         self._divisors = np.where(self._rows == 0, 1.0, self._rows)
         everything = np.ones((1, T, self._rows.shape[1]), dtype=bool)
         pairs = (np.hstack([of_x[:-1], of_u])[:, None] for of_x, of_u in zip(x, u, strict=True))
-        stated = Stages(*x, everything[0], *(pair.repeat(everything.shape[2], axis=1) for pair in pairs))
-        self.zonotopes = [_zonotope(x[0][0], x[1][0])]
+        stated = ReachedSets(*x, everything[0], *(pair.repeat(everything.shape[2], axis=1) for pair in pairs))
+        self.zonotopes = [((x[0][0] + x[1][0]) / 2, np.diag((x[1][0] - x[0][0]) / 2))]
         self.whole = self._propagate(stated, everything, np.zeros(1, dtype=int), np.full(1, T))[0]
 
-    def restricted_each(self, masks: Mask) -> list[Stages | None]:
+    def restricted_each(self, masks: Mask) -> list[ReachedSets | None]:
         """Return the stages of each mask (count, T, modes), or None if they are empty."""
-        whole, found = self.whole, list[Stages | None]()
+        whole, found = self.whole, list[ReachedSets | None]()
         if whole is None:
             return [None] * len(masks)
         for start in range(0, len(masks), SIDE_BY_SIDE):
             some = masks[start : start + SIDE_BY_SIDE]
-            changed = (whole.modes & ~some).any(axis=2)
+            changed: Mask = np.asarray((whole.modes & ~some).any(axis=2))
             last = changed.shape[1] - 1 - changed[:, ::-1].argmax(axis=1)
             found += self._propagate(whole, some, np.where(changed.any(axis=1), changed.argmax(axis=1), last + 1), last)
         return found
 
-    def _propagate(self, within: Stages, masks: Mask, first: Indices, last: Indices) -> list[Stages | None]:
+    def _propagate(self, within: ReachedSets, masks: Mask, first: Indices, last: Indices) -> list[ReachedSets | None]:
         """Propagate masks side by side, each of which restricts known stages at times from first to last, (count,).
 
         Their zonotopes are those of this object, to which those of the first mask are added where they are not known.
@@ -127,7 +127,12 @@ class IntervalReach:
                 np.concatenate([np.maximum(low[at, t, :, :n], lower[at, None, t]), low[at, t, :, n:]], axis=-1),
                 np.concatenate([np.minimum(high[at, t, :, :n], upper[at, None, t]), high[at, t, :, n:]], axis=-1),
             )
-            image_low, image_high = self._images(t, box_low, box_high)
+            # the images of the boxes, as intervals and as zonotopes
+            ends, rising, falling, offset = (box_low, box_high), self._rising[t], self._falling[t], self._offset[t]
+            size = (self._sizes[t] @ np.maximum(*map(np.abs, ends))[..., None])[..., 0] + np.abs(offset)
+            image_low = (rising @ box_low[..., None] + falling @ box_high[..., None])[..., 0] + offset
+            image_high = (rising @ box_high[..., None] + falling @ box_low[..., None])[..., 0] + offset
+            image_low, image_high = image_low - INTERVAL_ROUNDING * size, image_high + INTERVAL_ROUNDING * size
             centre = (self._A[t] @ centres[at, None, :, None])[..., 0] + self._pushed[t]
             spread = self._A[t] @ generators[at, None, :, : sizes[at].max()]
             radius = np.abs(spread).sum(axis=-1) + self._push_sizes[t]
@@ -142,33 +147,24 @@ class IntervalReach:
             number = left.sum(axis=1)
             empty[at] = number == 0
             same = (lower[at, t + 1] == before[0]).all(axis=1) & (upper[at, t + 1] == before[1]).all(axis=1)
-            going[at] = (number > 0) & ~(same & (number > 1) & (last[at] < t))  # else nothing changes at later times
+            going[at] = (number > 0) & ~(same & (number > 1) & (last[at] <= t))  # else nothing changes at later times
             # the zonotope of the image of a single mode; of several, the box around them
+            only, single, several = left.argmax(axis=1), np.flatnonzero(number == 1), np.flatnonzero(number > 1)
+            one, used = at[single], spread.shape[3]
             generators[at] = 0.0
-            for k, i in enumerate(at):
-                if number[k] == 1:
-                    only, used = int(left[k].argmax()), int(sizes[i])
-                    centres[i] = centre[k, only]
-                    generators[i, :, :used], generators[i, :, used : used + m] = (
-                        spread[k, only, :, :used],
-                        self._pushes[t, only],
-                    )
-                    sizes[i] = used + m
-                elif number[k]:
-                    centres[i], generators[i, :, :n] = _zonotope(lower[i, t + 1], upper[i, t + 1])
-                    sizes[i] = n
+            generators[one, :, :used] = spread[single, only[single]]
+            pushes = self._pushes[t, only[single]].swapaxes(1, 2)
+            generators[one[:, None], :, sizes[one, None] + np.arange(m)] = pushes
+            centres[one], sizes[one] = centre[single, only[single]], sizes[one] + m
+            many = at[several]
+            box = lower[many, t + 1], upper[many, t + 1]
+            generators[many[:, None], np.arange(n), np.arange(n)] = (box[1] - box[0]) / 2
+            centres[many], sizes[many] = (box[0] + box[1]) / 2, n
             if len(self.zonotopes) == t + 1 and going[0]:
                 self.zonotopes.append((centres[0].copy(), generators[0, :, : sizes[0]].copy()))
-        parts = lower, upper, modes, low, high
-        return [None if empty[i] else Stages(*(part[i] for part in parts)) for i in paths]
-
-    def _images(self, t: int, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return intervals around the images of boxes (..., modes, k)."""
-        rising, falling, offset = self._rising[t], self._falling[t], self._offset[t]
-        size = (self._sizes[t] @ np.maximum(np.abs(low), np.abs(high))[..., None])[..., 0] + np.abs(offset)
-        least = (rising @ low[..., None] + falling @ high[..., None])[..., 0] + offset
-        most = (rising @ high[..., None] + falling @ low[..., None])[..., 0] + offset
-        return least - INTERVAL_ROUNDING * size, most + INTERVAL_ROUNDING * size
+        return [
+            None if empty[i] else ReachedSets(lower[i], upper[i], modes[i], low[i], high[i]) for i in paths.tolist()
+        ]
 
     def _cut_boxes(self, t: int, low: Array, high: Array) -> tuple[Array, Array, Mask]:
         """Return boxes (..., modes, k) cut by the rows of the regions, and which of them have a point."""
@@ -181,11 +177,6 @@ class IntervalReach:
         high = np.minimum(high, np.where(above, ends, np.inf).min(axis=-2))
         low = np.maximum(low, np.where(self._below[t], ends, -np.inf).max(axis=-2))
         return np.minimum(low, high), high, (margin >= 0).all(axis=-1) & (low <= high).all(axis=-1)
-
-
-def _zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return centre and generators of a box."""
-    return (lower + upper) / 2, np.diag((upper - lower) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +223,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
     leaves = [index for index in range(len(tree.nodes)) if index not in parents]
-    bounds, proven = np.full(len(tree.nodes), np.nan), dict[int, tuple[Stages, ModeMultipliers]]()
+    bounds, proven = np.full(len(tree.nodes), np.nan), dict[int, tuple[ReachedSets, ModeMultipliers]]()
     for index in leaves:
         stages, proof = reached[index], tree.nodes[index].proof
         bounds[index] = np.inf if stages is None else -np.inf
@@ -243,7 +234,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     return TreeBound(value, covers, bounds)
 
 
-def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[Stages | None], bool]:
+def reached_nodes(problem: OptimalControlProblem, tree: ModeTree) -> tuple[list[ReachedSets | None], bool]:
     """Return the reachable stages of each node (None: empty), and whether the leaves cover all sequences."""
     nodes, (T, modes) = tree.nodes, (problem.horizon, len(piecewise_affine(problem).modes))
     children: dict[int, list[int]] = {}
@@ -315,7 +306,7 @@ class LeafJudge:
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
         self._shape = T, len(piecewise_affine(problem).modes), n
 
-    def bounds(self, leaves: Sequence[tuple[Stages, ModeMultipliers]], end: float = np.inf) -> Array:
+    def bounds(self, leaves: Sequence[tuple[ReachedSets, ModeMultipliers]], end: float = np.inf) -> Array:
         """Return D of each leaf; for eta_C = 0, inf if it is above zero and -inf else.
 
         Leaves that are not checked before ``end``, by ``clock.now``, have -inf.
@@ -331,7 +322,7 @@ class LeafJudge:
         return found
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _bounds(self, leaves: Sequence[tuple[Stages, ModeMultipliers]], eta_C: float) -> Array:
+    def _bounds(self, leaves: Sequence[tuple[ReachedSets, ModeMultipliers]], eta_C: float) -> Array:
         """Return D of leaves side by side, the first axis of all arrays."""
         parts, centre, n = self._leaf_parts(leaves), self._centre, self._shape[2]
         boxes, last, x = parts.boxes, self._y.shape[1] - centre.u.shape[1], centre.x
@@ -372,7 +363,7 @@ class LeafJudge:
             return np.where(values > 0, np.inf, -np.inf)
         return np.where(np.isnan(values), -np.inf, values)
 
-    def minimisers(self, stages: Stages, proof: ModeMultipliers) -> Minimisers:
+    def minimisers(self, stages: ReachedSets, proof: ModeMultipliers) -> Minimisers:
         """Return the minimisers of the stages of D, as far as a box with infinite bounds has them."""
         eta_C, n = proof.multipliers.eta_C, self._shape[2]
         with np.errstate(invalid="ignore"):
@@ -384,7 +375,7 @@ class LeafJudge:
         last = box_minimiser(slope, eta_C * of_end.hessian, low[-1, 0, 0, :n], high[-1, 0, 0, :n])
         return Minimisers(self._edges(boxes)[0], v + self._y[:, None, None], last + self._centre.x[-1])
 
-    def _leaf_parts(self, leaves: Sequence[tuple[Stages, ModeMultipliers]]) -> _LeafParts:
+    def _leaf_parts(self, leaves: Sequence[tuple[ReachedSets, ModeMultipliers]]) -> _LeafParts:
         """Return e_tij, v_{t-1,i}, nu_tij and lambda_tij of leaves, with what else their bounds are made of."""
         (T, modes, n), proofs = self._shape, [proof for _, proof in leaves]
         paths = [proof.paths or PathMultipliers(np.zeros((T, 1, n)), np.zeros((T, 1, 1, n))) for proof in proofs]
@@ -469,7 +460,8 @@ class _Hessians:
 
     def __init__(self, hessian: Array):
         self.hessian, self._curvature = hessian, diagonal_curvature(hessian)
-        self._diagonal = np.array_equal(self._curvature, np.diagonal(hessian, axis1=-2, axis2=-1))
+        own = np.diagonal(hessian, axis1=-2, axis2=-1)
+        self._diagonal = self._curvature is not None and np.array_equal(self._curvature, own)
 
     def least(self, eta_C: float, slope: Array, low: Array, high: Array) -> tuple[Array, Array]:
         """Return a lower bound on slope v + eta_C/2 v'H v over boxes (..., k), and the largest |v_j| counting there."""

@@ -82,7 +82,7 @@ class ModeReach:
             np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
             for x, u in ((lower, controls.lower), (upper, controls.upper))
         )
-        centre, spread = _box_zonotope(lower[0], upper[0])
+        centre, spread = (lower[0] + upper[0]) / 2, np.diag((upper[0] - lower[0]) / 2)
         unrestricted = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
         return _Propagation(self, unrestricted, 0, np.array(masks)).run()
 
@@ -132,6 +132,10 @@ class _Propagation:
         )
         self._centres = [list(before.centres[: first + 1]) for _ in range(count)]
         self._generators = [list(before.generators[: first + 1]) for _ in range(count)]
+        # those of the present time, of which ``sizes`` generators are used, the others zero
+        self._centre = np.stack([before.centres[first]] * count)
+        self._spread = np.stack([before.generators[first]] * count)
+        self._sizes = np.full(count, self._spread.shape[2])
 
     def run(self) -> list[Reach | None]:
         """Return the reaches, None where no sequence has a trajectory."""
@@ -154,17 +158,15 @@ class _Propagation:
 
     def _step(self, t: int, live: Indices) -> tuple[Mask, Mask]:
         """Propagate from t to t + 1; return which masks have a trajectory, and for which nothing changes later."""
-        system, n = self._system, self._lower.shape[2]
+        system, n, before = self._system, self._lower.shape[2], self._before
         low, high = self._mode_lower[live, t], self._mode_upper[live, t]
         np.maximum(low[..., :n], self._lower[live, None, t], out=low[..., :n])
         np.minimum(high[..., :n], self._upper[live, None, t], out=high[..., :n])
         low, high, feasible = system.within_regions(t, low, high)
         image_low, image_high = system.images(t, low, high)
-        parts = [self._generators[b][t] for b in live]
-        generators = np.zeros((len(parts), n, max(part.shape[1] for part in parts)))  # padded by zeros
-        for padded, part in zip(generators, parts, strict=True):
-            padded[:, : part.shape[1]] = part
-        centre, radius, spread = system.zonotopes(t, np.array([self._centres[b][t] for b in live]), generators)
+        centre, radius, spread = system.zonotopes(
+            t, self._centre[live], self._spread[live, :, : self._sizes[live].max()]
+        )
         last_low, last_high = self._lower[live, t + 1], self._upper[live, t + 1]
         image_low = np.maximum(np.maximum(image_low, centre - radius), last_low[:, None])
         image_high = np.minimum(np.minimum(image_high, centre + radius), last_high[:, None])
@@ -175,24 +177,29 @@ class _Propagation:
         self._lower[live, t + 1], self._upper[live, t + 1] = new_low, new_high
         count = keep.sum(axis=1)
         same = (count > 1) & (new_low == last_low).all(axis=1) & (new_high == last_high).all(axis=1)
-        before = self._before
-        for i, b in enumerate(live):
-            if same[i] and len(before.centres) > t + 1:
+        same &= len(before.centres) > t + 1
+        # the zonotope of the image of a single mode; of several, that of the box around the union
+        single, several, pushes, used = (
+            np.flatnonzero(count == 1),
+            np.flatnonzero(count > 1),
+            system.pushes[t],
+            spread.shape[3],
+        )
+        one, many, only = live[single], live[several], keep.argmax(axis=1)[single]
+        # new arrays, as reaches keep those of earlier times
+        m = pushes.shape[2]
+        self._centre, self._spread = self._centre.copy(), np.zeros((len(self._sizes), n, max(used + m, n)))
+        self._centre[one], self._spread[one, :, :used] = centre[single, only], spread[single, only]
+        self._spread[one[:, None], :, self._sizes[one, None] + np.arange(m)] = pushes[only].swapaxes(1, 2)
+        self._centre[many] = (new_low[several] + new_high[several]) / 2
+        self._spread[many[:, None], np.arange(n), np.arange(n)] = (new_high[several] - new_low[several]) / 2
+        self._sizes[one] += m
+        self._sizes[many] = n
+        for b, settled, possible in zip(live, same, count > 0, strict=True):
+            if settled:
                 self._centres[b] += before.centres[t + 1 :]
                 self._generators[b] += before.generators[t + 1 :]
-                continue
-            same[i] = False
-            if count[i] == 1:
-                only, old = int(np.argmax(keep[i])), self._generators[b][t].shape[1]
-                self._centres[b].append(centre[i, only])
-                self._generators[b].append(np.concatenate([spread[i, only, :, :old], system.pushes[t, only]], axis=1))
-            elif count[i]:  # several modes: the zonotope of a union is the box around it
-                middle, half = _box_zonotope(new_low[i], new_high[i])
-                self._centres[b].append(middle)
-                self._generators[b].append(half)
+            elif possible:
+                self._centres[b].append(self._centre[b])
+                self._generators[b].append(self._spread[b, :, : self._sizes[b]])
         return count > 0, same
-
-
-def _box_zonotope(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return centre and generators of a box."""
-    return (lower + upper) / 2, np.diag((upper - lower) / 2)

@@ -389,11 +389,8 @@ class PiecewiseAffineDynamics(StandardDynamics):
 
     def arrays(self, horizon: int) -> ModeArrays:
         """Return all modes at all times; constant data are stored once."""
-        if horizon not in self._arrays_of_horizons:
-            self._arrays_of_horizons[horizon] = self._stack_modes(horizon)
-        return self._arrays_of_horizons[horizon]
-
-    def _stack_modes(self, horizon: int) -> ModeArrays:
+        if horizon in self._arrays_of_horizons:
+            return self._arrays_of_horizons[horizon]
         n, m = self.state_dim, self.control_dim
         regions = [mode.region.at_dimensions(n, m, horizon, "dynamics") for mode in self.modes]
         most = max(region.rows for region in regions)
@@ -409,7 +406,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
             width[axis] = (0, most - part.shape[axis])
             return np.pad(part, width, constant_values=value)
 
-        return ModeArrays(
+        arrays = self._arrays_of_horizons[horizon] = ModeArrays(
             A=stack_modes([mode.linear.A for mode in self.modes], 2),
             B=stack_modes([mode.linear.B for mode in self.modes], 2),
             offset=stack_modes([mode.linear.offset for mode in self.modes], 1),
@@ -418,6 +415,7 @@ class PiecewiseAffineDynamics(StandardDynamics):
             h=stack_modes([pad_rows(region.e, -1, np.inf) for region in regions], 1),
             least=(np.zeros(n), np.zeros(m)),
         )
+        return arrays
 
     def gains(self) -> tuple[Array, Array, Array]:
         """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over modes and times."""

@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, trajectory_without_cost
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates, trajectory_without_cost
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
@@ -75,9 +75,10 @@ def tree_of(outcome: Outcome) -> TreeEvidence | None:
 
 
 class TreeCache(SearchCache):
-    """The relaxations of a search, and a cover of the sequences of the next step."""
+    """The relaxations of a search, a cover of the sequences of the next step, and the programs of single sequences."""
 
     def __init__(self):
+        self.programs = ProgramCache()
         self._last: OptimalControlProblem | None = None  # the base of the last search
         self._relaxation: ModeRelaxation | None = None
         self._cover: Sequence[CoverNode] = ()
@@ -133,7 +134,8 @@ class _Search:
         found = self._search(problem, limits, request)
         searched, end = now() - started, started + request.time_limit
         seconds = {"setup": found.setup, "solve": searched - found.setup}
-        outcome = _judge_search(problem, self.shorthand, found, self.gap, seconds, end)
+        programs = request.tree.programs if isinstance(request.tree, TreeCache) else None
+        outcome = _judge_search(problem, self.shorthand, found, self.gap, seconds, end, programs)
         if found.resume is not None and not outcome.interrupted:
             # time is left: the judge needs less than what was kept back. After a search that is longer by a factor, it
             # needs about that factor more
@@ -143,7 +145,7 @@ class _Search:
                 clock = now()
                 longer = found.resume(further)
                 seconds = {**seconds, "solve": seconds["solve"] + now() - clock}
-                after = _judge_search(problem, self.shorthand, longer, self.gap, seconds, end)
+                after = _judge_search(problem, self.shorthand, longer, self.gap, seconds, end, programs)
                 certify = outcome.seconds["certify"] + after.seconds["certify"]
                 outcome = after if _bound_of(after) >= _bound_of(outcome) else outcome
                 outcome = replace(outcome, seconds={**after.seconds, "certify": certify})
@@ -274,12 +276,16 @@ def _judge_search(
     gap: float,
     seconds: dict[str, float],
     end: float,
+    programs: ProgramCache | None = None,
 ) -> Outcome:
-    """Return the outcome of a search: its best sequence solved alone, and its tree checked leaf by leaf."""
+    """Return the outcome of a search: its best sequence solved alone, and its tree checked leaf by leaf.
+
+    ``programs`` are those of sequences of like problems.
+    """
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end, limit = clock + left, None if left == np.inf else left
-    point = None if outcome.sequence is None else _solve_sequence(problem, outcome.sequence, limit)
+    point = None if outcome.sequence is None else _solve_sequence(problem, outcome.sequence, limit, programs)
     certificate = None if point is None else point[2]
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
@@ -301,7 +307,9 @@ def _judge_search(
     return outcome_of_search(problem, method, judged, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
 
-def _solve_sequence(problem: OptimalControlProblem, sequence: Indices, time_limit: float | None) -> Judged | None:
+def _solve_sequence(
+    problem: OptimalControlProblem, sequence: Indices, time_limit: float | None, programs: ProgramCache | None
+) -> Judged | None:
     """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all.
 
     In place of one that violates the theorem comes a trajectory nearby that costs nothing: solvers approach it to the
@@ -309,7 +317,8 @@ def _solve_sequence(problem: OptimalControlProblem, sequence: Indices, time_limi
     """
     first = None
     inverse = fixed_modes(problem, sequence)
-    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, SolveOptions(time_limit=time_limit)):
+    options = SolveOptions(time_limit=time_limit)
+    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, options, programs):
         for point in _judge_candidate(inverse, candidate):
             if point[2].feasible and point[2].pmp == "violated":
                 resting = trajectory_without_cost(inverse.problem, point[0])

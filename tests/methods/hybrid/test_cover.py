@@ -125,3 +125,33 @@ def test_units_of_a_smaller_cost_are_left_and_the_duals_of_the_cover_with_them(w
     assert found.cost == pytest.approx(best.cost, rel=1e-6)
     proven = tree_bound(after, found.tree).bound_for(after).value
     assert proven > best.cost - 1e-6 * best.certificate.cost_scale
+
+
+def test_a_leaf_that_its_bound_closes_is_no_better_sequence():
+    """Between the cutoff and the best cost, a solver stops before the point of the leaf is the optimum."""
+    problem = random_problem(3, horizon=4)
+    search = TreeSearch(problem)
+    found = search.run()
+    relaxation, best = search.final_relaxation, found.sequence.copy()
+    other = best.copy()
+    other[-1] = 1 - other[-1]
+    reach = relaxation.reach.from_start(other[:, None] == np.arange(2))
+    answer = solve_relaxation(relaxation, reach)
+    assert answer.bound > found.cost
+    width = 0.5 * search.limits.gap * search._scale
+    closed = replace(answer, bound=found.cost - 0.5 * width)
+    nodes = [ModeNode(-1, -1, reach.allowed, closed.bound, None)]
+    search._nodes = nodes
+    search._consider(0, closed)
+    np.testing.assert_array_equal(search._best, best)
+    search._consider(0, replace(answer, bound=found.cost - 2 * width))
+    np.testing.assert_array_equal(search._best, other)
+
+
+def test_without_duals_that_move_there_is_no_cover():
+    """Rows of states at all times: shares of modes solve the nodes, and a search from the root needs fewer of them."""
+    diamond = lfo.sets.Polyhedron([[1, 1], [-1, -1], [1, -1], [-1, 1]], np.full(4, 1.5))
+    search = TreeSearch(random_problem(3, horizon=5, initial_state=[0.3, 0.2], state_set=diamond))
+    assert search.run().sequence is not None
+    assert search.final_relaxation.proves
+    assert search.cover_after_step() == ()

@@ -15,7 +15,7 @@ cover holds all sequences, whichever mode at time 0 is followed.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -138,13 +138,17 @@ class TreeSearch:
         With a cover of all sequences, begin at its leaves.
         """
         self._until_open, message = until_open, ""
+        modes, parents = np.arange(len(piecewise_affine(self.problem).modes)), {node.parent for node in cover}
+        sequences = [] if start is None else [start]
+        leaves = [index for index in range(len(cover)) if index not in parents]
         try:
-            if start is not None:
-                self._try([start])
+            masks = [sequence[:, None] == modes for sequence in sequences] + [cover[index].allowed for index in leaves]
+            reaches = self._relaxation.reach.from_start_each(masks)  # all at once: a single one takes as long as ten
+            self._try(sequences, reaches)
             if cover:
-                message = self._open_cover(cover)
+                message = self._open_cover(cover, dict(zip(leaves, reaches[len(sequences) :], strict=True)))
             else:
-                everything = np.ones((self.problem.horizon, len(piecewise_affine(self.problem).modes)), dtype=bool)
+                everything = np.ones((self.problem.horizon, len(modes)), dtype=bool)
                 reach = self._relaxation.reach.from_start(everything) if within is None else within
                 root = None if reach is None else self._relax_node(reach, self._cutoff)
                 self._open([(everything, root)], -1, -1, -np.inf)
@@ -175,11 +179,15 @@ class TreeSearch:
         return self._relaxation
 
     def cover_after_step(self) -> tuple[CoverNode, ...]:
-        """Return the cover that the tree leaves for the problem one time later; empty if nothing was found."""
+        """Return the cover that the tree leaves for the problem one time later.
+
+        Empty if nothing was found, or if no duals move with it: then a search from the root solves fewer nodes.
+        """
         relaxation = self._relaxation
         if self._best is None or not self._nodes or not isinstance(relaxation, PathRelaxation) or not relaxation.proves:
             return ()
-        return shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
+        cover = shifted_cover(self._nodes, self._duals, int(self._best[0]), relaxation.later)
+        return cover if any(node.duals is not None for node in cover) else ()
 
     def _loop(self) -> str:
         """Split the node with the least bound until none is open; return which limit stopped the search, or ""."""
@@ -212,20 +220,20 @@ class TreeSearch:
         """Return the nodes still to be split, the least bound first."""
         return [(index, answer.reach) for bound, index, answer in sorted(self._heap) if bound < self._cutoff]
 
-    def _open_cover(self, cover: Sequence[CoverNode]) -> str:
-        """Add the nodes of a cover; solve those leaves that their duals leave open, the least bound first."""
-        parents = {node.parent for node in cover}
-        leaves = [index for index in range(len(cover)) if index not in parents]
-        reaches = self._relaxation.reach.from_start_each([cover[index].allowed for index in leaves])
+    def _open_cover(self, cover: Sequence[CoverNode], reaches: Mapping[int, Reach | None]) -> str:
+        """Add the nodes of a cover, whose leaves have reaches; solve the leaves that their duals leave open.
+
+        Those with the least bound come first.
+        """
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
         claims, units = dict[int, tuple[Reach, Duals]](), self._relaxation.level / self._first_level
-        for index, reach in zip(leaves, reaches, strict=True):
+        for index, reach in reaches.items():
             start_duals = cover[index].duals
             if reach is not None and start_duals is not None:
                 claims[index] = reach, start_duals.times(units)  # the first answer may have changed the units
         proven = dict(zip(claims, self._relaxation.proven_each(list(claims.values())).tolist(), strict=True))
-        for index, reach in zip(leaves, reaches, strict=True):
+        for index, reach in reaches.items():
             bound = np.inf if reach is None else proven.get(index, -np.inf)
             duals[index] = claims[index][1] if index in claims else None
             nodes[index] = replace(nodes[index], bound=bound)
@@ -268,7 +276,8 @@ class TreeSearch:
         if bound == np.inf:
             return
         if answer.sequence is not None:
-            self._accept(answer.sequence, answer)
+            if answer.bound < self._cutoff:  # else its solver stopped there, and its point is not the optimum
+                self._accept(answer.sequence, answer)
             return
         if bound < self._cutoff:
             heapq.heappush(self._heap, (bound, index, answer))
@@ -291,15 +300,16 @@ class TreeSearch:
             return
         yield self._arrays.active(replayed.x, replayed.u).argmax(axis=1)
 
-    def _try(self, sequences: Iterable[Indices]) -> None:
-        """Solve sequences until one is the best so far."""
+    def _try(self, sequences: Iterable[Indices], reaches: Sequence[Reach | None] = ()) -> None:
+        """Solve sequences until one is the best so far; ``reaches`` are those of the first of them."""
         before, modes = self._best, np.arange(len(piecewise_affine(self.problem).modes))
-        for sequence in sequences:
+        for number, sequence in enumerate(sequences):
             if self._best is not before or now() - self._started > self.limits.search_seconds:
                 return
             if sequence.tobytes() not in self._tried:
                 self._tried.add(sequence.tobytes())
-                reach = self._relaxation.reach.from_start(sequence[:, None] == modes)
+                known, mask = number < len(reaches), sequence[:, None] == modes
+                reach = reaches[number] if known else self._relaxation.reach.from_start(mask)
                 if reach is not None:
                     self._accept(sequence, self._relax_node(reach, self._cost))
 

@@ -18,7 +18,7 @@ from lin_freq_ocp.methods.hybrid.search.path_native import INFEASIBLE, STALLED, 
 from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.program.hybrid.path_relaxation import PathProgram, PathRelaxation, path_form
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation, path_form
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 from lin_freq_ocp.program.program import StandardForm
@@ -79,32 +79,23 @@ def solve_path_relaxation(
         return None
     if member.program is None:
         return NodeSolution(reach, np.inf, relaxation.no_path())
-    solution = _by_compiled_code(relaxation, reach, member.program, cutoff)
-    if solution is not None:
-        return solution
-    duals_of, point_of = partial(relaxation.form_duals, member.program), partial(relaxation.path_point, member.program)
-    return solve_by_clarabel(relaxation, reach, path_form(member.program), duals_of, point_of, tolerances, end, cutoff)
-
-
-def _by_compiled_code(
-    relaxation: PathRelaxation, reach: Reach, program: PathProgram, cutoff: float | None
-) -> NodeSolution | None:
-    """Return the solution of a node if compiled code is available and decides it, and its bound is proven."""
-    library = path_library()
-    if library is None:
-        return None
-    clear = 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
-    decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
-    run = run_path(library, program, COMPILED_TOLERANCE, PROVEN, decisive, clear)
-    w, p, z, tau = run.w, run.p, run.z, run.tau
-    if run.end == STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
-        return None
-    if run.end == INFEASIBLE:
-        unit = tau * run.bound
-        duals = relaxation.path_duals(program, p / unit, z / unit, None)
-        return NodeSolution(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
-    duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
-    return NodeSolution(reach, relaxation.cost(run.proven), duals, *relaxation.path_point(program, w / tau))
+    program, library = member.program, path_library()
+    if library is not None:
+        clear = 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
+        decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
+        run = run_path(library, program, COMPILED_TOLERANCE, PROVEN, decisive, clear)
+        w, p, z, tau = run.w, run.p, run.z, run.tau
+        ended = run.end != STALLED and bool(np.isfinite(p).all() and np.isfinite(z).all())
+        if ended and run.end != INFEASIBLE:
+            duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
+            return NodeSolution(reach, relaxation.cost(run.proven), duals, *relaxation.path_point(program, w / tau))
+        if ended:
+            unit = tau * run.bound
+            duals = relaxation.path_duals(program, p / unit, z / unit, None)
+            if relaxation.proven(reach, duals) == np.inf:
+                return NodeSolution(reach, np.inf, duals)
+    duals_of, point_of = partial(relaxation.form_duals, program), partial(relaxation.path_point, program)
+    return solve_by_clarabel(relaxation, reach, path_form(program), duals_of, point_of, tolerances, end, cutoff)
 
 
 def solve_by_clarabel(

@@ -53,7 +53,7 @@ typedef struct { /* what steps share; sizes as in begin */
   double *scale, *eta, *lam, *square, *scaled, *aim, *second, *of_z, *of_s;
   double *r_w, *r_p, *r_s, *dw, *dp, *dz, *ds, *constant_w, *constant_p;
   double *s, *edge, *more, *slope, *cone, *value, *sums;
-  int *first, band;
+  int *last, band;
 } work;
 
 static double larger(double a, double b) { return a > b ? a : b; }
@@ -355,7 +355,7 @@ static void cholesky(double *M, int size) {
   }
 }
 
-/* The factor of the band, row i from column first[i] on, and of the Schur complement of the border. */
+/* The factors of the band, L' with row i from column i to last[i], and of the Schur complement of the border. */
 static void factor_path(const lfo_path *p, work *k) {
   int E = p->edges, q = p->coupled, a = p->signals, vertices = p->equations - q, band = k->band, all = p->times * a;
   double *S = k->S, *value = k->value;
@@ -371,23 +371,24 @@ static void factor_path(const lfo_path *p, work *k) {
       for (int e = 0; e < E; e++) {
         int64_t i = r < p->rows ? p->place[r * E + e] : 0, j = c < p->rows ? p->place[c * E + e] : 0, t = p->time[e];
         if (i < 0 || j < 0) continue;
-        if (r < p->rows) S[(i > j ? i : j) * band + band - 1 - llabs(i - j)] += value[e];
+        if (r < p->rows) S[(i < j ? i : j) * band + llabs(i - j)] += value[e];
         else if (c >= p->rows) k->moments[(t * a + r - p->rows) * a + c - p->rows] += value[e];
         else
           for (int row = 0; row < q; row++) k->border[j * q + row] += p->over[row * all + t * a + r - p->rows] * value[e];
       }
     }
+  for (int i = 0; i < vertices; i++) value[i] = S[i * band]; /* the diagonal before elimination */
   for (int i = 0; i < vertices; i++) {
-    double *row = S + i * band + band - 1 - i, diagonal = row[i], pivot; /* row[j] is the entry of column j */
-    for (int j = k->first[i]; j < i; j++) {
-      const double *other = S + j * band + band - 1 - j;
-      int from = k->first[i] > k->first[j] ? k->first[i] : k->first[j];
-      row[j] = (row[j] - dot(row + from, other + from, j - from)) / other[j];
+    double *row = S + i * band, scale;
+    int after = k->last[i] - i;
+    row[0] = value[i] > 0 ? sqrt(larger(row[0], PIVOT * value[i])) : 1.0;
+    scale = 1 / row[0];
+    for (int j = 1; j <= after; j++) row[j] *= scale;
+    for (int c = 0; c < q; c++) k->border[i * q + c] *= scale;
+    for (int j = 1; j <= after; j++) {
+      add(S + (i + j) * band, -row[j], row + j, after - j + 1);
+      add(k->border + (i + j) * q, -row[j], k->border + i * q, q);
     }
-    pivot = diagonal - dot(row + k->first[i], row + k->first[i], i - k->first[i]);
-    row[i] = diagonal > 0 ? sqrt(larger(pivot, PIVOT * diagonal)) : 1.0;
-    for (int j = k->first[i]; j < i; j++) add(k->border + i * q, -row[j], k->border + j * q, q);
-    for (int c = 0; c < q; c++) k->border[i * q + c] /= row[i];
   }
   for (int r = 0; r < q; r++)
     for (int c = 0; c <= r; c++) {
@@ -416,8 +417,9 @@ static void solve_path(const lfo_path *p, work *k, double *w, const double *of_p
   for (int i = 0; i < p->equations; i++) v[i] = -of_p[i];
   add_rows(p, k, k->X, w, v);
   for (int i = 0; i < vertices; i++) {
-    const double *row = k->S + i * band + band - 1 - i;
-    v[i] = (v[i] - dot(row + k->first[i], v + k->first[i], i - k->first[i])) / row[i];
+    const double *row = k->S + i * band;
+    v[i] /= row[0];
+    add(v + i + 1, -v[i], row + 1, k->last[i] - i);
     add(tail, -v[i], k->border + i * q, q);
   }
   for (int i = 0; i < q; i++) tail[i] = (tail[i] - dot(k->rest + i * q, tail, i)) / k->rest[i * q + i];
@@ -427,9 +429,8 @@ static void solve_path(const lfo_path *p, work *k, double *w, const double *of_p
   }
   for (int i = 0; i < vertices; i++) v[i] -= dot(k->border + i * q, tail, q);
   for (int i = vertices - 1; i >= 0; i--) {
-    const double *row = k->S + i * band + band - 1 - i;
-    v[i] /= row[i];
-    add(v + k->first[i], -v[i], row + k->first[i], i - k->first[i]);
+    const double *row = k->S + i * band;
+    v[i] = (v[i] - dot(row + 1, v + i + 1, k->last[i] - i)) / row[0];
   }
   add_adjoint(p, k, k->X, -1.0, v, w);
   for (int i = W - 1; i >= 0; i--) {
@@ -653,28 +654,28 @@ static double *begin(const lfo_path *p, work *k) {
   size_t sizes[] = {signals * W, signals * (p->rows + a), (size_t)vertices * q, (size_t)q * q,
                     (size_t)p->times * a * a, cones, (size_t)E, cones, cones, cones, cones, cones, cones, cones, signals,
                     equations, cones, signals, equations, cones, cones, signals, equations, cones, signals,
-                    signals + equations, signals, cones, (size_t)E, sums, 0};
+                    signals + equations, signals, cones, (size_t)E + equations, sums, 0};
   size_t total = 0;
   double *memory;
-  k->first = malloc(sizeof(int) * (equations + 1));
-  if (!k->first) return NULL;
-  for (int i = 0; i < vertices; i++) k->first[i] = i;
+  k->last = malloc(sizeof(int) * (equations + 1));
+  if (!k->last) return NULL;
+  for (int i = 0; i < vertices; i++) k->last[i] = i;
   k->band = 1;
   for (int e = 0; e < E; e++) {
-    int64_t least = -1;
+    int64_t most = -1;
+    for (int r = 0; r < p->rows; r++) most = p->place[r * E + e] > most ? p->place[r * E + e] : most;
     for (int r = 0; r < p->rows; r++)
-      if (p->place[r * E + e] >= 0 && (least < 0 || p->place[r * E + e] < least)) least = p->place[r * E + e];
-    for (int r = 0; r < p->rows; r++) {
-      int64_t i = p->place[r * E + e];
-      if (i >= 0 && least < k->first[i]) k->first[i] = (int)least;
-      if (i >= 0 && i - least >= k->band) k->band = (int)(i - least) + 1;
-    }
+      if (p->place[r * E + e] >= 0 && most > k->last[p->place[r * E + e]]) k->last[p->place[r * E + e]] = (int)most;
+  }
+  for (int i = 0; i < vertices; i++) { /* elimination fills the rows below as far as those above reach */
+    if (i && k->last[i - 1] > k->last[i]) k->last[i] = k->last[i - 1];
+    if (k->last[i] - i >= k->band) k->band = k->last[i] - i + 1;
   }
   sizes[30] = (size_t)vertices * k->band;
   for (int i = 0; i < 31; i++) total += sizes[i];
   memory = malloc(sizeof(double) * (total + 1));
   if (!memory) {
-    free(k->first);
+    free(k->last);
     return NULL;
   }
   total = 0;
@@ -703,7 +704,7 @@ int lfo_path_run(const lfo_path *p, double *w, double *v, double *z, double *end
   ends[TAU] = x.tau, ends[BOUND] = x.bound, ends[PROVEN] = x.proven;
   if (memory) {
     free(memory);
-    free(k.first);
+    free(k.last);
   }
   return end;
 }

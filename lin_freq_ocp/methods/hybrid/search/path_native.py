@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.native_code import compiled_library
 from lin_freq_ocp.program.hybrid.path_relaxation import PathProgram
 
@@ -83,7 +83,7 @@ def run_path(
     return PathPoint(end, w.T, p, z[:linear].T, *ends.tolist())
 
 
-def _contiguous(array: Array, kind: DTypeLike = np.float64) -> Array:
+def _contiguous(array: Array | Indices, kind: DTypeLike = np.float64) -> NDArray[np.generic]:
     return np.ascontiguousarray(array, dtype=kind)
 
 

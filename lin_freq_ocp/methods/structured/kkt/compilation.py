@@ -29,7 +29,6 @@ REALS = tuple(types.Array(types.float64, dimensions, "C", readonly=True) for dim
 
 WRITTEN = tuple(types.Array(types.float64, dimensions, "C") for dimensions in range(4))
 INDICES = types.Array(types.intp, 1, "C", readonly=True)
-WRITTEN_INDICES = types.Array(types.intp, 1, "C")
 
 FASTMATH = {"contract", "nsz"}
 
@@ -53,12 +52,6 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
     except RuntimeError:  # numba found no folder that it can write
         compiled = numba.njit(cache=False, fastmath=FASTMATH, error_model="numpy")(function)
     return cast("Callable[Arguments, Value]", compiled)
-
-
-def inlined(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
-    """Return a function that becomes part of its only caller, which saves half of the time to compile it."""
-    decorate = numba.njit(inline="always", fastmath=FASTMATH, error_model="numpy")
-    return cast("Callable[Arguments, Value]", decorate(function))
 
 
 class Kernels:

@@ -57,24 +57,6 @@ def cholesky_solve(L: Array, size: int, b: Array) -> None:
 
 
 @jit
-def dot(x: Array, y: Array) -> float:
-    """Return x'y."""
-    value = 0.0
-    for i in range(len(x)):
-        value += x[i] * y[i]
-    return value
-
-
-@jit
-def largest(x: Array) -> float:
-    """Return the largest absolute entry."""
-    value = 0.0
-    for i in range(len(x)):
-        value = max(value, abs(x[i]))
-    return value
-
-
-@jit
 def gains(A: Array, B: Array, Phi: Array, P: Array, K: Array, L: Array, Ac: Array, PB: Array) -> None:
     """One stage: fill the factor of S, K and A_c from P_{t+1}."""
     n, k = B.shape
