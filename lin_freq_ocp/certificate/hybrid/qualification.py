@@ -6,8 +6,8 @@ at a point, also within the bounds and rows of that time, if
     sum_i mu_i grad h_i + (a normal to the active bounds and rows) = 0,   mu >= 0,   only for mu = 0
 
 (Mangasarian and Fromovitz). Nonnegative least squares finds the shortest sum with sum_i mu_i = 1 of gradients of length
-1. Fixed components count as constants. Everything is in the sizes of the states and controls, so that neither their
-units nor a factor of h decide. A gradient is zero if h changes within these sizes by curvature alone.
+1. Fixed components count as constants. A gradient is zero if it vanishes near the point, by the Hessian of h. All is in
+the sizes of the states and controls, so that neither their units nor a factor of h decide.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-# Lengths up to which a gradient, or a sum of gradients of length 1, is zero: points whose violation of a quadratic
-# constraint is within the judge's tolerance are as near to a zero of its gradient, up to a factor of ten
+# Distance, in sizes, within which a gradient vanishes near the point, and length of a sum of gradients of length 1 that is
+# zero: a quadratic constraint that holds within the judge's tolerance may be as far from a zero of its gradient
 DEPENDENT = 1e-4
 
 
@@ -33,23 +33,32 @@ def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) 
     if not constraints:
         return ()
     units, found = np.concatenate(trajectory_sizes(problem, trajectory)), list[tuple[str, int]]()
-    active = list[tuple[int, str, Array, float]]()  # time, name, gradient in sizes, and size of the changes of h
+    active = list[tuple[int, str, Array, bool]]()  # time, name, gradient in sizes, and whether it vanishes nearby
     for one in constraints:
         at, used = one.values_along.jets_along(trajectory.x, trajectory.u), one.used
-        slopes = at.slopes * units
-        changes = np.abs(slopes).sum(axis=2) + np.einsum("j,tijk,k->ti", units, np.abs(at.curvatures), units)
-        near = CONDITION_TOLERANCE * changes.max(axis=0)
+        largest = np.abs(one.values_along.signals(trajectory.x, trajectory.u)).max(axis=0)
+        terms = np.abs(at.slopes) @ largest + np.einsum("j,tijk,k->ti", largest, np.abs(at.curvatures), largest)
+        near = CONDITION_TOLERANCE * terms.max(axis=0)
         for t, i in np.argwhere(one.slack(trajectory.x, trajectory.u) <= near):
             free = _free_components(problem, int(t))
             if (used[i] & free).any():  # else h is a constant there
-                active.append((int(t), one.name, np.where(free, slopes[t, i], 0.0), float(changes[t, i])))
+                scale = np.where(free, units, 0.0)
+                gradient, bend = at.slopes[t, i] * scale, at.curvatures[t, i] * scale * scale[:, None]
+                active.append((int(t), one.name, gradient, _vanishes_nearby(gradient, bend)))
     for t in sorted({t for t, *_ in active}):
-        here = [(name, gradient, change) for time, name, gradient, change in active if time == t]
-        zero = [name for name, gradient, change in here if not np.linalg.norm(gradient) > DEPENDENT * change]
-        normals = [normal for normal in _active_normals(problem, trajectory, t, units)]
+        here = [(name, gradient, vanishes) for time, name, gradient, vanishes in active if time == t]
+        zero = [name for name, _, vanishes in here if vanishes]
+        normals = list(_active_normals(problem, trajectory, t, units))
         if zero or _dependent([gradient for _, gradient, _ in here], normals):
             found += [(name, t) for name in dict.fromkeys(zero or [name for name, *_ in here])]
     return tuple(found)
+
+
+def _vanishes_nearby(gradient: Array, bend: Array) -> bool:
+    """Whether a gradient is zero at a point that is near by its derivative."""
+    step = np.linalg.lstsq(bend, -gradient, rcond=DEPENDENT)[0]
+    left, length = (float(np.linalg.norm(part)) for part in (bend @ step + gradient, step))
+    return left <= DEPENDENT * float(np.linalg.norm(gradient)) and length <= DEPENDENT
 
 
 def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
