@@ -22,9 +22,9 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-# Distance, in sizes, within which a gradient vanishes near the point, and length of a sum of gradients of length 1 that is
-# zero: a quadratic constraint that holds within the judge's tolerance may be as far from a zero of its gradient
-DEPENDENT = 1e-4
+# Distance, in sizes, within which a gradient vanishes, and length of a sum of unit gradients that counts as zero: a
+# quadratic constraint that holds within the judge's tolerance may be as far from a zero of its gradient
+DEGENERATE = 1e-4
 
 
 def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[tuple[str, int], ...]:
@@ -56,9 +56,9 @@ def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) 
 
 def _vanishes_nearby(gradient: Array, bend: Array) -> bool:
     """Whether a gradient is zero at a point that is near by its derivative."""
-    step = np.linalg.lstsq(bend, -gradient, rcond=DEPENDENT)[0]
+    step = np.linalg.lstsq(bend, -gradient, rcond=DEGENERATE)[0]
     left, length = (float(np.linalg.norm(part)) for part in (bend @ step + gradient, step))
-    return left <= DEPENDENT * float(np.linalg.norm(gradient)) and length <= DEPENDENT
+    return left <= DEGENERATE * float(np.linalg.norm(gradient)) and length <= DEGENERATE
 
 
 def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
@@ -69,7 +69,7 @@ def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
     total = np.append(np.ones(len(gradients)), np.zeros(columns.shape[1] - len(gradients)))
     weights = nnls(np.vstack([columns, total]), np.append(np.zeros(len(columns)), 1.0))[0]
     share = float(total @ weights)
-    return not np.linalg.norm(columns @ weights) > DEPENDENT * share
+    return not np.linalg.norm(columns @ weights) > DEGENERATE * share
 
 
 def _free_components(problem: OptimalControlProblem, t: int) -> Array:

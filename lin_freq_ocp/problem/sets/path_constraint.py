@@ -226,15 +226,15 @@ class PathConstraint(StageRows):
 
     def translated(self, origin: Array) -> PathConstraint:
         """Return the constraint on x - origin, origin (n,)."""
-        return self._changed(translate_formulas(self.formulas, origin))
+        return self._replace_parts(translate_formulas(self.formulas, origin))
 
     def augmented(self, n: int, k: int) -> PathConstraint:
         """Return the constraint on (x, w), w in R^k."""
-        return self._changed(with_states(self.formulas, k))
+        return self._replace_parts(with_states(self.formulas, k))
 
     def with_limits(self, e: Array) -> PathConstraint:
         """Return the constraint with other limits."""
-        return self._changed(self.formulas, limits=e)
+        return self._replace_parts(self.formulas, limits=e)
 
     def free_first_state(self, horizon: int) -> PathConstraint:
         """Return the constraint without limits on the state alone at time 0."""
@@ -244,7 +244,7 @@ class PathConstraint(StageRows):
 
     def softened(self, penalty: float) -> PathConstraint:
         """Return the constraint with a price per unit of violation, unless it has one already."""
-        return self if self.penalty is not None else self._changed(self.formulas, penalty)
+        return self if self.penalty is not None else self._replace_parts(self.formulas, penalty)
 
     def describe(self, names: Sequence[str]) -> str:
         """Return the components as inequalities; names of states, then of controls."""
@@ -257,7 +257,7 @@ class PathConstraint(StageRows):
         text = text if len(text) <= MOST_TEXT else f"{texts[0]} and {plural(len(texts) - 1, 'more')}"
         return f"{text}{price(self.penalty, 'excess of a component')}"
 
-    def _changed(
+    def _replace_parts(
         self, formulas: Sequence[Formula], penalty: float | None = None, limits: Array | None = None
     ) -> PathConstraint:
         soft = self.penalty if penalty is None else penalty
