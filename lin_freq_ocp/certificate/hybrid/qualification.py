@@ -16,7 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -72,7 +72,7 @@ def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
     return not np.linalg.norm(columns @ weights) > DEGENERATE * share
 
 
-def _free_components(problem: OptimalControlProblem, t: int) -> Array:
+def _free_components(problem: OptimalControlProblem, t: int) -> Mask:
     """Return which states and controls are not fixed at a time, (n + m,); there is no control at T."""
     controls, m = problem.control_tube, problem.control_dim
     free = controls.lower[t] < controls.upper[t] if t < problem.horizon else np.zeros(m, dtype=bool)
@@ -90,7 +90,10 @@ def _active_normals(problem: OptimalControlProblem, trajectory: Trajectory, t: i
                     yield sign * identity[first + i]
     for term in problem.terms:
         rows = term.polyhedron(n, m)
-        for k in () if rows is None else np.flatnonzero(rows.times == t):
-            matrix, values = rows.matrix(int(k)) * units, term.map.values(trajectory.x, trajectory.u)[k]
-            holds = values >= rows.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
+        if rows is None:
+            continue
+        values = term.map.values(trajectory.x, trajectory.u)
+        for k in np.flatnonzero(rows.times == t):
+            matrix = rows.matrix(int(k)) * units
+            holds = values[k] >= rows.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
             yield from (np.where(free, normal, 0.0) for normal in matrix[holds])

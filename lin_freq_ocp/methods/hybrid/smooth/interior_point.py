@@ -213,9 +213,9 @@ class BarrierPoint:
         rows = self._model.path
         if self._objective.curved and len(rows.values):
             bends, curved = self._derivatives.bends, True
-            width = slice(0, bends.shape[1])
-            prices = self.point.z[STAGES][rows.times, rows.slots]
-            np.add.at(lagrangian, (rows.times, width, width), prices[:, None, None] * bends)
+            added = np.zeros((len(lagrangian), *bends.shape[1:]))
+            np.add.at(added, rows.times, self.point.z[STAGES][rows.times, rows.slots, None, None] * bends)
+            lagrangian[:, : bends.shape[1], : bends.shape[1]] += added
         convex = curved and self._is_convex(lagrangian, applied)
         if not convex and curved and self.theta <= NEAR:
             convex = detected = any(solver.indefinite and self._factor_system(solver) for solver in solvers)

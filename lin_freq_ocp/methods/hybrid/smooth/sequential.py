@@ -195,7 +195,7 @@ class _SequenceProgram:
         rows = np.concatenate([self.regions.ravel(), *hard])
         return rows[rows >= 0]
 
-    def path_jets(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+    def path_jets(self, trajectory: Trajectory) -> tuple[Array, Array, Indices]:
         """Return of path constraints values less limits (rows,), slopes (rows, n+m) and variables (rows, n+m)."""
         n = self.problem.state_dim
         last = np.append(self.signals[-1, :n] + n, self.signals[-1, n:])  # of x_T, with those of u_{T-1}, unused
