@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
@@ -26,6 +27,7 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -43,7 +45,7 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
-AT_REST = 1e-8  # of its size: a component that is nowhere larger is set to zero where its rounding would count
+AT_REST = 1e-8  # of its size: a control that is nowhere larger is zero
 # Parts of a direction of descent to start from; its largest entry is of order 1
 PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
 
@@ -157,11 +159,16 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
-    if not certificate.feasible:  # barriers on one side push components that are at rest by less than they notice
-        pairs = zip((local.trajectory.x, local.trajectory.u), stated_sizes(problem), strict=True)
-        still = Trajectory(*(np.where(np.abs(part).max(0) > AT_REST * size, part, 0.0) for part, size in pairs))
-        certificate, multipliers = best_multipliers(problem, still, first)
-        plain = (still, multipliers, certificate) if certificate.feasible else plain
+    if certificate.failed and problem.path_constraints:
+        # barriers on one side push components that are at rest, where rounding would count
+        (x, u), size, box = (local.trajectory.x, local.trajectory.u), stated_sizes(problem)[1], problem.ends[0]
+        with suppress(NumericalError):
+            controls = np.where(np.abs(u).max(0) > AT_REST * size, u, 0.0)
+            still = simulate(problem, controls, np.clip(x[0], box.lower, box.upper))
+            at_rest = best_multipliers(problem, still, first)
+            if len(at_rest[0].failed) < len(certificate.failed):
+                certificate, multipliers = at_rest
+                plain = still, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:

@@ -158,6 +158,14 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
     assert result.multipliers.stage["speed"].max() > 1e-2
 
 
+def test_what_rests_far_from_h_is_certified():
+    along = mass("x_0**2 + x_1**2 - 9", initial_state=[-0.6, 0, 0, 0], terminal_state=[0.6, 0, 0, 0])  # x_1 is at rest
+    assert lfo.solve(along).status == "optimal"
+    still = mass("x_0**2 + x_1**2 - 9", horizon=3, initial_state=[0.5, 0.2, 0, 0], terminal_state=lfo.Box(-9, 9))
+    result = lfo.solve(still)
+    assert (result.status, result.cost) == ("optimal", 0.0)
+
+
 def test_a_point_where_h_is_no_number_is_refused():
     with pytest.raises(lfo.errors.ProblemError, match=r"'path', component 0: got nan .* at t = 0; expected finite"):
         lfo.certify(mass("log(x_0) - 1"), np.zeros((12, 2)))

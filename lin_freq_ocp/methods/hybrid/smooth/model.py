@@ -122,7 +122,10 @@ class SmoothModel:
 
     def path_values(self, y: Array) -> Array:
         """Return the values less limits, and less the slacks of soft ones, of path constraints at a point, (rows,)."""
-        rows, points, first, violations = self.path, self._points(y), self._units.shape[1], [np.zeros(0)]
+        rows, first, violations = self.path, self._units.shape[1], list[Array]()
+        if not len(rows.values):
+            return np.zeros(0)
+        points = self._points(y)
         for constraint in self.problem.path_constraints:
             times = constraint.values_along.times
             violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
@@ -152,8 +155,10 @@ class SmoothModel:
 
     def _path_derivatives(self, y: Array, units: Array) -> tuple[Array, Array, Array]:
         """Return values less limits of path constraints, slopes and curvatures by signals with units (T, n + m)."""
-        points, rows, width = self._points(y), self.path, units.shape[1]
-        normals, bends = [np.zeros((0, width))], [np.zeros((0, width, width))]
+        rows, width, normals, bends = self.path, units.shape[1], list[Array](), list[Array]()
+        if not len(rows.values):
+            return np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width))
+        points = self._points(y)
         for constraint in self.problem.path_constraints:
             times = constraint.values_along.times
             at = jets(constraint.formulas, points[times], times=times)

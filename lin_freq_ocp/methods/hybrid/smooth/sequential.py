@@ -257,7 +257,7 @@ class _SequenceProgram:
         changed = sp.csc_array((entries.ravel(), (row, column.ravel())), shape=base.A.shape)
         A = sp.csc_array(base.A + changed)
         Az, lower, upper = A @ z, base.lower.copy(), base.upper.copy()
-        Az[self.path_rows] = (changed @ z)[self.path_rows]  # without slacks
+        Az[self.path_rows] = np.asarray(changed @ z)[self.path_rows]  # without slacks
         defects = scale[maps] * (trajectory.x[1:] - values).ravel()
         outside = scale[regions] * np.append(switching[chosen], path_values)
         lower[maps] = upper[maps] = Az[maps] - defects
