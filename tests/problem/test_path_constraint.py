@@ -70,6 +70,15 @@ def test_states_counted_from_elsewhere_and_added_states_keep_its_values():
     assert np.allclose(tangents.augmented(4, 3).slack(more, at.u), tangents.slack(at.x, at.u))
 
 
+def test_a_measured_state_that_violates_it_is_left_free():
+    rows = mass(lambda x, u: [disc(x, u), u[0] ** 2 - 4], upper=[0.0, 1.0]).stage_rows[0].free_first_state(12)
+    assert np.array_equal(rows.limits()[0], [np.inf, 1.0])
+    assert np.array_equal(rows.limits()[1], [0.0, 1.0])
+    loop = lfo.RecedingHorizon(mass(terminal_state=lfo.Box(-9, 9), cost=lfo.QuadraticCost(Q=1.0, R=0.1)))
+    loop.step([0.45, 0.0, 1.0, 0.0])  # within the disc, on the way out
+    assert loop.log.steps[0].status.solved
+
+
 def test_a_soft_one_costs_its_price():
     problem, hard = mass(price=7.0), mass()
     at = trajectory(problem)

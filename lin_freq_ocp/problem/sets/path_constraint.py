@@ -139,10 +139,9 @@ class PathConstraint(StageRows):
             raise ProblemError(f"{field}.h", got, "at least one formula, and as many limits")
         parts = [smooth_parts(f"{field}.h", formula) for formula in given]
         formulas = tuple(part for one in parts for part in one)
-        of_states = not any(node.data[0] >= n for node in kinks(formulas, VARIABLE))
-        groups = horizon + of_states
+        groups = horizon + _of_states(formulas)
         if limits.ndim == 2 and len(limits) not in (horizon, groups):
-            expected = f"one for each of the {horizon} steps" + (f", or {groups} with x_T" if of_states else "")
+            expected = f"one for each of the {horizon} steps" + (f", or {groups} with x_T" if groups > horizon else "")
             raise ProblemError(f"{field}.upper", f"limits for {len(limits)} times", expected)
         require_times(f"{field}.h", formulas, groups)
         fixed = np.array([-np.inf if one.constant is None else one.constant for one in given])
@@ -262,21 +261,13 @@ class PathConstraint(StageRows):
     ) -> PathConstraint:
         soft = self.penalty if penalty is None else penalty
         changed = PathConstraint(list(formulas), self.name, self.e if limits is None else limits, soft, self.convex)
-        n, m = formulas[0].dimensions
-        return changed.at_dimensions(n, m, len(self.values_along.times) - self._at_end, "stage_rows")
-
-    @property
-    def _at_end(self) -> int:
-        """Return 1 if the constraint holds for x_T."""
-        return int(self.values_along.of_states)
+        (n, m), horizon = formulas[0].dimensions, len(self.values_along.times) - _of_states(formulas)
+        return changed.at_dimensions(n, m, horizon, "stage_rows")
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False)
 class TangentRows(StageRows):
     """A path constraint to first order along a trajectory: rows C_t x_t + D_t u_t <= e_t, if D is zero for x_T, too."""
-
-    def __init__(self, C: Array, D: Array, e: Array, name: str, penalty: float | None):
-        assign(self, C=C, D=D, e=e, name=name, penalty=penalty)
 
     def at_dimensions(self, n: int, m: int, horizon: int, field: str) -> TangentRows:
         """Return the rows, which are complete."""
@@ -334,11 +325,6 @@ class FormulaMap(AffineMap):
         """Return the number of operations."""
         return float(len(nodes_in_order(self.formulas)))
 
-    @property
-    def of_states(self) -> bool:
-        """Whether no control is in the formulas."""
-        return not any(node.data[0] >= node.dimensions[0] for node in kinks(self.formulas, VARIABLE))
-
     def signals(self, x: Array, u: Array) -> Array:
         """Return (x_t, u_t) at the times, (groups, n + m), with zeros for u_T."""
         controls = np.pad(u, ((0, len(self.times) - len(u)), (0, 0)))
@@ -377,6 +363,11 @@ class FormulaMap(AffineMap):
 def path_constraints(rows: Sequence[StageRows]) -> tuple[PathConstraint, ...]:
     """Return the path constraints among families of joint rows."""
     return tuple(family for family in rows if isinstance(family, PathConstraint))
+
+
+def _of_states(formulas: Sequence[Formula]) -> bool:
+    """Whether no control is in formulas."""
+    return not any(node.data[0] >= node.dimensions[0] for node in kinks(formulas, VARIABLE))
 
 
 def smooth_parts(field: str, formula: Formula) -> list[Formula]:

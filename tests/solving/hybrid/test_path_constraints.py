@@ -158,6 +158,14 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
     assert result.multipliers.stage["speed"].max() > 1e-2
 
 
+def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
+    """The data state a height of 0.1 and a force of 30; the way around the disc needs 0.5 and 0.3."""
+    A, B = np.eye(4) + 0.1 * np.eye(4, k=2), 0.1 * np.eye(4, 2, k=-2)
+    result = lfo.solve(mass(horizon=100, dynamics=lfo.LinearDynamics(A, B)), "nonsmooth")
+    assert result.status == "locally_optimal"
+    assert result.certificate.worst.relative < 1e-9
+
+
 def test_what_rests_far_from_h_is_certified():
     along = mass("x_0**2 + x_1**2 - 9", initial_state=[-0.6, 0, 0, 0], terminal_state=[0.6, 0, 0, 0])  # x_1 is at rest
     assert lfo.solve(along).status == "optimal"

@@ -63,6 +63,7 @@ class SmoothModel:
 
     problem: OptimalControlProblem
     assembly: Assembly
+    plain: Assembly | None = None  # without the weight of the end
 
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
@@ -75,10 +76,14 @@ class SmoothModel:
             stage_rows=[rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows],
         )
         assembly = assemble_stages(linear, sizes)
-        if problem.cost.has_formulas:
-            assembly = cls(problem, assembly).with_unit_of_cost(trajectory)
         if problem.path_constraints:
             assembly = cls(problem, assembly).without_constants()
+        return cls.with_end_weighted(problem, assembly, trajectory)
+
+    @classmethod
+    def with_end_weighted(cls, problem: OptimalControlProblem, plain: Assembly, trajectory: Trajectory) -> SmoothModel:
+        """Return the model of stages in units whose cost is as steep as usual at a trajectory."""
+        assembly = cls(problem, plain).with_unit_of_cost(trajectory) if problem.cost.has_formulas else plain
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
@@ -86,7 +91,12 @@ class SmoothModel:
         H[-1, terminal, terminal] += weight
         h[-1, terminal] -= weight * end
         constant = stages.constant + 0.5 * weight * float(end @ end)
-        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)))
+        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain)
+
+    def revised(self, y: Array) -> SmoothModel | None:
+        """Return the model in units of the size of a solution y, or None if the present units are similar."""
+        plain = None if self.plain is None else self.plain.revised(y)
+        return None if plain is None else self.with_end_weighted(self.problem, plain, self.trajectory(y))
 
     @property
     def stages(self) -> Stages:
