@@ -36,8 +36,8 @@ def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) 
     units, found = np.concatenate(trajectory_sizes(problem, trajectory)), list[tuple[str, int]]()
     active = list[tuple[int, str, Array, bool]]()  # time, name, gradient in sizes, and whether it vanishes nearby
     for one in constraints:
-        at, used = one.values_along.jets_along(trajectory.x, trajectory.u), one.used
-        largest = np.abs(one.values_along.signals(trajectory.x, trajectory.u)).max(axis=0)
+        at, used = one.map.jets_along(trajectory.x, trajectory.u), one.used
+        largest = np.abs(one.map.signals(trajectory.x, trajectory.u)).max(axis=0)
         terms = np.abs(at.slopes) @ largest + np.einsum("j,tijk,k->ti", largest, np.abs(at.curvatures), largest)
         near = CONDITION_TOLERANCE * terms.max(axis=0)
         for t, i in np.argwhere(one.slack(trajectory.x, trajectory.u) <= near):

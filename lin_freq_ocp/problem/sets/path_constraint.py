@@ -149,11 +149,11 @@ class PathConstraint(StageRows):
         limits = np.repeat(limits, [len(one) for one in parts], axis=-1)
         complete = PathConstraint(formulas, self.name, limits, self.penalty, self.convex)
         assign(complete, C=np.zeros((len(formulas), n)), D=np.zeros((len(formulas), m)), h=formulas)
-        complete.__dict__["values_along"] = FormulaMap(formulas, np.arange(groups))
+        complete.__dict__["map"] = FormulaMap(formulas, np.arange(groups))
         return complete
 
     @cached_property
-    def values_along(self) -> FormulaMap:
+    def map(self) -> FormulaMap:
         """The map from a trajectory to h at all times; in a problem."""
         raise ProblemError("stage_rows", f"{self.name!r} outside of a problem", "problem.stage_rows, which is complete")
 
@@ -167,14 +167,14 @@ class PathConstraint(StageRows):
 
     def limits(self) -> Array:
         """Return the limits of all times, (groups, components); inf at x_T if none are given there."""
-        groups, missing = self.values_along.shape, np.full((1, self.rows), np.inf)
+        groups, missing = self.map.shape, np.full((1, self.rows), np.inf)
         if self.e.ndim == 1:
             return np.broadcast_to(self.e, groups)
         return self.e if len(self.e) == groups[0] else np.vstack([self.e, missing])
 
     def values(self, x: Array, u: Array) -> Array:
         """Return h of every time, (T, components), and of x_T without controls."""
-        return self.values_along.values(x, u)
+        return self.map.values(x, u)
 
     def slack(self, x: Array, u: Array) -> Array:
         """Return upper - h: negative where a component is violated, inf without a limit."""
@@ -188,11 +188,11 @@ class PathConstraint(StageRows):
     def term(self, horizon: int) -> Term:
         """Return the term, whose values are those of h."""
         penalty = HalfSpaces(self.limits(), weight_of(self.penalty))
-        return Term(self.name, TermKind.STAGE_ROWS, self.values_along, penalty)
+        return Term(self.name, TermKind.STAGE_ROWS, self.map, penalty)
 
     def linearised(self, x: Array, u: Array) -> TangentRows:
         """Return h to first order along a trajectory, as rows; ProblemError where h or its slopes are no numbers."""
-        at, groups = self.values_along.jets_along(x, u), self.values_along.times
+        at, groups = self.map.jets_along(x, u), self.map.times
         for t, i in np.argwhere(~(np.isfinite(at.values) & np.isfinite(at.slopes).all(axis=2)))[:1]:
             got = f"{at.values[t, i]:g} and slopes {brief(at.slopes[t, i].tolist())} at t = {t}"
             expected = "finite numbers along the trajectory"
@@ -205,7 +205,7 @@ class PathConstraint(StageRows):
 
     def bends_down(self, x: Array, u: Array) -> bool:
         """Whether a Hessian of h along a trajectory has an eigenvalue below zero: h is not convex."""
-        values = np.linalg.eigvalsh(np.nan_to_num(self.values_along.jets_along(x, u).curvatures))
+        values = np.linalg.eigvalsh(np.nan_to_num(self.map.jets_along(x, u).curvatures))
         return bool((values[..., 0] < -EIGENVALUE_ROUNDING * np.abs(values).max(axis=-1)).any())
 
     def pattern(self, x: Array, u: Array, sizes: tuple[Array, Array]) -> TangentRows:
@@ -213,12 +213,12 @@ class PathConstraint(StageRows):
 
         ``sizes`` are those of states (n,) and controls (m,): h changes by so much within them, at most.
         """
-        at, units = self.values_along.jets_along(x, u), np.concatenate(sizes)
+        at, units = self.map.jets_along(x, u), np.concatenate(sizes)
         steep = np.abs(at.slopes) + np.abs(at.curvatures) @ units
         steepest = np.nan_to_num(steep, nan=0.0, posinf=0.0).max(axis=0)
         largest = (steepest * units).max(axis=1, keepdims=True)
         rows = np.where(self.used & (steepest == 0), np.where(largest > 0, largest, 1.0) / units, steepest)
-        groups = len(self.values_along.times)
+        groups = len(self.map.times)
         C, D = (np.broadcast_to(part, (groups, *part.shape)) for part in np.split(rows, [x.shape[1]], axis=1))
         tangents = TangentRows(C, D[: len(u)], self.limits(), self.name, self.penalty)
         return tangents.with_limits(np.where(np.isfinite(tangents.e), tangents.values(x, u), np.inf))
@@ -261,7 +261,7 @@ class PathConstraint(StageRows):
     ) -> PathConstraint:
         soft = self.penalty if penalty is None else penalty
         changed = PathConstraint(list(formulas), self.name, self.e if limits is None else limits, soft, self.convex)
-        (n, m), horizon = formulas[0].dimensions, len(self.values_along.times) - _of_states(formulas)
+        (n, m), horizon = formulas[0].dimensions, len(self.map.times) - _of_states(formulas)
         return changed.at_dimensions(n, m, horizon, "stage_rows")
 
 

@@ -120,7 +120,7 @@ class SmoothModel:
         assembly, n = self.assembly, self.problem.state_dim
         layout, shape, constraints = assembly.program.layout, self.stages.g.shape, self.problem.path_constraints
         first = dict(zip((name for name, _ in layout.names), layout.terms, strict=True))
-        sizes = [one.values_along.shape[0] * one.rows for one in constraints]
+        sizes = [one.map.shape[0] * one.rows for one in constraints]
         targets = [first[one.name] + np.arange(size) for one, size in zip(constraints, sizes, strict=True)]
         slot_of = np.full(layout.count + 1, -1)
         slot_of[assembly.targets[n : n + shape[0] * shape[1]]] = np.arange(shape[0] * shape[1])
@@ -137,7 +137,7 @@ class SmoothModel:
             return np.zeros(0)
         points = self._points(y)
         for constraint in self.problem.path_constraints:
-            times = constraint.values_along.times
+            times = constraint.map.times
             violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
         less = np.einsum("ri,ri->r", self.stages.G[rows.times, rows.slots, first:], y[rows.times, first:])
         return np.concatenate(violations)[rows.values] * rows.units + less
@@ -170,7 +170,7 @@ class SmoothModel:
             return np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width))
         points = self._points(y)
         for constraint in self.problem.path_constraints:
-            times = constraint.values_along.times
+            times = constraint.map.times
             at = jets(constraint.formulas, points[times], times=times)
             normals.append(at.slopes.reshape(-1, width))
             bends.append(at.curvatures.reshape(-1, width, width))

@@ -158,7 +158,7 @@ class _SequenceProgram:
         dynamics = piecewise_smooth(problem)
         y = np.hstack([start.x[:T], start.u])
         rows, sizes = problem.path_constraints, stated_sizes(problem)
-        at_start = [one.values_along.jets_along(start.x, start.u) for one in rows]
+        at_start = [one.map.jets_along(start.x, start.u) for one in rows]
         finite = all(np.isfinite(at.values).all() and np.isfinite(at.slopes).all() for at in at_start)
         if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all() or not finite:
             return None
@@ -201,7 +201,7 @@ class _SequenceProgram:
         last = np.append(self.signals[-1, :n] + n, self.signals[-1, n:])  # of x_T, with those of u_{T-1}, unused
         values, slopes, columns = [np.zeros(0)], [np.zeros((0, len(last)))], [self.signals[:0]]
         for one, rows in zip(self.problem.path_constraints, self.paths, strict=True):
-            at, limited = one.values_along.jets_along(trajectory.x, trajectory.u), rows >= 0
+            at, limited = one.map.jets_along(trajectory.x, trajectory.u), rows >= 0
             values.append((at.values - one.limits())[limited])
             slopes.append(at.slopes[limited])
             columns.append(np.vstack([self.signals, last])[np.nonzero(limited)[0]])
@@ -302,7 +302,7 @@ class _Linearised:
         hessians = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
         bent = hessians - np.einsum("ti,tijk->tjk", self.multipliers.eta, self.curvatures)
         for one in fixed.problem.path_constraints:
-            prices, bends = self.multipliers.stage[one.name], one.values_along.jets_along(x, u).curvatures
+            prices, bends = self.multipliers.stage[one.name], one.map.jets_along(x, u).curvatures
             bent += np.einsum("ti,tijk->tjk", prices, bends)[: len(bent)]
         values, vectors = np.linalg.eigh(bent)
         added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - hessians
