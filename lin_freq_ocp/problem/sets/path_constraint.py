@@ -46,6 +46,7 @@ from lin_freq_ocp.formulas.nodes import (
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, formula_from_text, listed_formulas, read_definitions
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
@@ -202,6 +203,15 @@ class PathConstraint(StageRows):
         if len(groups) == len(u):
             e = e + times_vectors(D, u)
         return TangentRows(C, D[: len(u)], e, self.name, self.penalty)
+
+    def excludes(self, t: int, x: Array) -> bool:
+        """Whether the constraint is hard and no control satisfies it at a time and a state, (n,), rounding apart."""
+        if self.hard_part is None or len(self.map.times) <= t or self.used[:, self.C.shape[1] :].any():
+            return False
+        y = np.append(x, np.zeros(self.D.shape[1]))
+        at = jets(self.formulas, y[None], times=np.array([t]))
+        rounding = END_TOLERANCE * (np.abs(at.slopes[0]) @ np.abs(y) + np.abs(at.values[0]))
+        return bool((at.values[0] > self.limits()[t] + rounding).any())
 
     def bends_down(self, x: Array, u: Array) -> bool:
         """Whether a Hessian of h along a trajectory has an eigenvalue below zero: h is not convex."""

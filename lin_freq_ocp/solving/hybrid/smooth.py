@@ -49,6 +49,8 @@ AT_REST = 1e-8  # of its size: a control that is nowhere larger is zero
 # Parts of a direction of descent to start from; its largest entry is of order 1
 PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
 
+NO_SECONDS = {"setup": 0.0, "solve": 0.0, "certify": 0.0}
+
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
 
@@ -90,7 +92,11 @@ class Nonsmooth:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search for local optima, judge the best, and bound the cost from below."""
         require_convex(problem)
-        started = now()
+        started, ends = now(), problem.fixed_ends.items()
+        excluded = [(one.name, t) for one in problem.path_constraints for t, x in ends if one.excludes(t, x)]
+        if excluded:
+            message = f"the path constraint {excluded[0][0]!r} does not hold at the fixed state of t = {excluded[0][1]}"
+            return outcome_of_search(problem, "nonsmooth", None, (Status.INFEASIBLE, message), NO_SECONDS, False)
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best

@@ -118,6 +118,13 @@ def test_few_states_have_a_global_bound_around_obstacles():
     assert lfo.solve(nowhere, throw=False).status == "infeasible"
 
 
+def test_a_fixed_end_that_violates_it_is_infeasible():
+    result = lfo.solve(mass(terminal_state=[0.2, 0.1, 0, 0]), throw=False)
+    assert (result.status, result.primal) == ("infeasible", False)
+    assert result.message == "the path constraint 'path' does not hold at the fixed state of t = 12"
+    assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
+
+
 def test_dependent_gradients_are_named_with_their_place():
     result = lfo.solve(mass("x_1**2", initial_state=[-1, 0, 0, 0]))
     facts = result.certificate.borders
