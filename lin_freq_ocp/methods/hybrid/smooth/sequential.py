@@ -157,13 +157,17 @@ class _SequenceProgram:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = piecewise_smooth(problem)
         y = np.hstack([start.x[:T], start.u])
-        rows, sizes = problem.path_constraints, stated_sizes(problem)
+        rows = problem.path_constraints
         at_start = [one.map.jets_along(start.x, start.u) for one in rows]
         finite = all(np.isfinite(at.values).all() and np.isfinite(at.slopes).all() for at in at_start)
         if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all() or not finite:
             return None
-        patterns = tuple(one.pattern(start.x, start.u, sizes) for one in problem.stage_rows)
-        linear = LinearProgram(replace_fields(problem.affine_at(start), stage_rows=patterns).with_modes(sequence))
+        affine = problem.affine_at(start)
+        if rows:
+            sizes = stated_sizes(problem)
+            patterns = tuple(one.pattern(start.x, start.u, sizes) for one in problem.stage_rows)
+            affine = replace_fields(affine, stage_rows=patterns)
+        linear = LinearProgram(affine.with_modes(sequence))
         scaling = natural_scaling(linear)
         program = linear.sparse.scaled(scaling)
         numbers = linear.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
