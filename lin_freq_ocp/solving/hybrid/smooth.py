@@ -16,6 +16,7 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
@@ -32,11 +33,13 @@ from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"
+EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
@@ -105,6 +108,10 @@ class Nonsmooth:
             judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
+        nowhere = judged is None and best is not None and not search.message
+        if nowhere and best is not None and _tangents_exclude(problem, best.trajectory, request):
+            ending = Status.INFEASIBLE, EXCLUDED_BY_TANGENTS
+            return outcome_of_search(problem, "nonsmooth", None, ending, NO_SECONDS | {"solve": now() - started}, False)
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
@@ -291,6 +298,17 @@ class _Bounding:
         if self.search.progress is not None:
             cost = self.judged[2].cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
+
+
+def _tangents_exclude(problem: OptimalControlProblem, at: Trajectory, request: Request) -> bool:
+    """Whether no trajectory of linear dynamics satisfies the tangents of convex path constraints at a trajectory."""
+    stated = problem.dynamics.without_cost
+    hard = [one for one in problem.path_constraints if one.hard_part is not None]
+    if stated.mode_names or not hard or not all(is_proven_convex(problem, one) for one in hard):
+        return False
+    rows = [row for row in problem.rows_along(at) if row.hard_part is not None]
+    relaxed = replace(problem, dynamics=stated, cost=problem.quadratic, stage_rows=rows)
+    return LinearAuto().solve(relaxed, Request(time_limit=request.time_limit)).status == Status.INFEASIBLE
 
 
 def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:

@@ -125,6 +125,15 @@ def test_a_fixed_end_that_violates_it_is_infeasible():
     assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
 
 
+def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
+    slow = lfo.solve(mass("x_2**2 + x_3**2 - 1"), throw=False)  # 2 m in 1.2 s
+    assert slow.status == "infeasible"
+    assert slow.message.startswith("proven by a ray: no trajectory satisfies tangents of the path constraints")
+    assert lfo.solve(mass("x_2**2 + x_3**2 - 1", price=9.0), throw=False).status == "optimal"
+    around = lfo.solve(mass(lambda x, u: [disc(x, u), -disc(x, u) - 0.9, x[2] ** 2 + x[3] ** 2 - 1]), throw=False)
+    assert around.status == "numerical_error"  # a disc is not convex
+
+
 def test_dependent_gradients_are_named_with_their_place():
     result = lfo.solve(mass("x_1**2", initial_state=[-1, 0, 0, 0]))
     facts = result.certificate.borders
