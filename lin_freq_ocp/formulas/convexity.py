@@ -27,7 +27,7 @@ class Shape(IntEnum):
 def is_convex(formula: Formula, lower: Array, upper: Array) -> bool:
     """Whether a formula is proven to be convex on boxes lower <= (x, u) <= upper at the times 0, 1, ..., (T, n + m).
 
-    It has no kinks then.
+    It has no kinks then but norms of affine functions, whose jets at zero have a subgradient.
     """
     return convex_curvature(formula, lower, upper) is not None
 
@@ -86,7 +86,7 @@ def _shape(horizon: int, node: Formula, parts: Sequence[Shape]) -> Shape:
     if node.kind == PRODUCT and min(parts) == Shape.CONSTANT and most <= Shape.CONVEX:
         factor = values_of([node.arguments[parts.index(Shape.CONSTANT)]], np.zeros((horizon, sum(node.dimensions))))
         return most if most == Shape.AFFINE or (factor >= 0).all() else Shape.UNKNOWN
-    even = node.kind == POWER and node.data[0] % 2 == 0
-    if (most == Shape.AFFINE and (even or node.kind == "cosh")) or (most <= Shape.CONVEX and node.kind == "exp"):
+    bowl = node.kind in (NORM, "cosh") or (node.kind == POWER and node.data[0] % 2 == 0)
+    if (most == Shape.AFFINE and bowl) or (most <= Shape.CONVEX and node.kind == "exp"):
         return Shape.CONVEX
     return Shape.UNKNOWN

@@ -37,6 +37,7 @@ SAYS = {
     "gantry": "optimal   446 samples, 0.446 s",
     "switching_angles": "angles [deg] [24.655 29.975 40.054 48.274 55.639]",
     "swing_up": "locally_optimal: cost 42.591339; satisfied",
+    "obstacles": "constrained  within a disc by 0.0000 m^2, ends 0.000 m away",
     "wall": "cost      95.820020, no trajectory below 95.82001",
 }
 

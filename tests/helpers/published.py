@@ -7,6 +7,7 @@ optima are CUTEst's, acados' or those of IPOPT on the same statement.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -206,6 +207,14 @@ def mass_around_disc(horizon: int = 20) -> lfo.OptimalControlProblem:
     )
 
 
+def mass_outside_disc(horizon: int = 20) -> lfo.OptimalControlProblem:
+    """Return the same with linear dynamics, and the disc as a path constraint."""
+    step, given = 2.0 / horizon, mass_around_disc(horizon)
+    A, B = np.eye(4) + step * np.eye(4, k=2), np.vstack([step**2 / 2 * np.eye(2), step * np.eye(2)])
+    disc = lfo.sets.PathConstraint(lambda x, u: 1.0 - x[0] ** 2 - x[1] ** 2, name="disc")
+    return replace(given, dynamics=lfo.LinearDynamics(A, B), stage_rows=disc)
+
+
 class Published(NamedTuple):
     """A problem, the horizon it is built with, and a local optimum that is not to be exceeded."""
 
@@ -239,4 +248,5 @@ PUBLISHED = {
     "pendulum of acados, T = 40": Published(acados_pendulum, 40, 2243.6764),
     "pendulum of acados, T = 100": Published(acados_pendulum, 100, 2047.23),
     "mass around a disc": Published(mass_around_disc, 20, 316.532678),
+    "mass around a disc, by h": Published(mass_outside_disc, 20, 316.532678),
 }

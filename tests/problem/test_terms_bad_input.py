@@ -282,7 +282,12 @@ SETS = {
     "a band": (lambda: problem(terminal_state=lfo.low_pass(1)), "terminal_state", "Band(", "a set, or None"),
     "a ball for bounds": (lambda: Box(Ball(1), 1), "Box.lower", "Ball(", "numbers"),
     "a box for rows": (lambda: lfo.sets.Polyhedron(Box(0, 1), [1]), "Polyhedron.F", "Box(", "numbers"),
-    "a set for rows": (lambda: problem(stage_rows=Ball(1)), "stage_rows", "Ball(", "StageRows, a sequence of them"),
+    "a set for rows": (
+        lambda: problem(stage_rows=Ball(1)),
+        "stage_rows",
+        "Ball(",
+        "StageRows, PathConstraint, a sequence of them",
+    ),
     "boxes apart": (
         lambda: Box(0, 1) & Box(2, 3),
         "Intersection",

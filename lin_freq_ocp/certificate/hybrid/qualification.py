@@ -6,25 +6,26 @@ at a point, also within the bounds and rows of that time, if
     sum_i mu_i grad h_i + (a normal to the active bounds and rows) = 0,   mu >= 0,   only for mu = 0
 
 (Mangasarian and Fromovitz). Nonnegative least squares finds the shortest sum with sum_i mu_i = 1 of gradients of length
-1. Fixed components count as constants. Everything is in the sizes of the states and controls, so that neither their
-units nor a factor of h decide. A gradient is zero if h changes within these sizes by curvature alone.
+1. Fixed components count as constants. A gradient is zero if it vanishes near the point, by the Hessian of h. All is in
+the sizes of the states and controls, so that neither their units nor a factor of h decide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.term import LinearRows
 from lin_freq_ocp.problem.trajectory import Trajectory
 
-# Lengths up to which a gradient, or a sum of gradients of length 1, is zero: points whose violation of a quadratic
-# constraint is within the judge's tolerance are as near to a zero of its gradient, up to a factor of ten
-DEPENDENT = 1e-4
+# Distance, in sizes, within which a gradient vanishes, and length of a sum of unit gradients that counts as zero: a
+# quadratic constraint that holds within the judge's tolerance may be as far from a zero of its gradient
+DEGENERATE = 1e-4
 
 
 def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[tuple[str, int], ...]:
@@ -33,23 +34,34 @@ def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) 
     if not constraints:
         return ()
     units, found = np.concatenate(trajectory_sizes(problem, trajectory)), list[tuple[str, int]]()
-    active = list[tuple[int, str, Array, float]]()  # time, name, gradient in sizes, and size of the changes of h
+    active = list[tuple[int, str, Array, bool]]()  # time, name, gradient in sizes, and whether it vanishes nearby
     for one in constraints:
-        at, used = one.values_along.jets_along(trajectory.x, trajectory.u), one.used
-        slopes = at.slopes * units
-        changes = np.abs(slopes).sum(axis=2) + np.einsum("j,tijk,k->ti", units, np.abs(at.curvatures), units)
-        near = CONDITION_TOLERANCE * changes.max(axis=0)
+        at, used = one.map.jets_along(trajectory.x, trajectory.u), one.used
+        largest = np.abs(one.map.signals(trajectory.x, trajectory.u)).max(axis=0)
+        terms = np.abs(at.slopes) @ largest + np.einsum("j,tijk,k->ti", largest, np.abs(at.curvatures), largest)
+        near = CONDITION_TOLERANCE * terms.max(axis=0)
         for t, i in np.argwhere(one.slack(trajectory.x, trajectory.u) <= near):
             free = _free_components(problem, int(t))
             if (used[i] & free).any():  # else h is a constant there
-                active.append((int(t), one.name, np.where(free, slopes[t, i], 0.0), float(changes[t, i])))
+                scale = np.where(free, units, 0.0)
+                gradient, bend = at.slopes[t, i] * scale, at.curvatures[t, i] * scale * scale[:, None]
+                active.append((int(t), one.name, gradient, _vanishes_nearby(gradient, bend)))
+    terms = [(term.polyhedron(problem.state_dim, problem.control_dim), term) for term in problem.terms]
+    rows = [(one, term.map.values(trajectory.x, trajectory.u)) for one, term in terms if one is not None]
     for t in sorted({t for t, *_ in active}):
-        here = [(name, gradient, change) for time, name, gradient, change in active if time == t]
-        zero = [name for name, gradient, change in here if not np.linalg.norm(gradient) > DEPENDENT * change]
-        normals = [normal for normal in _active_normals(problem, trajectory, t, units)]
+        here = [(name, gradient, vanishes) for time, name, gradient, vanishes in active if time == t]
+        zero = [name for name, _, vanishes in here if vanishes]
+        normals = list(_active_normals(problem, trajectory, t, units, rows))
         if zero or _dependent([gradient for _, gradient, _ in here], normals):
             found += [(name, t) for name in dict.fromkeys(zero or [name for name, *_ in here])]
     return tuple(found)
+
+
+def _vanishes_nearby(gradient: Array, bend: Array) -> bool:
+    """Whether a gradient is zero at a point that is near by its derivative."""
+    step = np.linalg.lstsq(bend, -gradient, rcond=DEGENERATE)[0]
+    left, length = (float(np.linalg.norm(part)) for part in (bend @ step + gradient, step))
+    return left <= DEGENERATE * float(np.linalg.norm(gradient)) and length <= DEGENERATE
 
 
 def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
@@ -60,18 +72,24 @@ def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
     total = np.append(np.ones(len(gradients)), np.zeros(columns.shape[1] - len(gradients)))
     weights = nnls(np.vstack([columns, total]), np.append(np.zeros(len(columns)), 1.0))[0]
     share = float(total @ weights)
-    return not np.linalg.norm(columns @ weights) > DEPENDENT * share
+    return not np.linalg.norm(columns @ weights) > DEGENERATE * share
 
 
-def _free_components(problem: OptimalControlProblem, t: int) -> Array:
+def _free_components(problem: OptimalControlProblem, t: int) -> Mask:
     """Return which states and controls are not fixed at a time, (n + m,); there is no control at T."""
     controls, m = problem.control_tube, problem.control_dim
     free = controls.lower[t] < controls.upper[t] if t < problem.horizon else np.zeros(m, dtype=bool)
     return np.append(problem.state_tube.lower[t] < problem.state_tube.upper[t], free)
 
 
-def _active_normals(problem: OptimalControlProblem, trajectory: Trajectory, t: int, units: Array) -> Iterator[Array]:
-    """Yield the normals to the active bounds and rows of a time, in sizes and without fixed components."""
+def _active_normals(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    t: int,
+    units: Array,
+    rows: Sequence[tuple[LinearRows, Array]],
+) -> Iterator[Array]:
+    """Yield the normals to the active bounds and rows, with their values, of a time, without fixed components."""
     n, m, free = problem.state_dim, problem.control_dim, _free_components(problem, t)
     identity, near = np.eye(n + m), CONDITION_TOLERANCE * units
     for first, signal, tube in ((0, trajectory.x, problem.state_tube), (n, trajectory.u, problem.control_tube)):
@@ -79,9 +97,8 @@ def _active_normals(problem: OptimalControlProblem, trajectory: Trajectory, t: i
             for sign, distance in ((1.0, tube.upper[t, i] - signal[t, i]), (-1.0, signal[t, i] - tube.lower[t, i])):
                 if distance <= near[first + i]:
                     yield sign * identity[first + i]
-    for term in problem.terms:
-        rows = term.polyhedron(n, m)
-        for k in () if rows is None else np.flatnonzero(rows.times == t):
-            matrix, values = rows.matrix(int(k)) * units, term.map.values(trajectory.x, trajectory.u)[k]
-            holds = values >= rows.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
+    for one, values in rows:
+        for k in np.flatnonzero(one.times == t):
+            matrix = one.matrix(int(k)) * units
+            holds = values[k] >= one.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
             yield from (np.where(free, normal, 0.0) for normal in matrix[holds])

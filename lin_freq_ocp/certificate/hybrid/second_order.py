@@ -65,8 +65,8 @@ def second_order_test(
     )
     added = np.zeros((n, n)) if terminal is None else terminal.copy()
     for one in problem.path_constraints:
-        prices = multipliers.stage.get(one.name, np.zeros(one.values_along.shape))
-        bends = np.einsum("ti,tijk->tjk", prices, one.values_along.jets_along(x, u).curvatures)
+        prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
+        bends = np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)
         H += bends[:T] * scale
         terms[:T] += np.einsum("tii->ti", np.abs(bends[:T]))
         added += bends[T:, :n, :n].sum(axis=0)

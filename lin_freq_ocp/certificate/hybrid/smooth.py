@@ -39,6 +39,7 @@ from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
@@ -123,13 +124,9 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
         return None
-    cost, (states, controls) = problem.quadratic, (problem.state_tube, problem.control_tube)
+    cost, (lower, upper) = problem.quadratic, _signal_bounds(problem)
     # slopes and least curvatures of all times; at T the controls are zeros
     points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))])
-    lower, upper = (
-        np.hstack([x, np.pad(u, ((0, 1), (0, 0)))])
-        for x, u in ((states.lower, controls.lower), (states.upper, controls.upper))
-    )
     slopes, curved = np.zeros_like(points), np.zeros_like(points)
     for formula, times in zip(problem.cost.formulas, (slice(T), slice(T, T + 1)), strict=True):
         if formula is None:
@@ -140,8 +137,8 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
     declared, of_rows = list[str](), 0.0
     for one in problem.path_constraints:
-        times, tangents = slice(len(one.limits())), one.linearised(trajectory.x, trajectory.u)
-        if not all(is_convex(formula, lower[times], upper[times]) for formula in one.formulas):
+        tangents = one.linearised(trajectory.x, trajectory.u)
+        if not is_proven_convex(problem, one):
             if not one.convex or one.bends_down(trajectory.x, trajectory.u):
                 return None
             declared.append(f"{one.name!r} is convex, as declared")
@@ -171,6 +168,20 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     return (
         replace(bound, kind=NUMERICAL, sets="; ".join([*filter(None, [bound.sets]), *declared])) if declared else bound
     )
+
+
+def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint) -> bool:
+    """Whether a path constraint of a problem is proven to be convex over its sets: it is then above its tangents."""
+    lower, upper = (bound[: len(constraint.limits())] for bound in _signal_bounds(problem))
+    return all(is_convex(formula, lower, upper) for formula in constraint.formulas)
+
+
+def _signal_bounds(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return the bounds of (x_t, u_t), (T + 1, n + m) each; at T those of the controls are zeros."""
+    states, controls = problem.state_tube, problem.control_tube
+    pairs = (states.lower, controls.lower), (states.upper, controls.upper)
+    lower, upper = (np.hstack([x, np.pad(u, ((0, 1), (0, 0)))]) for x, u in pairs)
+    return lower, upper
 
 
 def _judge_norms(

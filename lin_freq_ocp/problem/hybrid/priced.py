@@ -35,7 +35,8 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 class DynamicsWithFormulaCost(Dynamics):
     """Dynamics with the stage cost of a problem by formulas, whose kinks are modes.
 
-    ``form`` are the dynamics as smooth modes, ``stage`` is the cost, None where there is a terminal one alone.
+    ``form`` are the dynamics as smooth modes, ``stage`` is the cost, None where a terminal cost or path constraints are
+    all that has formulas.
     """
 
     dynamics: Dynamics

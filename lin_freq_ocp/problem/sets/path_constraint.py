@@ -46,6 +46,7 @@ from lin_freq_ocp.formulas.nodes import (
 )
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, formula_from_text, listed_formulas, read_definitions
+from lin_freq_ocp.problem.sets.box import END_TOLERANCE
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
@@ -139,10 +140,9 @@ class PathConstraint(StageRows):
             raise ProblemError(f"{field}.h", got, "at least one formula, and as many limits")
         parts = [smooth_parts(f"{field}.h", formula) for formula in given]
         formulas = tuple(part for one in parts for part in one)
-        of_states = not any(node.data[0] >= n for node in kinks(formulas, VARIABLE))
-        groups = horizon + of_states
+        groups = horizon + _of_states(formulas)
         if limits.ndim == 2 and len(limits) not in (horizon, groups):
-            expected = f"one for each of the {horizon} steps" + (f", or {groups} with x_T" if of_states else "")
+            expected = f"one for each of the {horizon} steps" + (f", or {groups} with x_T" if groups > horizon else "")
             raise ProblemError(f"{field}.upper", f"limits for {len(limits)} times", expected)
         require_times(f"{field}.h", formulas, groups)
         fixed = np.array([-np.inf if one.constant is None else one.constant for one in given])
@@ -150,11 +150,11 @@ class PathConstraint(StageRows):
         limits = np.repeat(limits, [len(one) for one in parts], axis=-1)
         complete = PathConstraint(formulas, self.name, limits, self.penalty, self.convex)
         assign(complete, C=np.zeros((len(formulas), n)), D=np.zeros((len(formulas), m)), h=formulas)
-        complete.__dict__["values_along"] = FormulaMap(formulas, np.arange(groups))
+        complete.__dict__["map"] = FormulaMap(formulas, np.arange(groups))
         return complete
 
     @cached_property
-    def values_along(self) -> FormulaMap:
+    def map(self) -> FormulaMap:
         """The map from a trajectory to h at all times; in a problem."""
         raise ProblemError("stage_rows", f"{self.name!r} outside of a problem", "problem.stage_rows, which is complete")
 
@@ -168,14 +168,14 @@ class PathConstraint(StageRows):
 
     def limits(self) -> Array:
         """Return the limits of all times, (groups, components); inf at x_T if none are given there."""
-        groups, missing = self.values_along.shape, np.full((1, self.rows), np.inf)
+        groups, missing = self.map.shape, np.full((1, self.rows), np.inf)
         if self.e.ndim == 1:
             return np.broadcast_to(self.e, groups)
         return self.e if len(self.e) == groups[0] else np.vstack([self.e, missing])
 
     def values(self, x: Array, u: Array) -> Array:
         """Return h of every time, (T, components), and of x_T without controls."""
-        return self.values_along.values(x, u)
+        return self.map.values(x, u)
 
     def slack(self, x: Array, u: Array) -> Array:
         """Return upper - h: negative where a component is violated, inf without a limit."""
@@ -189,11 +189,11 @@ class PathConstraint(StageRows):
     def term(self, horizon: int) -> Term:
         """Return the term, whose values are those of h."""
         penalty = HalfSpaces(self.limits(), weight_of(self.penalty))
-        return Term(self.name, TermKind.STAGE_ROWS, self.values_along, penalty)
+        return Term(self.name, TermKind.STAGE_ROWS, self.map, penalty)
 
     def linearised(self, x: Array, u: Array) -> TangentRows:
         """Return h to first order along a trajectory, as rows; ProblemError where h or its slopes are no numbers."""
-        at, groups = self.values_along.jets_along(x, u), self.values_along.times
+        at, groups = self.map.jets_along(x, u), self.map.times
         for t, i in np.argwhere(~(np.isfinite(at.values) & np.isfinite(at.slopes).all(axis=2)))[:1]:
             got = f"{at.values[t, i]:g} and slopes {brief(at.slopes[t, i].tolist())} at t = {t}"
             expected = "finite numbers along the trajectory"
@@ -204,9 +204,18 @@ class PathConstraint(StageRows):
             e = e + times_vectors(D, u)
         return TangentRows(C, D[: len(u)], e, self.name, self.penalty)
 
+    def excludes(self, t: int, x: Array) -> bool:
+        """Whether the constraint is hard and no control satisfies it at a time and a state, (n,), rounding apart."""
+        if self.hard_part is None or len(self.map.times) <= t or self.used[:, self.C.shape[1] :].any():
+            return False
+        y = np.append(x, np.zeros(self.D.shape[1]))
+        at = jets(self.formulas, y[None], times=np.array([t]))
+        rounding = END_TOLERANCE * (np.abs(at.slopes[0]) @ np.abs(y) + np.abs(at.values[0]))
+        return bool((at.values[0] > self.limits()[t] + rounding).any())
+
     def bends_down(self, x: Array, u: Array) -> bool:
         """Whether a Hessian of h along a trajectory has an eigenvalue below zero: h is not convex."""
-        values = np.linalg.eigvalsh(np.nan_to_num(self.values_along.jets_along(x, u).curvatures))
+        values = np.linalg.eigvalsh(np.nan_to_num(self.map.jets_along(x, u).curvatures))
         return bool((values[..., 0] < -EIGENVALUE_ROUNDING * np.abs(values).max(axis=-1)).any())
 
     def pattern(self, x: Array, u: Array, sizes: tuple[Array, Array]) -> TangentRows:
@@ -214,27 +223,27 @@ class PathConstraint(StageRows):
 
         ``sizes`` are those of states (n,) and controls (m,): h changes by so much within them, at most.
         """
-        at, units = self.values_along.jets_along(x, u), np.concatenate(sizes)
+        at, units = self.map.jets_along(x, u), np.concatenate(sizes)
         steep = np.abs(at.slopes) + np.abs(at.curvatures) @ units
         steepest = np.nan_to_num(steep, nan=0.0, posinf=0.0).max(axis=0)
         largest = (steepest * units).max(axis=1, keepdims=True)
         rows = np.where(self.used & (steepest == 0), np.where(largest > 0, largest, 1.0) / units, steepest)
-        groups = len(self.values_along.times)
+        groups = len(self.map.times)
         C, D = (np.broadcast_to(part, (groups, *part.shape)) for part in np.split(rows, [x.shape[1]], axis=1))
         tangents = TangentRows(C, D[: len(u)], self.limits(), self.name, self.penalty)
         return tangents.with_limits(np.where(np.isfinite(tangents.e), tangents.values(x, u), np.inf))
 
     def translated(self, origin: Array) -> PathConstraint:
         """Return the constraint on x - origin, origin (n,)."""
-        return self._changed(translate_formulas(self.formulas, origin))
+        return self._replace_parts(translate_formulas(self.formulas, origin))
 
     def augmented(self, n: int, k: int) -> PathConstraint:
         """Return the constraint on (x, w), w in R^k."""
-        return self._changed(with_states(self.formulas, k))
+        return self._replace_parts(with_states(self.formulas, k))
 
     def with_limits(self, e: Array) -> PathConstraint:
         """Return the constraint with other limits."""
-        return self._changed(self.formulas, limits=e)
+        return self._replace_parts(self.formulas, limits=e)
 
     def free_first_state(self, horizon: int) -> PathConstraint:
         """Return the constraint without limits on the state alone at time 0."""
@@ -244,7 +253,7 @@ class PathConstraint(StageRows):
 
     def softened(self, penalty: float) -> PathConstraint:
         """Return the constraint with a price per unit of violation, unless it has one already."""
-        return self if self.penalty is not None else self._changed(self.formulas, penalty)
+        return self if self.penalty is not None else self._replace_parts(self.formulas, penalty)
 
     def describe(self, names: Sequence[str]) -> str:
         """Return the components as inequalities; names of states, then of controls."""
@@ -257,26 +266,18 @@ class PathConstraint(StageRows):
         text = text if len(text) <= MOST_TEXT else f"{texts[0]} and {plural(len(texts) - 1, 'more')}"
         return f"{text}{price(self.penalty, 'excess of a component')}"
 
-    def _changed(
+    def _replace_parts(
         self, formulas: Sequence[Formula], penalty: float | None = None, limits: Array | None = None
     ) -> PathConstraint:
         soft = self.penalty if penalty is None else penalty
         changed = PathConstraint(list(formulas), self.name, self.e if limits is None else limits, soft, self.convex)
-        n, m = formulas[0].dimensions
-        return changed.at_dimensions(n, m, len(self.values_along.times) - self._at_end, "stage_rows")
-
-    @property
-    def _at_end(self) -> int:
-        """Return 1 if the constraint holds for x_T."""
-        return int(self.values_along.of_states)
+        (n, m), horizon = formulas[0].dimensions, len(self.map.times) - _of_states(formulas)
+        return changed.at_dimensions(n, m, horizon, "stage_rows")
 
 
-@dataclass(frozen=True, eq=False, init=False)
+@dataclass(frozen=True, eq=False)
 class TangentRows(StageRows):
     """A path constraint to first order along a trajectory: rows C_t x_t + D_t u_t <= e_t, if D is zero for x_T, too."""
-
-    def __init__(self, C: Array, D: Array, e: Array, name: str, penalty: float | None):
-        assign(self, C=C, D=D, e=e, name=name, penalty=penalty)
 
     def at_dimensions(self, n: int, m: int, horizon: int, field: str) -> TangentRows:
         """Return the rows, which are complete."""
@@ -334,11 +335,6 @@ class FormulaMap(AffineMap):
         """Return the number of operations."""
         return float(len(nodes_in_order(self.formulas)))
 
-    @property
-    def of_states(self) -> bool:
-        """Whether no control is in the formulas."""
-        return not any(node.data[0] >= node.dimensions[0] for node in kinks(self.formulas, VARIABLE))
-
     def signals(self, x: Array, u: Array) -> Array:
         """Return (x_t, u_t) at the times, (groups, n + m), with zeros for u_T."""
         controls = np.pad(u, ((0, len(self.times) - len(u)), (0, 0)))
@@ -377,6 +373,11 @@ class FormulaMap(AffineMap):
 def path_constraints(rows: Sequence[StageRows]) -> tuple[PathConstraint, ...]:
     """Return the path constraints among families of joint rows."""
     return tuple(family for family in rows if isinstance(family, PathConstraint))
+
+
+def _of_states(formulas: Sequence[Formula]) -> bool:
+    """Whether no control is in formulas."""
+    return not any(node.data[0] >= node.dimensions[0] for node in kinks(formulas, VARIABLE))
 
 
 def smooth_parts(field: str, formula: Formula) -> list[Formula]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -9,12 +10,13 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
+from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
@@ -26,15 +28,18 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
+EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
@@ -43,9 +48,11 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
-AT_REST = 1e-8  # of its size: a component that is nowhere larger is set to zero where its rounding would count
+AT_REST = 1e-8  # of its size: a control that is nowhere larger is zero
 # Parts of a direction of descent to start from; its largest entry is of order 1
 PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
+
+NO_SECONDS = {"setup": 0.0, "solve": 0.0, "certify": 0.0}
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -88,7 +95,11 @@ class Nonsmooth:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search for local optima, judge the best, and bound the cost from below."""
         require_convex(problem)
-        started = now()
+        started, ends = now(), problem.fixed_ends.items()
+        excluded = [(one.name, t) for one in problem.path_constraints for t, x in ends if one.excludes(t, x)]
+        if excluded:
+            message = f"the path constraint {excluded[0][0]!r} does not hold at the fixed state of t = {excluded[0][1]}"
+            return outcome_of_search(problem, "nonsmooth", None, (Status.INFEASIBLE, message), NO_SECONDS, False)
         search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
         solved = now()
         best = search.best
@@ -97,6 +108,10 @@ class Nonsmooth:
             judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
+        nowhere = judged is None and best is not None and not search.message
+        if nowhere and best is not None and _tangents_exclude(problem, best.trajectory, request):
+            ending = Status.INFEASIBLE, EXCLUDED_BY_TANGENTS
+            return outcome_of_search(problem, "nonsmooth", None, ending, NO_SECONDS | {"solve": now() - started}, False)
         if self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
@@ -157,11 +172,16 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
-    if not certificate.feasible:  # barriers on one side push components that are at rest by less than they notice
-        pairs = zip((local.trajectory.x, local.trajectory.u), stated_sizes(problem), strict=True)
-        still = Trajectory(*(np.where(np.abs(part).max(0) > AT_REST * size, part, 0.0) for part, size in pairs))
-        certificate, multipliers = best_multipliers(problem, still, first)
-        plain = (still, multipliers, certificate) if certificate.feasible else plain
+    if certificate.failed and problem.path_constraints:
+        # barriers on one side push components that are at rest, where rounding would count
+        (x, u), size, box = (local.trajectory.x, local.trajectory.u), stated_sizes(problem)[1], problem.ends[0]
+        with suppress(NumericalError):
+            controls = np.where(np.abs(u).max(0) > AT_REST * size, u, 0.0)
+            still = simulate(problem, controls, np.clip(x[0], box.lower, box.upper))
+            at_rest = best_multipliers(problem, still, first)
+            if len(at_rest[0].failed) < len(certificate.failed):
+                certificate, multipliers = at_rest
+                plain = still, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:
@@ -281,6 +301,17 @@ class _Bounding:
         if self.search.progress is not None:
             cost = self.judged[2].cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
+
+
+def _tangents_exclude(problem: OptimalControlProblem, at: Trajectory, request: Request) -> bool:
+    """Whether no trajectory of linear dynamics satisfies the tangents of convex path constraints at a trajectory."""
+    stated = problem.dynamics.without_cost
+    hard = [one for one in problem.path_constraints if one.hard_part is not None]
+    if stated.mode_names or not hard or not all(is_proven_convex(problem, one) for one in hard):
+        return False
+    rows = [row for row in problem.rows_along(at) if row.hard_part is not None]
+    relaxed = replace(problem, dynamics=stated, cost=problem.quadratic, stage_rows=rows)
+    return LinearAuto().solve(relaxed, Request(time_limit=request.time_limit)).status == Status.INFEASIBLE
 
 
 @np.errstate(invalid="ignore")  # as for _improve

@@ -213,9 +213,9 @@ class BarrierPoint:
         rows = self._model.path
         if self._objective.curved and len(rows.values):
             bends, curved = self._derivatives.bends, True
-            width = slice(0, bends.shape[1])
-            prices = self.point.z[STAGES][rows.times, rows.slots]
-            np.add.at(lagrangian, (rows.times, width, width), prices[:, None, None] * bends)
+            added = np.zeros((len(lagrangian), *bends.shape[1:]))
+            np.add.at(added, rows.times, self.point.z[STAGES][rows.times, rows.slots, None, None] * bends)
+            lagrangian[:, : bends.shape[1], : bends.shape[1]] += added
         convex = curved and self._is_convex(lagrangian, applied)
         if not convex and curved and self.theta <= NEAR:
             convex = detected = any(solver.indefinite and self._factor_system(solver) for solver in solvers)
@@ -513,12 +513,19 @@ def smooth_optimum(
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
     for _ in range(UNIT_REVISIONS):
-        stalled = answer.end is End.STALLED and not barrier.unequal
-        revised = model.assembly.revised(answer.point.y) if stalled else None
-        if revised is None:
+        # what obstacles demand may be far from what the data state: the answer is then accurate in other units alone
+        if problem.path_constraints:
+            again, weights = model.revised(answer.point.y) if answer.end is End.OPTIMAL else None, (WARM_MU, MOST_STEPS)
+        else:
+            stalled = answer.end is End.STALLED and not barrier.unequal
+            assembly, weights = model.assembly.revised(answer.point.y) if stalled else None, first
+            again = None if assembly is None else replace(model, assembly=assembly)
+        if again is None:
             break
-        model = replace(model, assembly=revised)
-        answer = Barrier(model, loops(wait=end == np.inf), end, *first).run(model.assembly.point(trajectory))
+        after = Barrier(again, loops(wait=end == np.inf), end, *weights).run(again.assembly.point(trajectory))
+        if problem.path_constraints and after.end is not End.OPTIMAL:
+            break
+        model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)

@@ -63,6 +63,7 @@ class SmoothModel:
 
     problem: OptimalControlProblem
     assembly: Assembly
+    plain: Assembly | None = None  # without the weight of the end
 
     @classmethod
     def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
@@ -75,10 +76,14 @@ class SmoothModel:
             stage_rows=[rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows],
         )
         assembly = assemble_stages(linear, sizes)
-        if problem.cost.has_formulas:
-            assembly = cls(problem, assembly).with_unit_of_cost(trajectory)
         if problem.path_constraints:
             assembly = cls(problem, assembly).without_constants()
+        return cls.with_end_weighted(problem, assembly, trajectory)
+
+    @classmethod
+    def with_end_weighted(cls, problem: OptimalControlProblem, plain: Assembly, trajectory: Trajectory) -> SmoothModel:
+        """Return the model of stages in units whose cost is as steep as usual at a trajectory."""
+        assembly = cls(problem, plain).with_unit_of_cost(trajectory) if problem.cost.has_formulas else plain
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
@@ -86,7 +91,12 @@ class SmoothModel:
         H[-1, terminal, terminal] += weight
         h[-1, terminal] -= weight * end
         constant = stages.constant + 0.5 * weight * float(end @ end)
-        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)))
+        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain)
+
+    def revised(self, y: Array) -> SmoothModel | None:
+        """Return the model in units of the size of a solution y, or None if the present units are similar."""
+        plain = None if self.plain is None else self.plain.revised(y)
+        return None if plain is None else self.with_end_weighted(self.problem, plain, self.trajectory(y))
 
     @property
     def stages(self) -> Stages:
@@ -110,7 +120,7 @@ class SmoothModel:
         assembly, n = self.assembly, self.problem.state_dim
         layout, shape, constraints = assembly.program.layout, self.stages.g.shape, self.problem.path_constraints
         first = dict(zip((name for name, _ in layout.names), layout.terms, strict=True))
-        sizes = [one.values_along.shape[0] * one.rows for one in constraints]
+        sizes = [one.map.shape[0] * one.rows for one in constraints]
         targets = [first[one.name] + np.arange(size) for one, size in zip(constraints, sizes, strict=True)]
         slot_of = np.full(layout.count + 1, -1)
         slot_of[assembly.targets[n : n + shape[0] * shape[1]]] = np.arange(shape[0] * shape[1])
@@ -122,9 +132,12 @@ class SmoothModel:
 
     def path_values(self, y: Array) -> Array:
         """Return the values less limits, and less the slacks of soft ones, of path constraints at a point, (rows,)."""
-        rows, points, first, violations = self.path, self._points(y), self._units.shape[1], [np.zeros(0)]
+        rows, first, violations = self.path, self._units.shape[1], list[Array]()
+        if not len(rows.values):
+            return np.zeros(0)
+        points = self._points(y)
         for constraint in self.problem.path_constraints:
-            times = constraint.values_along.times
+            times = constraint.map.times
             violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
         less = np.einsum("ri,ri->r", self.stages.G[rows.times, rows.slots, first:], y[rows.times, first:])
         return np.concatenate(violations)[rows.values] * rows.units + less
@@ -152,10 +165,12 @@ class SmoothModel:
 
     def _path_derivatives(self, y: Array, units: Array) -> tuple[Array, Array, Array]:
         """Return values less limits of path constraints, slopes and curvatures by signals with units (T, n + m)."""
-        points, rows, width = self._points(y), self.path, units.shape[1]
-        normals, bends = [np.zeros((0, width))], [np.zeros((0, width, width))]
+        rows, width, normals, bends = self.path, units.shape[1], list[Array](), list[Array]()
+        if not len(rows.values):
+            return np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width))
+        points = self._points(y)
         for constraint in self.problem.path_constraints:
-            times = constraint.values_along.times
+            times = constraint.map.times
             at = jets(constraint.formulas, points[times], times=times)
             normals.append(at.slopes.reshape(-1, width))
             bends.append(at.curvatures.reshape(-1, width, width))

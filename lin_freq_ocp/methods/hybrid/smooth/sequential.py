@@ -155,13 +155,17 @@ class _SequenceProgram:
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         dynamics = piecewise_smooth(problem)
         y = np.hstack([start.x[:T], start.u])
-        rows, sizes = problem.path_constraints, stated_sizes(problem)
-        at_start = [one.values_along.jets_along(start.x, start.u) for one in rows]
+        rows = problem.path_constraints
+        at_start = [one.map.jets_along(start.x, start.u) for one in rows]
         finite = all(np.isfinite(at.values).all() and np.isfinite(at.slopes).all() for at in at_start)
         if not dynamics.jets_at(y).defined()[np.arange(T), sequence].all() or not finite:
             return None
-        patterns = tuple(one.pattern(start.x, start.u, sizes) for one in problem.stage_rows)
-        linear = LinearProgram(replace_fields(problem.affine_at(start), stage_rows=patterns).with_modes(sequence))
+        affine = problem.affine_at(start)
+        if rows:
+            sizes = stated_sizes(problem)
+            patterns = tuple(one.pattern(start.x, start.u, sizes) for one in problem.stage_rows)
+            affine = replace_fields(affine, stage_rows=patterns)
+        linear = LinearProgram(affine.with_modes(sequence))
         scaling = natural_scaling(linear)
         program = linear.sparse.scaled(scaling)
         numbers = linear.multipliers(np.arange(1.0, 1.0 + len(program.lower)), 1.0)
@@ -193,13 +197,13 @@ class _SequenceProgram:
         rows = np.concatenate([self.regions.ravel(), *hard])
         return rows[rows >= 0]
 
-    def path_jets(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+    def path_jets(self, trajectory: Trajectory) -> tuple[Array, Array, Indices]:
         """Return of path constraints values less limits (rows,), slopes (rows, n+m) and variables (rows, n+m)."""
         n = self.problem.state_dim
         last = np.append(self.signals[-1, :n] + n, self.signals[-1, n:])  # of x_T, with those of u_{T-1}, unused
         values, slopes, columns = [np.zeros(0)], [np.zeros((0, len(last)))], [self.signals[:0]]
         for one, rows in zip(self.problem.path_constraints, self.paths, strict=True):
-            at, limited = one.values_along.jets_along(trajectory.x, trajectory.u), rows >= 0
+            at, limited = one.map.jets_along(trajectory.x, trajectory.u), rows >= 0
             values.append((at.values - one.limits())[limited])
             slopes.append(at.slopes[limited])
             columns.append(np.vstack([self.signals, last])[np.nonzero(limited)[0]])
@@ -255,7 +259,7 @@ class _SequenceProgram:
         changed = sp.csc_array((entries.ravel(), (row, column.ravel())), shape=base.A.shape)
         A = sp.csc_array(base.A + changed)
         Az, lower, upper = A @ z, base.lower.copy(), base.upper.copy()
-        Az[self.path_rows] = (changed @ z)[self.path_rows]  # without slacks
+        Az[self.path_rows] = np.asarray(changed @ z)[self.path_rows]  # without slacks
         defects = scale[maps] * (trajectory.x[1:] - values).ravel()
         outside = scale[regions] * np.append(switching[chosen], path_values)
         lower[maps] = upper[maps] = Az[maps] - defects
@@ -300,7 +304,7 @@ class _Linearised:
         hessians = np.broadcast_to(fixed.problem.quadratic.stage_hessians(), self.curvatures[:, 0].shape)
         bent = hessians - np.einsum("ti,tijk->tjk", self.multipliers.eta, self.curvatures)
         for one in fixed.problem.path_constraints:
-            prices, bends = self.multipliers.stage[one.name], one.values_along.jets_along(x, u).curvatures
+            prices, bends = self.multipliers.stage[one.name], one.map.jets_along(x, u).curvatures
             bent += np.einsum("ti,tijk->tjk", prices, bends)[: len(bent)]
         values, vectors = np.linalg.eigh(bent)
         added = np.einsum("tij,tj,tkj->tik", vectors, np.maximum(values, 0.0), vectors) - hessians

@@ -23,6 +23,7 @@ QUICK = [
     "Chen-Allgoewer, T = 100",
     "Chen-Allgoewer, T = 400",
     "pendulum of acados, T = 40",
+    "mass around a disc, by h",
 ]
 
 

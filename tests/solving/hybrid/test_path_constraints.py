@@ -1,0 +1,197 @@
+"""Problems with path constraints, solved and judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.path_constraints import disc, mass
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.candidate import zero_multipliers
+
+AROUND = {"initial_state": [-0.6, 0.77, 0.3, 0.9], "terminal_state": [0.6, 0.77, 0, 0]}
+BALL = "x_0**2 + x_1**2 - 0.99"
+
+
+@pytest.fixture(scope="module")
+def around():
+    return lfo.solve(mass(), "nonsmooth")
+
+
+def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
+    certificate, x, price = around.certificate, around.trajectory.x, around.multipliers.stage["path"]
+    assert (around.status, certificate.pmp, certificate.second_order.passed) == ("locally_optimal", "satisfied", True)
+    assert price.shape == (13, 1)
+    assert price.max() > 1.0
+    assert (disc(x.T, None)[price[:, 0] > 1e-3] > -1e-7).all()  # complementary
+    assert disc(x.T, None).max() <= 1e-9
+    assert certificate.worst.relative < 1e-9
+
+
+def test_both_sides_of_an_obstacle_are_tried():
+    symmetric = mass(initial_state=[-1, 0, 0, 0])  # a straight line leads through the centre
+    result = lfo.solve(symmetric, "nonsmooth")
+    assert result.certificate.pmp == "satisfied"
+    low, high = (lfo.solve(mass(initial_state=[-1, side, 0, 0]), "nonsmooth") for side in (-0.3, 0.3))
+    assert low.cost == pytest.approx(lfo.solve(mass(initial_state=[-1, 0.3, 0, 0], terminal_state=[1, 0, 0, 0])).cost)
+    assert low.trajectory.x[6, 1] < 0 < high.trajectory.x[6, 1]
+
+
+def test_a_wrong_multiplier_or_another_trajectory_is_noticed(around):
+    problem, at, price = around.problem, around.trajectory, around.multipliers.stage["path"]
+    for changed, label in ((1.01 * price, "C-iii"), (price + 0.1 * price.max(), "N-z")):
+        found = judge(problem, at, replace(around.multipliers, stage={"path": changed}))
+        assert label in {condition.label for condition in found.failed}, label
+    straight = mass("x_0 - 5", name="path")
+    found = lfo.certify(problem, lfo.solve(straight).trajectory)
+    assert [condition.label for condition in found.failed if condition.on_feasibility] == ["S-z"]
+    assert "rows hold: path" in {condition.name for condition in found.failed}
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_a_factor_of_h_changes_no_verdict(around, factor):
+    scaled = mass(lambda x, u: factor * disc(x, u))
+    result = lfo.solve(scaled, "nonsmooth")
+    assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
+    assert result.cost == pytest.approx(around.cost, rel=1e-8)
+    prices = result.multipliers.stage["path"] * factor
+    assert np.allclose(prices, around.multipliers.stage["path"], atol=1e-5 * prices.max())
+    moved = lfo.Trajectory(around.trajectory.x * [1, 0.999, 1, 1], around.trajectory.u)  # into the disc
+    assert not lfo.certify(scaled, moved).feasible
+
+
+def test_a_factor_of_a_degenerate_h_changes_no_verdict():
+    for factor in (1e-6, 1.0, 1e6):
+        certificate = lfo.solve(mass(f"{factor} * x_1**2", initial_state=[-1, 0, 0, 0])).certificate
+        assert certificate.pmp == "not_applicable", factor
+
+
+def test_a_convex_one_is_proven_globally_optimal():
+    result = lfo.solve(mass(BALL, **AROUND))
+    assert (result.status, result.certificate.pmp, result.certificate.bound.kind) == (
+        "optimal",
+        "satisfied",
+        "rigorous",
+    )
+    assert result.multipliers.stage["path"].max() > 1e-2
+    free = lfo.solve(mass("x_0 - 5", **AROUND))
+    assert free.cost < result.lower_bound <= result.cost
+    by_norm = lfo.solve(mass("norm(x_0, x_1) - sqrt(0.99)", **AROUND))
+    assert by_norm.status == "optimal"
+    assert by_norm.cost == pytest.approx(result.cost, rel=1e-7)
+
+
+def test_with_costs_by_formulas_and_soft():
+    cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="exp(x_0)", terminal="x_2**2")
+    assert lfo.solve(mass(BALL, cost=cost, **AROUND)).status == "optimal"
+    soft, hard = (lfo.solve(mass(BALL, **AROUND, **given)) for given in ({"price": 1.0}, {}))
+    assert soft.status == "optimal"
+    assert soft.cost < hard.cost
+    assert soft.problem.stage_rows[0].violation(soft.trajectory.x, soft.trajectory.u).max() > 1e-3
+    assert soft.multipliers.stage["path"].max() == pytest.approx(1.0)  # the price, where it is violated
+
+
+def test_a_declaration_proves_nothing_but_is_checked():
+    problem = mass("tanh(0.1 * (x_0**2 + x_1**2 - 0.99))", convex=True, **AROUND)
+    result = lfo.solve(problem, "nonsmooth")
+    bound = result.certificate.bound
+    assert (result.status, bound.kind) == ("locally_optimal", "numerical")
+    assert bound.sets.endswith("'path' is convex, as declared")
+    assert result.lower_bound == pytest.approx(result.cost, rel=1e-6)
+    assert lfo.solve(mass(convex=True), "nonsmooth").certificate.bound is None  # its Hessian is negative
+
+
+def test_few_states_have_a_global_bound_around_obstacles():
+    line = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(
+        line, 3, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-2, 2), state_set=lfo.Box(-2, 2),
+        initial_state=[-1.1], terminal_state=[1.1], stage_rows=lfo.sets.PathConstraint("0.25 - x_0**2"),
+    )  # fmt: skip
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    # the middle step crosses the obstacle, from -0.5 to 0.5
+    assert result.cost == pytest.approx(0.5 * (2 * 0.6**2 + 1.0), rel=1e-6)
+    nowhere = replace(problem, stage_rows=lfo.sets.PathConstraint("9 - x_0**2"))
+    assert lfo.solve(nowhere, throw=False).status == "infeasible"
+
+
+def test_a_fixed_end_that_violates_it_is_infeasible():
+    result = lfo.solve(mass(terminal_state=[0.2, 0.1, 0, 0]), throw=False)
+    assert (result.status, result.primal) == ("infeasible", False)
+    assert result.message == "the path constraint 'path' does not hold at the fixed state of t = 12"
+    assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
+
+
+def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
+    slow = lfo.solve(mass("x_2**2 + x_3**2 - 1"), throw=False)  # 2 m in 1.2 s
+    assert slow.status == "infeasible"
+    assert slow.message.startswith("proven by a ray: no trajectory satisfies tangents of the path constraints")
+    assert lfo.solve(mass("x_2**2 + x_3**2 - 1", price=9.0), throw=False).status == "optimal"
+    around = lfo.solve(mass(lambda x, u: [disc(x, u), -disc(x, u) - 0.9, x[2] ** 2 + x[3] ** 2 - 1]), throw=False)
+    assert around.status == "numerical_error"  # a disc is not convex
+
+
+def test_dependent_gradients_are_named_with_their_place():
+    result = lfo.solve(mass("x_1**2", initial_state=[-1, 0, 0, 0]))
+    facts = result.certificate.borders
+    assert result.certificate.pmp == "not_applicable"
+    assert facts.unqualified[0] == ("path", 1)  # x_0 is fixed
+    assert "the active gradients of 'path' at t = 1 to 11 are dependent or zero" in str(facts)
+
+    def both(x, u):  # at x = 0, the gradients are opposite
+        return [x[1] - 0.1 * x[0] ** 2, -x[1] - 0.1 * x[0] ** 2]
+
+    crossed = lfo.Trajectory(np.zeros((13, 4)), np.zeros((12, 2)))
+    rest = {"initial_state": [0, 0, 0, 0], "terminal_state": [0, 0, 0, 0]}
+    assert lfo.certify(mass(both, **rest), crossed).borders.unqualified[0] == ("path", 1)
+    assert lfo.certify(mass(lambda x, u: both(x, u)[:1], **rest), crossed).borders.unqualified == ()
+
+
+def test_the_second_order_test_has_the_curvature_of_h():
+    """At rest on top of h = 0 with a price on the height: no minimum on a disc, a minimum in a bowl."""
+    cost = lfo.QuadraticCost(R=0.01, q=[0.0, 1.0, 0.0, 0.0], p=[0.0, 1.0, 0.0, 0.0])
+    at = lfo.Trajectory(np.tile([0.0, 0.5, 0.0, 0.0], (13, 1)), np.zeros((12, 2)))
+    for h, passed in ((disc, False), ("0.5 - x_1 + x_0**2", True)):
+        problem = mass(h, cost=cost, initial_state=[0, 0.5, 0, 0], terminal_state=lfo.Box(-9, 9))
+        certificate = judge(problem, at, replace(zero_multipliers(problem, 1.0), stage={"path": np.ones((13, 1))}))
+        assert (certificate.pmp, certificate.second_order.passed) == ("satisfied", passed)
+
+
+def test_kinked_dynamics_take_it_by_sequential_programs():
+    drag = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * u[0] - 0.02 * abs(x[1]) * x[1]], 2, 1
+    )
+    rows = lfo.sets.PathConstraint(lambda x, u: x[0] ** 2 + x[1] ** 2, upper=1.3, name="speed")
+    problem = lfo.OptimalControlProblem(
+        drag, 8, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-40, 40), initial_state=[0, 0], terminal_state=[0.7, 0],
+        stage_rows=rows,
+    )  # fmt: skip
+    result = lfo.solve(problem, "nonsmooth")
+    assert result.certificate.pmp == "satisfied"
+    assert result.multipliers.stage["speed"].max() > 1e-2
+
+
+def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
+    """The data state a height of 0.1 and a force of 30; the way around the disc needs 0.5 and 0.3."""
+    A, B = np.eye(4) + 0.1 * np.eye(4, k=2), 0.1 * np.eye(4, 2, k=-2)
+    result = lfo.solve(mass(horizon=100, dynamics=lfo.LinearDynamics(A, B)), "nonsmooth")
+    assert result.status == "locally_optimal"
+    assert result.certificate.worst.relative < 1e-9
+
+
+def test_what_rests_far_from_h_is_certified():
+    along = mass("x_0**2 + x_1**2 - 9", initial_state=[-0.6, 0, 0, 0], terminal_state=[0.6, 0, 0, 0])  # x_1 is at rest
+    assert lfo.solve(along).status == "optimal"
+    still = mass("x_0**2 + x_1**2 - 9", horizon=3, initial_state=[0.5, 0.2, 0, 0], terminal_state=lfo.Box(-9, 9))
+    result = lfo.solve(still)
+    assert (result.status, result.cost) == ("optimal", 0.0)
+
+
+def test_a_point_where_h_is_no_number_is_refused():
+    with pytest.raises(lfo.errors.ProblemError, match=r"'path', component 0: got nan .* at t = 0; expected finite"):
+        lfo.certify(mass("log(x_0) - 1"), np.zeros((12, 2)))
+    result = lfo.solve(mass("log(x_0) - 1"), "nonsmooth", throw=False)
+    assert "where the dynamics or path constraints are not defined" in result.message
