@@ -9,7 +9,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
@@ -26,6 +26,7 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -42,8 +43,11 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
-# Parts of a direction of descent to start from; its largest entry is of order 1
-PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
+# Parts of a direction of descent, whose largest entry is 1 in the sizes of the judge: those of the next optimum may be
+# far from them
+PARTS_OF_DIRECTION = 10.0 ** np.arange(-9, 10)
+OUTSIDE = 0.01  # of a direction, by which it may leave the bounds: it keeps active ones to a thousandth
+MOST_STARTS = 6  # along a direction
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
 
@@ -169,15 +173,42 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:
     """Return the answer, or a better one to which its directions of descent of second order lead."""
     for _ in range(MOST_SADDLES):
-        test, (trajectory, _, _) = judged[2].second_order, judged
+        test, sequence = judged[2].second_order, np.zeros(search.problem.horizon, dtype=np.intp)
         if test is None or test.direction is None:
             break
-        d, sequence = test.direction, np.zeros(search.problem.horizon, dtype=np.intp)
-        starts = (Trajectory(trajectory.x + part * d.x, trajectory.u + part * d.u) for part in PARTS_OF_DIRECTION)
-        if not any(search.look_near(start, sequence) for start in starts) or search.best is None:
+        for cost, start in _starts_along(search, judged, test.direction):
+            # a search that raises the cost of its start may return to the saddle
+            if search.look_near(start, sequence) and search.best is not None and search.best.cost <= cost:
+                judged = refine_optimum(search.problem, search.best, search.end)
+                break
+        else:
             break
-        judged = refine_optimum(search.problem, search.best, search.end)
     return judged
+
+
+def _starts_along(search: LocalSearch, judged: Judged, d: Trajectory) -> list[tuple[float, Trajectory]]:
+    """Return trajectories with controls along a direction of descent, on both sides, the least cost first.
+
+    On each side, its parts rise until the trajectory leaves the bounds or costs more. Bounds of the last state do not
+    count: the direction keeps it to first order only.
+    """
+    problem, (trajectory, _, certificate) = search.problem, judged
+    starts, limit = list[tuple[float, Trajectory]](), certificate.cost + certificate.allowed_gap
+    for sign in (1.0, -1.0):
+        for part in PARTS_OF_DIRECTION:
+            x, u = (y + sign * part * change for y, change in ((trajectory.x, d.x), (trajectory.u, d.u)))
+            controls = problem.control_tube.project(u)
+            try:
+                start = simulate(problem, controls, problem.initial_box.project(x[0]))
+            except NumericalError:
+                break
+            moved = OUTSIDE * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
+            outside = np.hstack([problem.state_tube.violation(start.x)[:-1], u - controls])
+            cost = problem.value(start.x, start.u)
+            if now() > search.end or not cost <= limit or (np.abs(outside) > moved).any():
+                break
+            starts.append((cost, start))
+    return sorted(starts, key=lambda pair: pair[0])[:MOST_STARTS]
 
 
 def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | None) -> Judged | None:

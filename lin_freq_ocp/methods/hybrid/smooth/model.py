@@ -26,6 +26,7 @@ from lin_freq_ocp.program.units import cost_factor
 
 END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
+FAR = 1e4  # a unit that exceeds the size of an answer by this factor costs half of the digits of its accuracy
 
 
 class Derivatives(NamedTuple):
@@ -49,10 +50,12 @@ class SmoothModel:
     assembly: Assembly
 
     @classmethod
-    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
-        """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
+    def at(
+        cls, problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
+    ) -> SmoothModel:
+        """Return the model linearised at a trajectory, in units of ``sizes``, by default those that the data state."""
         linear = replace(problem, dynamics=problem.dynamics_along(trajectory), cost=problem.cost.without_formulas)
-        assembly = assemble_stages(linear, stated_sizes(problem))
+        assembly = assemble_stages(linear, sizes or stated_sizes(problem))
         if problem.cost.has_formulas:
             assembly = cls(problem, assembly).with_unit_of_cost(trajectory)
         stages = assembly.stages
@@ -78,6 +81,14 @@ class SmoothModel:
         assembly, dynamics = self.assembly, self.problem.dynamics_along(self.trajectory(y))
         program = LinearProgram(replace(assembly.problem, dynamics=dynamics), assembly.program.origin)
         return replace(assembly, program=program).multipliers(z, 1.0, y)
+
+    def in_smaller_units(self, y: Array) -> SmoothModel | None:
+        """Return the model in units of the size of a solution y; None if the present units are not far larger."""
+        revised, n = self.assembly.revised(y), self.problem.state_dim
+        if revised is None or (self.assembly.units.columns <= FAR * revised.units.columns).all():
+            return None
+        sizes = revised.units.columns[:, : n + self.problem.control_dim]
+        return self.at(self.problem, self.trajectory(y), (sizes[:, :n].max(axis=0), sizes[:-1, n:].max(axis=0)))
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
