@@ -15,14 +15,16 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
+from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.newton import newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import NEAR_KINK, ON_KINK, newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -30,6 +32,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
+from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
@@ -46,7 +49,7 @@ MOST_SADDLES = 10  # that are left one after the other
 # Parts of a direction of descent, whose largest entry is 1 in the sizes of the judge: those of the next optimum may be
 # far from them
 PARTS_OF_DIRECTION = 10.0 ** np.arange(-9, 10)
-OUTSIDE = 0.01  # of a direction, by which it may leave the bounds: it keeps active ones to a thousandth
+NEARLY_WITHIN = 0.01  # of a direction, by which it may leave the bounds: it keeps active ones to a thousandth
 MOST_STARTS = 6  # along a direction
 
 Judged = tuple[Trajectory, Multipliers, Certificate]
@@ -91,7 +94,13 @@ class Nonsmooth:
         """Search for local optima, judge the best, and bound the cost from below."""
         require_convex(problem)
         started = now()
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
+        judged = _solve_convex_terms(problem, request)
+        if judged is not None and judged[2].proven_within(self.gap or GLOBAL_GAP):
+            seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
+            return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start)
+        search.end = started + request.time_limit
+        search.run()
         solved = now()
         best = search.best
         judged = None
@@ -144,6 +153,25 @@ def outcome_of_search(
     )
 
 
+def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Judged | None:
+    """Return the global optimum with its bound if the cost by formulas is convex terms, else None."""
+    convex = with_convex_terms(problem)
+    found = None if convex is None else LinearAuto().solve(convex, Request(request.time_limit))
+    if convex is None or found is None or found.trajectory is None or found.multipliers is None:
+        return None
+    bound = None if found.certificate is None else found.certificate.bound
+    if found.status != Status.OPTIMAL or bound is None:
+        return None
+    first = replace(found.multipliers, stage={term.name: found.multipliers.stage[term.name] for term in problem.terms})
+    sequence, cost = _modes(problem, found.trajectory), problem.value(found.trajectory.x, found.trajectory.u)
+    local = LocalOptimum(sequence, found.trajectory, first, cost, 0.0)
+    trajectory, multipliers, certificate = refine_optimum(problem, local, now() + request.time_limit)
+    constant = certificate.cost - convex.value(trajectory.x, trajectory.u)
+    rounding = ARITHMETIC_ROUNDING * (certificate.cost_scale + cost_scale(convex, trajectory))
+    bound = replace(bound, value=bound.value + constant - rounding)
+    return trajectory, multipliers, replace(certificate, bound=bound)
+
+
 def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them.
 
@@ -161,13 +189,16 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     plain = local.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
-    try:
-        run = newton(problem, local.trajectory, multipliers, local.sequence, end=end)
-    except UnsupportedError:
-        return plain
-    after = judge(problem, run.trajectory, run.multipliers)
-    refined = run.trajectory, run.multipliers, after
-    return min(plain, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+    points = [plain]
+    for near in (NEAR_KINK, ON_KINK):
+        try:
+            run = newton(problem, local.trajectory, multipliers, local.sequence, near, end=end)
+        except UnsupportedError:
+            break
+        points.append((run.trajectory, run.multipliers, judge(problem, run.trajectory, run.multipliers)))
+        if run.converged or certificate.pmp == "satisfied":
+            break
+    return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
 def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:
@@ -202,7 +233,7 @@ def _starts_along(search: LocalSearch, judged: Judged, d: Trajectory) -> list[tu
                 start = simulate(problem, controls, problem.initial_box.project(x[0]))
             except NumericalError:
                 break
-            moved = OUTSIDE * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
+            moved = NEARLY_WITHIN * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
             outside = np.hstack([problem.state_tube.violation(start.x)[:-1], u - controls])
             cost = problem.value(start.x, start.u)
             if now() > search.end or not cost <= limit or (np.abs(outside) > moved).any():

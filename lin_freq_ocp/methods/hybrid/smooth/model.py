@@ -26,7 +26,7 @@ from lin_freq_ocp.program.units import cost_factor
 
 END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
-FAR = 1e4  # a unit that exceeds the size of an answer by this factor costs half of the digits of its accuracy
+FAR_UNIT = 1e4  # a unit that exceeds the size of an answer by this factor costs half of the digits of its accuracy
 
 
 class Derivatives(NamedTuple):
@@ -85,7 +85,7 @@ class SmoothModel:
     def in_smaller_units(self, y: Array) -> SmoothModel | None:
         """Return the model in units of the size of a solution y; None if the present units are not far larger."""
         revised, n = self.assembly.revised(y), self.problem.state_dim
-        if revised is None or (self.assembly.units.columns <= FAR * revised.units.columns).all():
+        if revised is None or (self.assembly.units.columns <= FAR_UNIT * revised.units.columns).all():
             return None
         sizes = revised.units.columns[:, : n + self.problem.control_dim]
         return self.at(self.problem, self.trajectory(y), (sizes[:, :n].max(axis=0), sizes[:-1, n:].max(axis=0)))
