@@ -24,6 +24,7 @@ from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.newton import NEAR_KINK, ON_KINK, newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
@@ -39,6 +40,8 @@ from lin_freq_ocp.solving.outcome import Evidence, Outcome
 LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
+
+EXCLUDED_BY_RAY = "proven without the cost by formulas: no trajectory exists (explain names the constraints)"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
 GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons
@@ -108,7 +111,9 @@ class Nonsmooth:
             judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
-        if self.global_bound:
+        if judged is None and not search.message and _is_excluded_by_ray(problem, search.end - now()):
+            status, message = Status.INFEASIBLE, EXCLUDED_BY_RAY
+        elif self.global_bound:
             limited = request.time_limit < np.inf
             left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
             if status.solved and judged is not None:
@@ -331,6 +336,14 @@ class _Bounding:
         if self.search.progress is not None:
             cost = self.judged[2].cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
+
+
+def _is_excluded_by_ray(problem: OptimalControlProblem, seconds: float) -> bool:
+    """Whether a ray proves that linear dynamics have no trajectory, whatever the cost by formulas is."""
+    if not problem.cost.has_formulas or problem.dynamics.without_cost.mode_names or seconds <= 0:
+        return False
+    found = LinearAuto().solve(replace(problem, cost=QuadraticCost()), Request(seconds))
+    return found.status == Status.INFEASIBLE and found.bound == RIGOROUS
 
 
 def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
