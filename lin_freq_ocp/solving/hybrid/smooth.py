@@ -111,18 +111,16 @@ class Nonsmooth:
             judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
-        if judged is None and not search.message and _is_excluded_by_ray(problem, search.end - now()):
-            status, message = Status.INFEASIBLE, EXCLUDED_BY_RAY
-        elif self.global_bound:
-            limited = request.time_limit < np.inf
-            left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            if status.solved and judged is not None:
-                bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
-                message = bounding.run() if left > 0 else UNBOUNDED
-                judged = bounding.judged  # the bound may lead to a better answer
-                status = judged[2].status_within(bounding.gap)
-            elif judged is None and not search.message and left > 0 and _is_excluded(problem, left):
-                status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
+        limited = request.time_limit < np.inf
+        left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
+        if judged is None and not search.message and left > 0:
+            proof = _proof_of_infeasibility(problem, left, self.global_bound)
+            status, message = (Status.INFEASIBLE, proof) if proof else (status, message)
+        elif judged is not None and status.solved and self.global_bound:
+            bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
+            message = bounding.run() if left > 0 else UNBOUNDED
+            judged = bounding.judged  # the bound may lead to a better answer
+            status = judged[2].status_within(bounding.gap)
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
 
@@ -338,24 +336,23 @@ class _Bounding:
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
-def _is_excluded_by_ray(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether a ray proves that linear dynamics have no trajectory, whatever the cost by formulas is."""
-    if not problem.cost.has_formulas or problem.dynamics.without_cost.mode_names or seconds <= 0:
-        return False
-    found = LinearAuto().solve(replace(problem, cost=QuadraticCost()), Request(seconds))
-    return found.status == Status.INFEASIBLE and found.bound == RIGOROUS
+def _proof_of_infeasibility(problem: OptimalControlProblem, seconds: float, intervals: bool) -> str:
+    """Return what proves that there is no trajectory, an empty text if nothing does.
 
-
-def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether intervals prove that there is no trajectory, even without frequency constraints: D is infinite."""
+    Of linear dynamics, it is a ray, whatever the cost by formulas is; else ``intervals``, if they are asked for, prove
+    it even without frequency constraints: D is infinite.
+    """
+    deadline = now() + seconds
+    if problem.cost.has_formulas and not problem.dynamics.without_cost.mode_names:
+        found = LinearAuto().solve(replace(problem, cost=QuadraticCost()), Request(seconds))
+        if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
+            return EXCLUDED_BY_RAY
     try:
-        deadline = now() + seconds
-        levels = value_bounds(
-            problem, zero_multipliers(problem, 1.0), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
-        )
-        return any(level.value == np.inf for level in levels)
+        none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
+        levels = value_bounds(problem, none, np.inf, loss, deadline, scale=loss) if intervals else []
+        return EXCLUDED_BY_INTERVALS if any(level.value == np.inf for level in levels) else ""
     except (UnsupportedError, OutOfTimeError):
-        return False
+        return ""
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
