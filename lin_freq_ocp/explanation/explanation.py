@@ -86,6 +86,8 @@ def explain(
     initial state: ...
     """
     require_problem(problem)
+    if problem.cost.has_formulas:  # no cost decides whether there is a trajectory
+        problem = replace(problem, cost=QuadraticCost())
     if problem.dynamics.affine and problem.dynamics.mode_names:
         raise UnsupportedError(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "

@@ -205,9 +205,12 @@ def _judge_norms(
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         base, columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)
         for t in np.flatnonzero(active):
-            mode = int(sequence[t])
+            own = np.asarray(columns[:, t].any(axis=(0, 2)))  # each mode may have a copy of the norm, which is one kink
+            mode = int(sequence[t]) if own[sequence[t]] else int(np.argmax(own))
             missing = (required[t] - base[t, mode]) / scale
             selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
+            if own.any() and not own[sequence[t]]:
+                continue
             signals = np.append(trajectory.x[t], trajectory.u[t])
             pull = dynamics.pull_of_norm(norm, signals, int(t), mode, multipliers.eta[t])
             rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)

@@ -33,8 +33,9 @@ from lin_freq_ocp.problem.hybrid.affine_mode import SIMULATION_ROUNDING, AffineM
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 
-# The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1.
-ZERO_NORM = 1e-9
+# The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1: solvers
+# leave 1e-8.
+ZERO_NORM = 1e-7
 OUTSIDE = 1e3  # the distance of a point from the linearised region of a mode that is not defined there
 
 

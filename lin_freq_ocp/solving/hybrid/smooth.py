@@ -17,14 +17,17 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
+from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.newton import newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import NEAR_KINK, ON_KINK, newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -41,6 +44,7 @@ LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
+EXCLUDED_BY_RAY = "proven without the cost by formulas: no trajectory exists (explain names the constraints)"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
 GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons
@@ -49,8 +53,11 @@ SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
 AT_REST = 1e-8  # of its size: a control that is nowhere larger is zero
-# Parts of a direction of descent to start from; its largest entry is of order 1
-PARTS_OF_DIRECTION = (0.1, -0.1, 0.01, -0.01)
+# Parts of a direction of descent, whose largest entry is 1 in the sizes of the judge: those of the next optimum may be
+# far from them
+PARTS_OF_DIRECTION = 10.0 ** np.arange(-9, 10)
+NEARLY_WITHIN = 0.01  # of a direction, by which it may leave the bounds: it keeps active ones to a thousandth
+MOST_STARTS = 6  # along a direction
 
 NO_SECONDS = {"setup": 0.0, "solve": 0.0, "certify": 0.0}
 
@@ -100,7 +107,13 @@ class Nonsmooth:
         if excluded:
             message = f"the path constraint {excluded[0][0]!r} does not hold at the fixed state of t = {excluded[0][1]}"
             return outcome_of_search(problem, "nonsmooth", None, (Status.INFEASIBLE, message), NO_SECONDS, False)
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start).run()
+        judged = _solve_convex_terms(problem, request)
+        if judged is not None and judged[2].proven_within(self.gap or GLOBAL_GAP):
+            seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
+            return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start)
+        search.end = started + request.time_limit
+        search.run()
         solved = now()
         best = search.best
         judged = None
@@ -108,20 +121,17 @@ class Nonsmooth:
             judged = _leave_saddles(search, refine_optimum(problem, best, search.end))
         judged = judged if request.start is None else _take_start(problem, request.start, judged)
         status, message = _status(search, judged)
-        nowhere = judged is None and best is not None and not search.message
-        if nowhere and best is not None and _tangents_exclude(problem, best.trajectory, request):
-            ending = Status.INFEASIBLE, EXCLUDED_BY_TANGENTS
-            return outcome_of_search(problem, "nonsmooth", None, ending, NO_SECONDS | {"solve": now() - started}, False)
-        if self.global_bound:
-            limited = request.time_limit < np.inf
-            left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
-            if status.solved and judged is not None:
-                bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
-                message = bounding.run() if left > 0 else UNBOUNDED
-                judged = bounding.judged  # the bound may lead to a better answer
-                status = judged[2].status_within(bounding.gap)
-            elif judged is None and not search.message and left > 0 and _is_excluded(problem, left):
-                status, message = Status.INFEASIBLE, EXCLUDED_BY_INTERVALS
+        limited = request.time_limit < np.inf
+        left = request.time_limit - (now() - started) if limited else GLOBAL_SECONDS
+        if judged is None and not search.message and left > 0:
+            at = None if best is None else best.trajectory
+            proof = _proof_of_infeasibility(problem, at, left, self.global_bound)
+            status, message = (Status.INFEASIBLE, proof) if proof else (status, message)
+        elif judged is not None and status.solved and self.global_bound:
+            bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
+            message = bounding.run() if left > 0 else UNBOUNDED
+            judged = bounding.judged  # the bound may lead to a better answer
+            status = judged[2].status_within(bounding.gap)
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
 
@@ -157,6 +167,25 @@ def outcome_of_search(
     )
 
 
+def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Judged | None:
+    """Return the global optimum with its bound if the cost by formulas is convex terms, else None."""
+    convex = with_convex_terms(problem)
+    found = None if convex is None else LinearAuto().solve(convex, Request(request.time_limit))
+    if convex is None or found is None or found.trajectory is None or found.multipliers is None:
+        return None
+    bound = None if found.certificate is None else found.certificate.bound
+    if found.status != Status.OPTIMAL or bound is None:
+        return None
+    first = replace(found.multipliers, stage={term.name: found.multipliers.stage[term.name] for term in problem.terms})
+    sequence, cost = _modes(problem, found.trajectory), problem.value(found.trajectory.x, found.trajectory.u)
+    local = LocalOptimum(sequence, found.trajectory, first, cost, 0.0)
+    trajectory, multipliers, certificate = refine_optimum(problem, local, now() + request.time_limit)
+    constant = certificate.cost - convex.value(trajectory.x, trajectory.u)
+    rounding = ARITHMETIC_ROUNDING * (certificate.cost_scale + cost_scale(convex, trajectory))
+    bound = replace(bound, value=bound.value + constant - rounding)
+    return trajectory, multipliers, replace(certificate, bound=bound)
+
+
 def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
     """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them.
 
@@ -184,27 +213,57 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
                 plain = still, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
-    try:
-        run = newton(problem, local.trajectory, multipliers, local.sequence, end=end)
-    except UnsupportedError:
-        return plain
-    after = judge(problem, run.trajectory, run.multipliers)
-    refined = run.trajectory, run.multipliers, after
-    return min(plain, refined, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+    points = [plain]
+    for near in (NEAR_KINK, ON_KINK):
+        try:
+            run = newton(problem, local.trajectory, multipliers, local.sequence, near, end=end)
+        except UnsupportedError:
+            break
+        points.append((run.trajectory, run.multipliers, judge(problem, run.trajectory, run.multipliers)))
+        if run.converged or certificate.pmp == "satisfied":
+            break
+    return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
 def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:
     """Return the answer, or a better one to which its directions of descent of second order lead."""
     for _ in range(MOST_SADDLES):
-        test, (trajectory, _, _) = judged[2].second_order, judged
+        test, sequence = judged[2].second_order, np.zeros(search.problem.horizon, dtype=np.intp)
         if test is None or test.direction is None:
             break
-        d, sequence = test.direction, np.zeros(search.problem.horizon, dtype=np.intp)
-        starts = (Trajectory(trajectory.x + part * d.x, trajectory.u + part * d.u) for part in PARTS_OF_DIRECTION)
-        if not any(search.look_near(start, sequence) for start in starts) or search.best is None:
+        for cost, start in _starts_along(search, judged, test.direction):
+            # a search that raises the cost of its start may return to the saddle
+            if search.look_near(start, sequence) and search.best is not None and search.best.cost <= cost:
+                judged = refine_optimum(search.problem, search.best, search.end)
+                break
+        else:
             break
-        judged = refine_optimum(search.problem, search.best, search.end)
     return judged
+
+
+def _starts_along(search: LocalSearch, judged: Judged, d: Trajectory) -> list[tuple[float, Trajectory]]:
+    """Return trajectories with controls along a direction of descent, on both sides, the least cost first.
+
+    On each side, its parts rise until the trajectory leaves the bounds or costs more. Bounds of the last state do not
+    count: the direction keeps it to first order only.
+    """
+    problem, (trajectory, _, certificate) = search.problem, judged
+    starts, limit = list[tuple[float, Trajectory]](), certificate.cost + certificate.allowed_gap
+    for sign in (1.0, -1.0):
+        for part in PARTS_OF_DIRECTION:
+            x, u = (y + sign * part * change for y, change in ((trajectory.x, d.x), (trajectory.u, d.u)))
+            controls = problem.control_tube.project(u)
+            try:
+                start = simulate(problem, controls, problem.initial_box.project(x[0]))
+            except NumericalError:
+                break
+            moved = NEARLY_WITHIN * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
+            outside = np.hstack([problem.state_tube.violation(start.x)[:-1], u - controls])
+            cost = problem.value(start.x, start.u)
+            if now() > search.end or not cost <= limit or (np.abs(outside) > moved).any():
+                break
+            starts.append((cost, start))
+    return sorted(starts, key=lambda pair: pair[0])[:MOST_STARTS]
 
 
 def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | None) -> Judged | None:
@@ -303,28 +362,31 @@ class _Bounding:
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
-def _tangents_exclude(problem: OptimalControlProblem, at: Trajectory, request: Request) -> bool:
-    """Whether no trajectory of linear dynamics satisfies the tangents of convex path constraints at a trajectory."""
-    stated = problem.dynamics.without_cost
-    hard = [one for one in problem.path_constraints if one.hard_part is not None]
-    if stated.mode_names or not hard or not all(is_proven_convex(problem, one) for one in hard):
-        return False
-    rows = [row for row in problem.rows_along(at) if row.hard_part is not None]
-    relaxed = replace(problem, dynamics=stated, cost=problem.quadratic, stage_rows=rows)
-    return LinearAuto().solve(relaxed, Request(time_limit=request.time_limit)).status == Status.INFEASIBLE
-
-
 @np.errstate(invalid="ignore")  # as for _improve
-def _is_excluded(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether intervals prove that there is no trajectory, even without frequency constraints: D is infinite."""
+def _proof_of_infeasibility(
+    problem: OptimalControlProblem, at: Trajectory | None, seconds: float, intervals: bool
+) -> str:
+    """Return what proves that there is no trajectory, an empty text if nothing does.
+
+    Of linear dynamics, it is a ray, whatever the cost by formulas is, with the tangents at a trajectory of the path
+    constraints that are convex; else ``intervals``, if they are asked for, prove it even without frequency constraints:
+    D is infinite.
+    """
+    deadline, stated = now() + seconds, problem.dynamics.without_cost
+    if not stated.mode_names:
+        rows = problem.stage_rows if at is None else problem.rows_along(at)
+        left_out = {one.name for one in problem.path_constraints if at is None or not is_proven_convex(problem, one)}
+        hard = [row for row in rows if row.hard_part is not None and row.name not in left_out]
+        relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
+        found = LinearAuto().solve(relaxed, Request(seconds))
+        if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
+            return EXCLUDED_BY_TANGENTS if problem.path_constraints else EXCLUDED_BY_RAY
     try:
-        deadline = now() + seconds
-        levels = value_bounds(
-            problem, zero_multipliers(problem, 1.0), np.inf, FEASIBILITY_LOSS, deadline, scale=FEASIBILITY_LOSS
-        )
-        return any(level.value == np.inf for level in levels)
+        none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
+        levels = value_bounds(problem, none, np.inf, loss, deadline, scale=loss) if intervals else []
+        return EXCLUDED_BY_INTERVALS if any(level.value == np.inf for level in levels) else ""
     except (UnsupportedError, OutOfTimeError):
-        return False
+        return ""
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

@@ -256,3 +256,15 @@ def test_what_takes_no_cost_by_formulas_names_the_cost(wave, tmp_path):
     for refused in (lambda: wave.linear, lambda: lfo.generate(lfo.RecedingHorizon(wave), tmp_path / "c")):
         with pytest.raises(lfo.errors.UnsupportedError, match="cost: got a cost by formulas"):
             refused()
+
+
+def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
+    cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="sin(x_0)**2")
+    ends = {"initial_state": [0.0], "terminal_state": [10.0]}
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 5, cost, lfo.Box(-1, 1), **ends)
+    result = lfo.solve(problem, throw=False)
+    assert (result.status, result.bound) == ("infeasible", "rigorous")
+    assert "proven without the cost by formulas" in result.message
+    explanation = lfo.explain(problem)
+    assert explanation.family == ("initial state", "terminal state", "control bound on u_0")
+    assert "[-1, 1] -> [-2, 2]" in str(explanation)

@@ -527,6 +527,13 @@ def smooth_optimum(
             break
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
+    smaller = model.in_smaller_units(answer.point.y) if answer.end is End.OPTIMAL and barrier.unequal else None
+    if smaller is not None:  # the units were those of far bounds
+        after = Barrier(smaller, loops(wait=end == np.inf), end, WARM_MU).run(smaller.assembly.point(trajectory))
+        if after.end is End.OPTIMAL:
+            model, answer, trajectory = smaller, after, smaller.trajectory(after.point.y)
+        elif after.end is End.INTERRUPTED:
+            answer = replace(answer, end=End.INTERRUPTED)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)
     sequence = np.zeros(problem.horizon, dtype=np.intp)

@@ -283,7 +283,7 @@ class LocalSearch:
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
         before = self.best
-        self._try(trajectory, sequence, self._cost)
+        self._try(trajectory, sequence, self._cost, warm=True)
         while self.best is not before and self._improve_neighbours():
             pass
         return self.best is not before and self.best is not None and self.best.feasible

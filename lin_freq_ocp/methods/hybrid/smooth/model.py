@@ -27,6 +27,7 @@ from lin_freq_ocp.program.units import cost_factor
 
 END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
+FAR_UNIT = 1e4  # a unit that exceeds the size of an answer by this factor costs half of the digits of its accuracy
 
 
 class Derivatives(NamedTuple):
@@ -66,9 +67,11 @@ class SmoothModel:
     plain: Assembly | None = None  # without the weight of the end
 
     @classmethod
-    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
-        """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
-        sizes = stated_sizes(problem)
+    def at(
+        cls, problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
+    ) -> SmoothModel:
+        """Return the model linearised at a trajectory, in units of ``sizes``, by default those that the data state."""
+        sizes = sizes or stated_sizes(problem)
         linear = replace(
             problem,
             dynamics=problem.dynamics_along(trajectory),
@@ -145,6 +148,14 @@ class SmoothModel:
     def stages_at(self, y: Array) -> Stages:
         """Return the stages with the path constraints linearised at a point; without any, those of the model."""
         return self.linearised(y, self.derivatives(y)) if len(self.path.values) else self.stages
+
+    def in_smaller_units(self, y: Array) -> SmoothModel | None:
+        """Return the model in units of the size of a solution y; None if the present units are not far larger."""
+        revised, n = self.assembly.revised(y), self.problem.state_dim
+        if revised is None or (self.assembly.units.columns <= FAR_UNIT * revised.units.columns).all():
+            return None
+        sizes = revised.units.columns[:, : n + self.problem.control_dim]
+        return self.at(self.problem, self.trajectory(y), (sizes[:, :n].max(axis=0), sizes[:-1, n:].max(axis=0)))
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""

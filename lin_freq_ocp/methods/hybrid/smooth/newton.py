@@ -274,11 +274,14 @@ def _switches_near(
     return switches
 
 
-NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
+# Distance in natural units at which a switching surface or zero of a norm gets a selection, and that for a trajectory
+# that comes near to kinks but does not touch them
+NEAR_KINK, ON_KINK = 1e-3, 1e-6
 CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
 SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
+ZERO_PIVOT = 1e-14  # part of the largest entry on the diagonal, so that no pivot is exactly zero
 # Relative to |J|^2 |Phi|, until a step is found: they vanish with the residual, so that convergence stays fast
 DAMPINGS = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 MOST_STEPS = 40
@@ -361,7 +364,8 @@ def _damped_step(system: NewtonSystem, v: Array, value: SystemValue) -> tuple[Ar
         # the least |J step + phi|^2 + weight |step|^2, by the system of residual and step
         augmented = sp.csc_array(sp.block_array([[sp.eye_array(count), J], [J.T, -weight * sp.eye_array(count)]]))
         try:
-            factors = splu(augmented if damping else J)
+            # SuperLU ends the process at some matrices with several pivots of exactly zero
+            factors = splu(augmented if damping else sp.csc_array(J + ZERO_PIVOT * sizes.max() * sp.eye_array(count)))
         except RuntimeError:  # exactly singular
             continue
         pivots = np.abs(factors.U.diagonal())

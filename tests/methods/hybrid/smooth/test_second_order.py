@@ -98,6 +98,54 @@ def test_a_good_start_of_the_beam_is_not_lost(part):
     assert lfo.solve(problem, global_bound=False, start=start).cost == pytest.approx(known.cost, rel=1e-8)
 
 
+def flat_top(bound, unit, origin):
+    """Return the cost ((x - origin)^2/unit^2 - 1)^2 with bounds, and the start on its top, a saddle."""
+
+    def stage(x, u):
+        return (((x[0] - origin) / unit) ** 2 - 1) ** 2
+
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]),
+        12,
+        lfo.QuadraticCost(R=0.1 / unit**2) + lfo.costs.SmoothCost(stage=stage),
+        control_set=lfo.Box(-bound * unit, bound * unit),
+        state_set=lfo.Box(origin - bound * unit, origin + bound * unit),
+        initial_state=[origin],
+    )
+    return problem, lfo.Trajectory(np.full((13, 1), origin), np.zeros((12, 1)))
+
+
+@pytest.mark.parametrize(
+    ("bound", "unit", "origin"), [(1e3, 1e6, 0.0), (1e9, 1.0, 0.0), (1e9, 1e-3, 0.0), (1e9, 1e3, 1e7), (1e6, 1e6, 1e7)]
+)
+def test_a_saddle_is_left_with_far_bounds_in_all_units_and_from_all_origins(bound, unit, origin):
+    problem, start = flat_top(bound, unit, origin)
+    result = lfo.solve(problem, start=start, global_bound=False, throw=False)
+    assert result.status == "locally_optimal"
+    assert result.cost == pytest.approx(1.0493827174769796, rel=1e-8)  # with a unit of 1 and bounds of 3
+
+
+@pytest.mark.parametrize(("bound", "unit"), [(1e3, 1.0), (1e6, 1e6)])
+def test_wells_in_the_dynamics_are_left_with_far_bounds(bound, unit):
+    def f(x, u):
+        return [x[0] + u[0], x[1] + unit * ((x[0] / unit) ** 4 / 4 - (x[0] / unit) ** 2 / 2)]
+
+    far = lfo.Box([-bound * unit, -np.inf], [bound * unit, np.inf])
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(f, 2, 1),
+        12,
+        lfo.QuadraticCost(R=0.05 / unit**2, p=[0.0, 1.0 / unit]),
+        lfo.Box(-bound * unit, bound * unit),
+        far,
+        initial_state=[0.0, 0.0],
+    )
+    rest = lfo.Trajectory(np.zeros((13, 2)), np.zeros((12, 1)))
+    assert lfo.certify(problem, rest).second_order.passed is False
+    result = lfo.solve(problem, start=rest, global_bound=False)
+    assert result.status == "locally_optimal"
+    assert result.cost < -2
+
+
 def test_functions_without_a_hessian_leave_it_undecided():
     def rates(x, u):
         return [u[0] - np.sin(x[0])]

@@ -1,0 +1,105 @@
+"""Stage costs by formulas that are sums of norms, maxima and squares of affine functions, as convex terms.
+
+With linear dynamics, a problem with such a cost is a convex program, whose global optimum has a proof for any number of
+states. max(a, b) is (a + b)/2 + |a - b|/2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, POWER, SUM
+from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost
+from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.maps import StageMap
+from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.terms.term import Term, TermKind
+
+
+@dataclass(frozen=True, eq=False)
+class AffineNorms(NonsmoothCost):
+    """sum_{t<T} sum_i |F_i (x_t, u_t) + c_i|; ``rows`` are [F_i, c_i], (components, n + m + 1) each."""
+
+    rows: tuple[Array, ...]
+    label: ClassVar[str] = "norms of formulas"
+
+    def own_terms(self, n: int, m: int, horizon: int, field: str, name: str) -> list[Term]:
+        """Return a term for each norm."""
+        times, length = np.arange(horizon), NormBall(2.0, np.zeros(()), np.ones(()))
+        maps = [StageMap(times, rows[:, :n], rows[:, n:-1], rows[:, -1]) for rows in self.rows]
+        return [Term(f"{name} {i}", TermKind.STAGE_COST, values, length) for i, values in enumerate(maps)]
+
+    def describe(self) -> str:
+        """Return how many norms there are."""
+        return f"the sum of {len(self.rows)} norms of affine functions at each time"
+
+    def augmented(self, n: int, k: int) -> AffineNorms:
+        """Return the cost of (x, w), w in R^k without cost."""
+        return AffineNorms(tuple(np.insert(rows, [n] * k, 0.0, axis=1) for rows in self.rows))
+
+
+@dataclass(eq=False)
+class _Summands:
+    """The summands of a formula found so far, by their rows (..., n + m + 1)."""
+
+    affine: Array
+    norms: list[Array] = field(default_factory=list[Array])
+    squares: list[Array] = field(default_factory=list[Array])
+
+    def add(self, node: Formula, factor: float) -> bool:
+        """Add a multiple of a formula; return whether it has this form."""
+        own = affine_row(node)
+        if own is not None:
+            self.affine += factor * own
+            return True
+        if node.kind == SUM:
+            self.affine[-1] += factor * node.data[-1]
+            parts = zip(node.arguments, node.data[:-1], strict=True)
+            return all(self.add(part, factor * own_factor) for part, own_factor in parts)
+        rows = [row for row in map(affine_row, node.arguments) if row is not None]
+        if len(rows) < len(node.arguments):
+            return False
+        if node.kind == NORM and factor > 0:
+            self.norms.append(factor * np.array(rows))
+        elif len(rows) == 2 and ((node.kind == MAXIMUM and factor > 0) or (node.kind == MINIMUM and factor < 0)):
+            self.affine += factor / 2 * (rows[0] + rows[1])
+            self.norms.append(factor / 2 * (rows[0] - rows[1])[None])
+        elif node.kind == POWER and node.data[0] == 2 and factor > 0:
+            self.squares.append(np.sqrt(factor) * rows[0])
+        else:
+            return False
+        return True
+
+
+def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem | None:
+    """Return the problem with its stage cost by a formula as convex terms; its cost differs by a constant.
+
+    None if the cost has another form or no kinks, the dynamics are not linear, or there are path constraints.
+    """
+    (stage, terminal), stated = problem.cost.formulas, problem.dynamics.without_cost
+    if stage is None or terminal is not None or stated.mode_names or problem.path_constraints:
+        return None
+    T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
+    found = _Summands(np.zeros(n + m + 1))
+    if not found.add(stage, 1.0) or not found.norms:
+        return None
+    squares = np.array(found.squares).reshape(-1, n + m + 1)
+    M, slope = 2 * squares[:, :-1].T @ squares[:, :-1], found.affine[:-1] + 2 * squares[:, -1] @ squares[:, :-1]
+    references = np.hstack([np.broadcast_to(cost.x_ref, (T + 1, n))[:T], np.broadcast_to(cost.u_ref, (T, m))])
+    slopes = slope + references @ M  # 1/2 y'M y is 1/2 a'M a + r'M y, a = y - r, up to a constant
+    quadratic = replace(
+        cost,
+        Q=cost.Q + M[:n, :n],
+        R=cost.R + M[n:, n:],
+        S=cost.S + M[:n, n:],
+        q=cost.q + slopes[:, :n],
+        r=cost.r + slopes[:, n:],
+    )
+    norms = [*problem.cost.without_formulas.norms, AffineNorms(tuple(found.norms))]
+    return replace(problem, dynamics=stated, cost=CostSum([quadratic, *norms]))

@@ -1,0 +1,104 @@
+"""Costs by formulas with kinks that are convex terms: solved as a convex program, with its proof."""
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
+
+A, B = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([[0.0], [0.4]])
+STAGES = {  # a formula, and the same convex function in NumPy
+    "norm": (
+        lambda x, u: 2.0 * lfo.norm([x[0] - 0.2, x[1]]) - 0.1 * u[0] + 3.0,
+        lambda x, u: 2.0 * np.hypot(x[:, 0] - 0.2, x[:, 1]) - 0.1 * u[:, 0] + 3.0,
+    ),
+    "absolute value and square": (
+        lambda x, u: abs(x[0] - u[0]) + 0.5 * (x[1] + 2 * u[0] - 1) ** 2,
+        lambda x, u: np.abs(x[:, 0] - u[:, 0]) + 0.5 * (x[:, 1] + 2 * u[:, 0] - 1) ** 2,
+    ),
+    "maximum less a minimum": (
+        lambda x, u: 0.7 * lfo.maximum(x[0], 2 * x[1] - 1) - 0.4 * lfo.minimum(x[1], 0.3),
+        lambda x, u: 0.7 * np.maximum(x[:, 0], 2 * x[:, 1] - 1) - 0.4 * np.minimum(x[:, 1], 0.3),
+    ),
+}
+
+
+def problem_of(stage, horizon=30, **changes) -> lfo.OptimalControlProblem:
+    cost = lfo.QuadraticCost(Q=0.1, R=0.2, S=[[0.05], [0.0]], x_ref=[0.5, -0.3], u_ref=[0.1], P=1.0)
+    sets = {"control_set": lfo.Box(-1.5, 1.5), "initial_state": [1.0, -0.5]} | changes
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B), horizon, cost + lfo.costs.SmoothCost(stage=stage), **sets
+    )
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_the_cost_differs_by_a_constant(name):
+    formula, function = STAGES[name]
+    problem = problem_of(formula)
+    convex, rng = with_convex_terms(problem), np.random.default_rng(0)
+    differences = []
+    for _ in range(5):
+        x, u = rng.standard_normal((31, 2)), rng.standard_normal((30, 1))
+        assert problem.value(x, u) == pytest.approx(problem.quadratic.value(x, u) + function(x[:-1], u).sum())
+        differences.append(problem.value(x, u) - convex.value(x, u))
+    assert differences == pytest.approx([differences[0]] * 5, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_the_global_optimum_is_proven_over_thirty_steps(name):
+    formula, function = STAGES[name]
+    problem = problem_of(formula, control_spectrum=lfo.stop_band(bins=[3, 4]), state_set=lfo.Box(-3.0, 3.0))
+    result = lfo.solve(problem)
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    assert result.certificate.globally_optimal
+    rng, best = np.random.default_rng(0), result.trajectory
+    for size in (1e-3, 1e-2, 0.1):  # no trajectory nearby costs less than the bound
+        spectrum = np.fft.rfft(size * rng.standard_normal((30, 1)), axis=0)
+        spectrum[[3, 4]] = 0.0
+        u = best.u + np.fft.irfft(spectrum, 30, axis=0)
+        x = lfo.simulate(problem, u).x
+        assert problem.quadratic.value(x, u) + function(x[:-1], u).sum() >= result.lower_bound
+
+
+def test_a_norm_in_several_modes_has_one_selection():
+    """The absolute value makes two modes, each with a copy of the norm, which is zero over the last steps."""
+    stage = lfo.costs.SmoothCost(stage=lambda x, u: lfo.norm([x[0], x[1]]) + 0.1 * abs(u[0]))
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]])
+    problem = lfo.OptimalControlProblem(
+        dynamics, 30, lfo.QuadraticCost(R=0.01) + stage, lfo.Box(-5, 5), initial_state=[1.0, -0.5]
+    )
+    result = lfo.solve(problem)
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    kinks = [kink.time for kink in result.certificate.borders.norms]
+    assert kinks
+    assert len(kinks) == len(set(kinks))
+
+
+def test_a_convex_cost_with_bounded_changes_is_proven():
+    problem = lfo.rate_limited(problem_of(STAGES["norm"][0], horizon=12), 0.3, previous=0.0)
+    assert lfo.solve(problem).certificate.globally_optimal
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        lambda x, u: -abs(x[0]),
+        lambda x, u: lfo.minimum(x[0], x[1]),
+        lambda x, u: abs(x[0] * u[0]),
+        lambda x, u: abs(x[0]) - x[1] ** 2,
+        lambda x, u: abs(x[0]) + np.sin(u[0]),
+        lambda x, u: x[0] ** 2 + u[0],
+        lambda t, x, u: t.look_up([1.0, 2.0, 3.0]) * abs(x[0]),
+    ],
+)
+def test_other_costs_stay_formulas(stage):
+    assert with_convex_terms(problem_of(stage, horizon=3)) is None
+
+
+def test_other_dynamics_and_terminal_formulas_stay_formulas():
+    kinked = lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [x[0] + abs(u[0]), x[1]], 2, 1)
+    cost = lfo.costs.SmoothCost(stage=STAGES["norm"][0])
+    assert with_convex_terms(lfo.OptimalControlProblem(kinked, 3, cost, initial_state=[1.0, 0.0])) is None
+    cost = cost + lfo.costs.SmoothCost(terminal="x_0**4")
+    linear = lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 3, cost, initial_state=[1.0, 0.0])
+    assert with_convex_terms(linear) is None
