@@ -57,7 +57,8 @@ class Located:
         if bounds and "state_set" in bounds:
             bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
         terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
-        return Change(changed.initial_state.translated(self.origin), terminal, references, bounds)
+        start = changed.initial_state.translated(self.origin)
+        return Change(start, terminal, references, bounds, change.disturbance)
 
 
 @dataclass(frozen=True, eq=False)

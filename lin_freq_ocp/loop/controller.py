@@ -23,7 +23,6 @@ from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
-    add_disturbance,
     checked_penalties,
     depends_on_past,
     excess,
@@ -233,13 +232,13 @@ class Controller:
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
-        change = Change(begin, references=preview.references, bounds=bounds)
-        hard = self._solve_step(self._hard, change, preview, x)
+        change = Change(begin, references=preview.references, bounds=bounds, disturbance=preview.disturbance)
+        hard = self._solve_step(self._hard, change, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
-        return hard, self._solve_step(self._soft, change, preview, x)
+        return hard, self._solve_step(self._soft, change, x)
 
-    def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
+    def _solve_step(self, repeated: Repeated, change: Change, x: Array) -> Outcome:
         """Solve the problem of a step; steps with the same data share the set-up of the solver."""
         tree = self._trees[repeated]
         problem = repeated.problem
@@ -250,8 +249,6 @@ class Controller:
             dimensions = problem.state_dim, problem.control_dim
             past = (np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True))
             problem = with_past(problem, *past)
-        if preview.disturbance is not None:
-            problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
             known, repeated = repeated, Repeated(problem, self._method)
             repeated.take_programs(known)

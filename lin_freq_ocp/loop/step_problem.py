@@ -14,11 +14,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_number, real_array
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.base.arrays import Array, brief, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import Translation
@@ -78,18 +76,6 @@ def limits_of_plans(problem: OptimalControlProblem) -> str:
         f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: "
         "nothing follows for the applied signal. lfo.spectrum.Spectrogram limits windows of applied and planned ones."
     )
-
-
-def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
-    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
-    dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
-    if not isinstance(dynamics, LinearDynamics):
-        kind = type(dynamics).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
-    expected = real_array("disturbance", disturbance)
-    if expected.shape not in ((n,), (T, n)):
-        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
 
 
 def checked_penalties(penalties: Mapping[str, float] | None) -> dict[str, float]:
