@@ -27,6 +27,7 @@ from lin_freq_ocp.loop.step_problem import (
     depends_on_past,
     excess,
     free_first_state,
+    known_states,
     limits_of_plans,
     soften,
     with_past,
@@ -96,6 +97,7 @@ class Controller:
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
+        self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
 
     @property
     def record(self) -> LoopRecord:
@@ -110,9 +112,10 @@ class Controller:
 
         ``applied`` is the control that acted in the last step, if it was not the controller's.
         """
-        x = self.measured("state", state, self.problem.state_dim)
-        if applied is not None and len(self._applied) > self.delay:
-            self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
+        acted = None if applied is None else self.measured("applied", applied, self.problem.control_dim)
+        x = self.completed("state", state, acted)
+        if acted is not None and len(self._applied) > self.delay:
+            self._applied[-1 - self.delay] = acted
         started, plain = now(), preview.empty
         for repeated in self._trees if plain and not self._remembers else ():
             repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
@@ -265,11 +268,36 @@ class Controller:
             return None
         return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
-    def measured(self, field: str, value: ArrayLike, size: int) -> Array:
+    @property
+    def unknown_dim(self) -> int:
+        """Return how many states do not follow from the controls alone."""
+        return int((~self._known).sum())
+
+    def completed(self, field: str, value: ArrayLike, acted: Array | None = None) -> Array:
+        """Return a measured state, (n,), with the states that follow from the controls alone if they are left out.
+
+        ``acted`` is the control that acted in the last step, if it was not the controller's.
+        """
+        n, left = self.problem.state_dim, self.unknown_dim
+        vector = one_component(real_array(field, value), left)
+        if vector.shape != (left,) or not 0 < left < n:
+            advice = f"Or {(left,)}, without the states that follow from the controls." if 0 < left < n else ""
+            return self.measured(field, value, n, advice)
+        if self._steps:
+            none = np.zeros(self.problem.control_dim)
+            own = self._applied[-1 - self.delay] if len(self._applied) > self.delay else none
+            state = np.array(self._step(0, self._steps[-1].state, own if acted is None else acted))
+        else:
+            begin = self.problem.initial_box
+            state = np.where(begin.fixed, begin.lower, 0.0)
+        state[~self._known] = vector
+        return state
+
+    def measured(self, field: str, value: ArrayLike, size: int, advice: str = "") -> Array:
         """Return a finite vector of this size; else ProblemError."""
         vector = one_component(real_array(field, value), size)
         if vector.shape != (size,):
-            raise ProblemError(field, f"shape {vector.shape}", f"shape {(size,)}")
+            raise ProblemError(field, f"shape {vector.shape}", f"shape {(size,)}", advice)
         return vector
 
 

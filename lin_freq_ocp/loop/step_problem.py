@@ -15,8 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_number
+from lin_freq_ocp.base.arrays import Array, Mask, brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import Translation
@@ -60,6 +61,14 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
         state_spectrum=[one.with_past(x, 1) for one in entries_of(problem.state_spectrum)] or None,
         output_spectrum=[one.with_past(x, u) for one in entries_of(problem.output_spectrum)] or None,
     )
+
+
+def known_states(dynamics: LinearDynamics) -> Mask:
+    """Return the states, (n,), that follow from the controls before alone, such as the last control itself."""
+    A, known = dynamics.gains()[0], np.zeros(dynamics.state_dim, dtype=bool)
+    for _ in range(dynamics.state_dim):
+        known = ~(A[:, ~known] != 0).any(axis=1)
+    return known
 
 
 def depends_on_past(problem: OptimalControlProblem) -> bool:
