@@ -98,6 +98,7 @@ class Controller:
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
+        self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
 
     @property
     def record(self) -> LoopRecord:
@@ -175,12 +176,14 @@ class Controller:
             if without:
                 past = "windows of applied samples make each step another problem."
                 raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
-        if self._remembers or not self._hard.plans(begin):
+        if self._remembers:
             return None
         budget, source = UNLIMITED, Source.PLAN
         if self._steps:
             budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
         plan, changes = self._hard.plan(begin, budget), 0
+        if plan is None and not self._hard.plans(begin):
+            return None
         if self._soft is not None and not (plan and plan.plan.settled):
             changes = 0 if plan is None else plan.plan.changes
             softened = self._soft.plan(begin, budget)
@@ -268,21 +271,17 @@ class Controller:
             return None
         return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
-    @property
-    def unknown_dim(self) -> int:
-        """Return how many states do not follow from the controls alone."""
-        return int((~self._known).sum())
-
     def completed(self, field: str, value: ArrayLike, acted: Array | None = None) -> Array:
         """Return a measured state, (n,), with the states that follow from the controls alone if they are left out.
 
         ``acted`` is the control that acted in the last step, if it was not the controller's.
         """
         n, left = self.problem.state_dim, self.unknown_dim
+        if not 0 < left < n:
+            return self.measured(field, value, n)
         vector = one_component(real_array(field, value), left)
-        if vector.shape != (left,) or not 0 < left < n:
-            advice = f"Or {(left,)}, without the states that follow from the controls." if 0 < left < n else ""
-            return self.measured(field, value, n, advice)
+        if vector.shape != (left,):
+            return self.measured(field, vector, n, f"Or {(left,)}, without the states that follow from the controls.")
         if self._steps:
             none = np.zeros(self.problem.control_dim)
             own = self._applied[-1 - self.delay] if len(self._applied) > self.delay else none

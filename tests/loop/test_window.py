@@ -102,3 +102,5 @@ def test_a_disturbance_is_added_to_the_offset():
     with pytest.raises(lfo.errors.ProblemError) as caught:
         add_disturbance(problem(), [1.0])
     assert caught.value.field == "disturbance"
+    with pytest.raises(lfo.errors.UnsupportedError, match="a preview needs linear dynamics; these are Piecewise"):
+        lfo.RecedingHorizon(lfo.library.pendulum_with_wall(horizon=5)).step(np.zeros(2), disturbance=[0.0, 0.1])

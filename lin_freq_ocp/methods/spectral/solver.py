@@ -102,7 +102,8 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
-        rows = row_form(problem)
+        rows, T = row_form(problem), problem.horizon
+        self._end_rows = rows is not None and any((polyhedron.times == T).any() for polyhedron in rows.polyhedra)
         problem = problem if rows is None else rows.problem
         reason = refusal(problem)
         if reason is not None:
@@ -154,7 +155,7 @@ class SpectralSolver:
         time_limit: float | None = None,
         disturbance: ArrayLike | None = None,
     ) -> SpectralSolution:
-        """Solve, with other ends, references, bounds or a disturbance if given.
+        """Solve, with other ends, references and bounds or a disturbance, if given.
 
         Parameters
         ----------
@@ -178,7 +179,7 @@ class SpectralSolver:
         ProblemError
             If new data do not fit the problem, or the tolerance or time limit is not above zero.
         UnsupportedError
-            If a new set is neither a box nor a point.
+            If a new set is neither a box nor a point, or there is a disturbance and a polyhedron at the end.
         """
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
@@ -221,6 +222,8 @@ class SpectralSolver:
         if references is not None:
             problem = problem.with_references(references)
         if disturbance is not None:
+            if self._end_rows:  # those on x_T are rows on the step before, in which the disturbance acts
+                raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
             problem = add_disturbance(problem, disturbance)
         if initial_state is not None or terminal_state is not None:
             problem = problem.with_ends(initial_state, terminal_state)
