@@ -3,8 +3,9 @@
     python scripts/benchmark.py loop [--horizons 60 240] [--problems free "low pass" "soft bounds"] [--steps 100]
                                      [--write]
 
-CPU times of one thread, all contenders on the same measured states in turns; medians. The certificate, which the others do
-not have, is timed apart. "agreement" is the largest difference of a control from the first row, relative to its bound.
+CPU times of one thread, all contenders on the same measured states in turns; medians. The certificate, which the
+others do not have, is timed apart. "agreement" is the largest difference of a control from the first row, relative to
+its bound.
 OSQP and PIQP solve the sparse program in states and controls, DAQP the dense program of our condensed method, do-mpc,
 where it is installed, a nonlinear program of CasADi by IPOPT; each is set up once and updated at every step.
 
