@@ -23,7 +23,7 @@ formulas     random problems with costs and time by formulas, against IPOPT and 
 answers      linear problems by the sparse program and by the structured method, compared with each other, or with the
              answers of another state of the code (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
-loop         closed loops with disturbances
+loop         closed loops with disturbances, and plans of ten plants against the sparse program
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed

@@ -178,7 +178,9 @@ class RecedingHorizon:
         Parameters
         ----------
         state : (n,)
-            The measured state, which may lie outside the state set.
+            The measured state, which may lie outside the state set. States of linear dynamics that follow from the
+            controls alone may be left out, all or none, such as the last control that ``rate_limited`` adds. At the
+            first step these are those of the problem's initial state, zero where it has none.
         references : mapping, optional
             "x_ref" and "u_ref" over the coming horizon, as in QuadraticCost.
         bounds : mapping, optional
@@ -223,6 +225,7 @@ class RecedingHorizon:
         Parameters
         ----------
         initial_state : (n,)
+            As for ``step``; without the states that follow from the controls, a given plant has none of them either.
         steps : int
         plant : callable, control.StateSpace, dynamics, or None
             A function from x (n,) and u (m,) to the next state; a function of three arguments takes the step first.
@@ -230,7 +233,7 @@ class RecedingHorizon:
         references : mapping, optional
             "x_ref" and "u_ref", of steps + T samples or more; each step sees those of its horizon.
         disturbance : (steps, n), optional
-            Added to the state that the plant returns; the controller does not know it.
+            Added to the state that the plant returns, with as many components; the controller does not know it.
         progress : callable, optional
             Called with the numbers of finished and of all steps, before the first step and after each.
 
@@ -245,8 +248,11 @@ class RecedingHorizon:
         ProblemError
             If the initial state, the plant, the references or the disturbance do not fit the problem.
         """
-        n, count = self.problem.state_dim, positive_integer("steps", steps)
-        next_state, horizon = plant_of(plant, self.problem), self.problem.horizon
+        count, horizon = positive_integer("steps", steps), self.problem.horizon
+        x = self._controller.completed("initial_state", initial_state)
+        if plant is not None and np.size(initial_state) == self._controller.unknown_dim:
+            x = real_array("initial_state", initial_state).reshape(-1)
+        n, next_state = len(x), plant_of(plant, self.problem, len(x))
         noise = np.zeros((count, n)) if disturbance is None else real_array("disturbance", disturbance)
         if noise.shape != (count, n):
             raise ProblemError("disturbance", f"shape {noise.shape}", f"shape {(count, n)}")
@@ -257,7 +263,6 @@ class RecedingHorizon:
                 expected = f"at least {count + horizon} rows, one per sample"
                 raise ProblemError(f"references.{name}", f"shape {rows.shape}", expected)
             tracked[name] = rows
-        x = self._controller.measured("initial_state", initial_state, n)
         stopped, delay = "", self._controller.delay
         acting = np.zeros(self.problem.control_dim)
         try:
@@ -275,4 +280,4 @@ class RecedingHorizon:
             stopped = "interrupted"
         except LinFreqOCPError as error:
             stopped = str(error)
-        return replace(self.log, final_state=x, stopped=stopped)
+        return replace(self.log, final_state=self._controller.completed("final_state", x), stopped=stopped)

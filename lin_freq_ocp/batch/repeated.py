@@ -57,7 +57,8 @@ class Located:
         if bounds and "state_set" in bounds:
             bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
         terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
-        return Change(changed.initial_state.translated(self.origin), terminal, references, bounds)
+        start = changed.initial_state.translated(self.origin)
+        return Change(start, terminal, references, bounds, change.disturbance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,15 +209,17 @@ class Repeated:
     def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
         """Return plans from initial states (N, n) by number, without certificates, and whether Ctrl-C came.
 
-        The condensed method is set up if need be; without it there are none.
+        The condensed method is set up if need be; without it there are none, nor from states that a ray excludes.
         """
         if not self.linear or not self.spectral:
             return {}, False
         located = self.located(self.problem.with_ends(starts[0]))
         if located.kept is None:
             return {}, False
-        plans, interrupted = located.kept.plan_batch(starts - located.origin)
-        return {i: PlannedStart(located.translation, plan) for i, plan in plans.items()}, interrupted
+        moved, rays = starts - located.origin, located.exclusions
+        tried = [i for i, start in enumerate(moved) if not any(ray.applies_to(start) for ray in rays)]
+        plans, interrupted = located.kept.plan_batch(moved[tried])
+        return {tried[i]: PlannedStart(located.translation, plan) for i, plan in plans.items()}, interrupted
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""

@@ -179,7 +179,8 @@ def _slopes(
     """Return the slopes of l_t in x and u, the sums of the absolute values of their terms, and rho_u over time."""
     cost, dynamics, (count, T, m) = problem.quadratic, problem.linear, extremals.u.shape
     x, u, eta = to_long_double(extremals.x), to_long_double(extremals.u), to_long_double(extremals.eta)
-    spectra = to_long_double(extremals.rho_u).swapaxes(0, 1).reshape(-1, count * m)
+    rho_u = np.where(problem.control_stop, extremals.rho_u, 0.0)  # a free bin has no price
+    spectra = to_long_double(rho_u).swapaxes(0, 1).reshape(-1, count * m)
     signal = time_signal(spectra, T).reshape(T, count, m).swapaxes(0, 1)
     a, b = x - cost.x_ref, u - cost.u_ref
     inner, last = a[:, :-1], (a[:, -1] @ cost.P + cost.p)[:, None]
@@ -194,7 +195,7 @@ def _slopes(
     terms_x[:, :-1] += _times(eta, sizes.A)
     terms_x[:, 1:] += eta
     terms_u = _times(b, plain.R) + _times(inner, plain.S) + plain.r + _times(eta, sizes.B)
-    terms_u += np.abs(extremals.rho_u).sum(1, keepdims=True)
+    terms_u += np.abs(rho_u).sum(1, keepdims=True)
     for term in terms:
         in_x += term.pulled[0]
         in_u += term.pulled[1]

@@ -23,11 +23,11 @@ from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
-    add_disturbance,
     checked_penalties,
     depends_on_past,
     excess,
     free_first_state,
+    known_states,
     limits_of_plans,
     soften,
     with_past,
@@ -99,6 +99,8 @@ class Controller:
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
+        self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
+        self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
 
     @property
     def record(self) -> LoopRecord:
@@ -113,9 +115,10 @@ class Controller:
 
         ``applied`` is the control that acted in the last step, if it was not the controller's.
         """
-        x = self.measured("state", state, self.problem.state_dim)
-        if applied is not None and len(self._applied) > self.delay:
-            self._applied[-1 - self.delay] = self.measured("applied", applied, self.problem.control_dim)
+        acted = None if applied is None else self.measured("applied", applied, self.problem.control_dim)
+        x = self.completed("state", state, acted)
+        if acted is not None and len(self._applied) > self.delay:
+            self._applied[-1 - self.delay] = acted
         started, plain = now(), preview.empty
         for repeated in self._trees if plain and not self._remembers else ():
             repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
@@ -175,12 +178,14 @@ class Controller:
             if without:
                 past = "windows of applied samples make each step another problem."
                 raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
-        if self._remembers or not self._hard.plans(begin):
+        if self._remembers:
             return None
         budget, source = UNLIMITED, Source.PLAN
         if self._steps:
             budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
         plan, changes = self._hard.plan(begin, budget), 0
+        if plan is None and not self._hard.plans(begin):
+            return None
         if self._soft is not None and not (plan and plan.plan.settled):
             changes = 0 if plan is None else plan.plan.changes
             softened = self._soft.plan(begin, budget)
@@ -235,13 +240,13 @@ class Controller:
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
-        change = Change(begin, references=preview.references, bounds=bounds)
-        hard = self._solve_step(self._hard, change, preview, x)
+        change = Change(begin, references=preview.references, bounds=bounds, disturbance=preview.disturbance)
+        hard = self._solve_step(self._hard, change, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
-        return hard, self._solve_step(self._soft, change, preview, x)
+        return hard, self._solve_step(self._soft, change, x)
 
-    def _solve_step(self, repeated: Repeated, change: Change, preview: Preview, x: Array) -> Outcome:
+    def _solve_step(self, repeated: Repeated, change: Change, x: Array) -> Outcome:
         """Solve the problem of a step; steps with the same data share the set-up of the solver."""
         tree = self._trees[repeated]
         problem = repeated.problem
@@ -252,8 +257,6 @@ class Controller:
             dimensions = problem.state_dim, problem.control_dim
             past = (np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True))
             problem = with_past(problem, *past)
-        if preview.disturbance is not None:
-            problem = add_disturbance(problem, preview.disturbance)
         if problem is not repeated.problem:
             known, repeated = repeated, Repeated(problem, self._method)
             repeated.take_programs(known)
@@ -270,11 +273,32 @@ class Controller:
             return None
         return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
-    def measured(self, field: str, value: ArrayLike, size: int) -> Array:
+    def completed(self, field: str, value: ArrayLike, acted: Array | None = None) -> Array:
+        """Return a measured state, (n,), with the states that follow from the controls alone if they are left out.
+
+        ``acted`` is the control that acted in the last step, if it was not the controller's.
+        """
+        n, left = self.problem.state_dim, self.unknown_dim
+        if not 0 < left < n:
+            return self.measured(field, value, n)
+        vector = one_component(real_array(field, value), left)
+        if vector.shape != (left,):
+            return self.measured(field, vector, n, f"Or {(left,)}, without the states that follow from the controls.")
+        if self._steps:
+            none = np.zeros(self.problem.control_dim)
+            own = self._applied[-1 - self.delay] if len(self._applied) > self.delay else none
+            state = np.array(self._step(0, self._steps[-1].state, own if acted is None else acted))
+        else:
+            begin = self.problem.initial_box
+            state = np.where(begin.fixed, begin.lower, 0.0)
+        state[~self._known] = vector
+        return state
+
+    def measured(self, field: str, value: ArrayLike, size: int, advice: str = "") -> Array:
         """Return a finite vector of this size; else ProblemError."""
         vector = one_component(real_array(field, value), size)
         if vector.shape != (size,):
-            raise ProblemError(field, f"shape {vector.shape}", f"shape {(size,)}")
+            raise ProblemError(field, f"shape {vector.shape}", f"shape {(size,)}", advice)
         return vector
 
 

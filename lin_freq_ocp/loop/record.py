@@ -262,23 +262,27 @@ class LoopRecord:
         ]
 
 
-def plant_of(model: object, problem: OptimalControlProblem) -> Plant:
-    """Return a model as a function of the step, the state and the control; ProblemError if it is no model."""
+def plant_of(model: object, problem: OptimalControlProblem, states: int) -> Plant:
+    """Return a model as a function of the step, the state and the control; ProblemError if it is no model.
+
+    A given model has so many ``states``.
+    """
     if model is None:
-        return _plant_of_dynamics("problem.dynamics", problem.dynamics, problem)
+        return _plant_of_dynamics("problem.dynamics", problem.dynamics, (problem.state_dim, problem.control_dim))
+    expected_shape = states, problem.control_dim
     if isinstance(model, Dynamics):
-        return _plant_of_dynamics("plant", model, problem)
+        return _plant_of_dynamics("plant", model, expected_shape)
     if hasattr(model, "A") and hasattr(model, "B") and hasattr(model, "dt"):
         sampled = LinearDynamics.from_statespace(model, problem.sampling_time)
-        return _plant_of_dynamics("plant", sampled, problem)
+        return _plant_of_dynamics("plant", sampled, expected_shape)
     if not callable(model):
         expected = "a function of (x, u), a model of python-control, or dynamics"
         raise ProblemError("plant", brief(model), expected)
-    return _plant_of_function(model, problem.state_dim)
+    return _plant_of_function(model, states)
 
 
-def _plant_of_dynamics(field: str, dynamics: Dynamics, problem: OptimalControlProblem) -> Plant:
-    got, expected = (dynamics.state_dim, dynamics.control_dim), (problem.state_dim, problem.control_dim)
+def _plant_of_dynamics(field: str, dynamics: Dynamics, expected: tuple[int, int]) -> Plant:
+    got = dynamics.state_dim, dynamics.control_dim
     if got != expected:
         raise ProblemError(field, f"{got} states and controls", f"{expected}, as the problem has")
     try:

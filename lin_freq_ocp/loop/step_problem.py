@@ -14,10 +14,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, positive_number, real_array
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Mask, brief, positive_number
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -57,6 +56,14 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
     )
 
 
+def known_states(dynamics: LinearDynamics) -> Mask:
+    """Return the states, (n,), that follow from the controls before alone, such as the last control itself."""
+    A, known = dynamics.gains()[0], np.zeros(dynamics.state_dim, dtype=bool)
+    for _ in range(dynamics.state_dim):
+        known = ~(A[:, ~known] != 0).any(axis=1)
+    return known
+
+
 def depends_on_past(problem: OptimalControlProblem) -> bool:
     """Whether frequency constraints of a problem depend on samples of the past."""
     return any(one.remembers for field in SPECTRA for one in entries_of(getattr(problem, field)))
@@ -71,18 +78,6 @@ def limits_of_plans(problem: OptimalControlProblem) -> str:
         f"{' and '.join(fields)}: holds for each plan, but the loop applies only the first control of each plan: this "
         "implies nothing for the applied signal. closed_loop and Spectrogram of lfo.spectrum limit the applied signal."
     )
-
-
-def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
-    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
-    dynamics, T, n = problem.dynamics, problem.horizon, problem.state_dim
-    if not isinstance(dynamics, LinearDynamics):
-        kind = type(dynamics).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
-    expected = real_array("disturbance", disturbance)
-    if expected.shape not in ((n,), (T, n)):
-        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace(problem, dynamics=replace(dynamics, offset=dynamics.offset + expected))
 
 
 def checked_penalties(penalties: Mapping[str, float] | None) -> dict[str, float]:

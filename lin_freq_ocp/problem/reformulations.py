@@ -103,6 +103,15 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
     return Translation(problem, moved, origin)
 
 
+def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
+    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
+    T, n = problem.horizon, problem.state_dim
+    expected = real_array("disturbance", disturbance)
+    if expected.shape not in ((n,), (T, n)):
+        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
+    return replace_fields(problem, dynamics=problem.dynamics.disturbed(expected))
+
+
 def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
     """Return one set for all times, or one per time, of x - origin."""
     if isinstance(given, Sequence):

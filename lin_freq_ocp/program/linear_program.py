@@ -177,11 +177,7 @@ class LinearProgram:
         """Take over the matrices of a program that differs in right-hand sides and slopes alone; whether it does."""
         new, old = self.problem, other.problem
         pairs = [(getattr(new.quadratic, name), getattr(old.quadratic, name)) for name in ("Q", "R", "S", "P")]
-        same = self.layout.shape == other.layout.shape
-        if new.dynamics is not old.dynamics:
-            responses = (problem.dynamics.response(problem.horizon) for problem in (new, old))
-            same &= all(response is None for response in responses)
-            same = same and np.array_equal(new.linear.A, old.linear.A) and np.array_equal(new.linear.B, old.linear.B)
+        same = _same_recursion(new, old) and self.layout.shape == other.layout.shape
         same &= all(one is another or np.array_equal(one, another) for one, another in pairs)
         if not same or len(self.rows) != len(other.rows):
             return False
@@ -368,3 +364,12 @@ class DenseRows:
     def seconds(self) -> float:
         """Return the least time to an answer, estimated."""
         return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * self.factorisation_seconds
+
+
+def _same_recursion(new: OptimalControlProblem, old: OptimalControlProblem) -> bool:
+    """Whether the dynamics are the same but for their offset."""
+    if new.dynamics is old.dynamics:
+        return True
+    if any(one.dynamics.response(one.horizon) is not None for one in (new, old)):
+        return False
+    return all(np.array_equal(getattr(new.linear, name), getattr(old.linear, name)) for name in ("A", "B"))

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, Spectral
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Chain, reduce_problem
+from lin_freq_ocp.problem.reformulations import add_disturbance
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 
@@ -29,17 +30,22 @@ method, so that a problem that is solved twice does not need it."""
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has."""
+    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
+
+    A disturbance, (n,) or (T, n), is added to the coming states.
+    """
 
     initial_state: ConvexSet | ArrayLike | None = None
     terminal_state: ConvexSet | ArrayLike | None = None
     references: Mapping[str, ArrayLike] | None = None
     bounds: Mapping[str, SetOrSets] | None = None
+    disturbance: ArrayLike | None = None
 
     @property
     def starts_elsewhere(self) -> bool:
         """Whether at most the initial state changes."""
-        return self.terminal_state is None and self.references is None and not self.bounds
+        others = self.terminal_state, self.references, self.disturbance
+        return not self.bounds and all(other is None for other in others)
 
     def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
@@ -47,6 +53,8 @@ class Change:
             problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
         if self.references is not None:
             problem = problem.with_references(self.references)
+        if self.disturbance is not None:
+            problem = add_disturbance(problem, self.disturbance)
         if self.initial_state is None and self.terminal_state is None:
             return problem
         return problem.with_ends(self.initial_state, self.terminal_state)
@@ -90,6 +98,7 @@ class SolverCache:
                 warm_start=self._last,
                 tolerance=options.tolerance,
                 time_limit=options.time_limit,
+                disturbance=change.disturbance,
             )
         except (ProblemError, UnsupportedError):
             return solve_spectral(problem, options)
@@ -109,7 +118,7 @@ class SolverCache:
         if condensed is None:
             return None
         reduced, solver = self._spectral_solver()
-        changes = change.initial_state, change.terminal_state, change.references, change.bounds
+        changes = change.initial_state, change.terminal_state, change.references, change.bounds, change.disturbance
         try:
             changed, lti = solver.changed_problem(*changes)
         except (ProblemError, UnsupportedError):
@@ -146,8 +155,13 @@ class SolverCache:
         return self._condensed.plan(start, self._solver.lti, budget)
 
     def _changes_rows(self, problem: OptimalControlProblem, change: Change) -> bool:
-        """Whether a changed set is one that a reduction turns into rows, which the solver keeps as they were."""
+        """Whether a changed set is one that a reduction turns into rows, which the solver keeps as they were.
+
+        Rows on x_T become rows of the step before, in which disturbances act.
+        """
         old = self.problem
+        if change.disturbance is not None and reduce_problem(old, REDUCTIONS).inverses:
+            return True
         ends = (
             (change.initial_state, problem.initial_state, old.initial_state),
             (change.terminal_state, problem.terminal_state, old.terminal_state),

@@ -2,20 +2,23 @@
 
 Part of scripts/verify.py. Every control must lie in its set, and every next state without the disturbance of its step
 in the state set, unless the step was softened and says so; windows of applied controls must keep their mask where no
-step was softened.
+step was softened. In as many steps again, of the ten plants of the embedded controllers, every plan is judged later,
+and must cost what the sparse program costs from the same state.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
+from benchmark.embedded_cases import PENALTY, PLANTS, disturbed_states
 from benchmark.loop_cases import pendulum, random_plant, windowed
 from rich.console import Console
 from rich.table import Table
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.step_problem import free_first_state
+from lin_freq_ocp.loop.step_problem import free_first_state, soften
 from verify.seeded import check_all
 
 STEPS = 100
@@ -27,9 +30,11 @@ NOISE = 5e-3
 TOLERANCE = 1e-6
 """Excess over a bound that is allowed, relative to the sizes of the states, or to the bounds of the controls."""
 
-GAP = 1e-8  # relative, of every plan that is not softened
+GAP = 1e-8  # relative, of every plan of the four kinds that is not softened
 APART = 1e-5  # of a control from that of the sparse program, relative to its bound
 COMPARED = 25  # every so many steps
+COST = 1e-8  # difference of costs, relative, beyond gap and worth of residuals that the judge leaves to that program
+APART_CONVEX = 1e-4  # of a control in these plans: the accuracy of the program with its residuals
 
 SOFT = {"state_set": 1e3, "control_spectrum": 1e2}
 
@@ -126,6 +131,51 @@ def window_excess(problem: lfo.OptimalControlProblem, controls: np.ndarray, hard
     return worst
 
 
+@dataclass(frozen=True)
+class PlantFindings:
+    """The results of one loop of a plant: steps by what they planned, and the largest differences."""
+
+    kind: str
+    planned: int
+    softened: int
+    unproven: int
+    refuted: int
+    gap: float
+    cost: float
+    apart: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether all plans are proven, with the gap that the judge allows, and cost what the sparse program costs."""
+        proven = not self.unproven and not self.refuted
+        return proven and self.cost <= COST and self.apart <= APART_CONVEX
+
+
+def check_plant(seed: int) -> PlantFindings:
+    """Run a disturbed loop of one of the ten plants, and solve each of its steps by the sparse program."""
+    warnings.simplefilter("ignore", lfo.errors.ClosedLoopWarning)
+    name = list(PLANTS)[seed % len(PLANTS)]
+    case = PLANTS[name]()
+    soft, hard = {"state_set": PENALTY} if case.hard else None, free_first_state(case.problem)
+    softened, limit = soften(hard, soft or {}), np.abs(case.problem.control_tube.bounds).max(axis=(0, 1))
+    controller = lfo.RecedingHorizon(case.problem, soft=soft, certify="later")
+    disturbed_states(case, controller.step, STEPS, seed)
+    refuted, cost, apart, log = 0, 0.0, 0.0, controller.certify()
+    for step in log.steps:
+        best = lfo.solve((hard if step.source == "plan" else softened).with_ends(step.state), "convex", throw=False)
+        if step.source != "plan":
+            refuted += lfo.solve(hard.with_ends(step.state), "convex", throw=False).trajectory is not None
+        if best.control is not None and best.cost is not None and best.certificate is not None:
+            judged, scale = best.certificate, max(abs(best.cost), 1e-12)
+            allowed = abs(judged.gap or 0.0) * judged.cost_scale + judged.worth_of_residuals
+            cost = max(cost, (abs(step.cost - best.cost) - allowed) / scale)
+            apart = max(apart, float((np.abs(step.control - best.control[0]) / limit).max()))
+    planned = sum(source == "plan" for source in log.sources)
+    unproven = int((~log.satisfied).sum())
+    gap = float(np.abs(log.gaps).max())
+    return PlantFindings(name, planned, len(log.steps) - planned, unproven, refuted, gap, cost, apart)
+
+
 def check(seed: int) -> Findings:
     """Run the loop of a seed."""
     return run(case_of(seed), seed)
@@ -146,7 +196,18 @@ def verify(console: Console, steps: range, processes: int) -> bool:
         failed = sum(not one.passed for one in some)
         table.add_row(kind, *map(str, counts), *(f"{value:.1e}" for value in worst), str(failed))
     console.print(table)
-    for one in found:
+    plants = check_all(check_plant, range(steps.start, steps.start + loops), processes, "closed loops of ten plants")
+    table = Table("plant", "loops", "planned", "softened", "not proven", "refuted", title="every plan, solved twice")
+    for column in ("gap", "cost, convex", "control, convex", "failed"):
+        table.add_column(column, justify="right")
+    for kind in [*dict.fromkeys(one.kind for one in plants), "all"]:
+        some = [one for one in plants if kind in (one.kind, "all")]
+        counts = [sum(getattr(one, part) for one in some) for part in ("planned", "softened", "unproven", "refuted")]
+        worst = [max(getattr(one, part) for one in some) for part in ("gap", "cost", "apart")]
+        failed = sum(not one.passed for one in some)
+        table.add_row(kind, str(len(some)), *map(str, counts), *(f"{value:.1e}" for value in worst), str(failed))
+    console.print(table)
+    for one in (*found, *plants):
         if not one.passed:
             console.print(one)
-    return all(one.passed for one in found)
+    return all(one.passed for one in (*found, *plants))

@@ -159,6 +159,15 @@ def test_a_control_in_its_stop_band_is_not_proven():
     assert not judge_batch(problem, starts, given).proven.any()
 
 
+def test_multipliers_of_free_bins_prove_nothing():
+    """A control without the band of another problem is not optimal because that band has a price."""
+    problem = lfo.library.pendulum(horizon=120, sampling_time=0.02)
+    starts = problem.initial_state.lower[None]
+    given = extremals_from(problem, starts)
+    assert judge_batch(problem, starts, given).proven.all()
+    assert not judge_batch(replace(problem, control_spectrum=None), starts, given).proven.any()
+
+
 def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there():
     problem = lfo.library.pendulum(horizon=60, sampling_time=0.04).with_ends([-0.15, 0.1, -1.5, 0.0])
     ray = lfo.solve(problem, throw=False).ray

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.step_problem import add_disturbance, depends_on_past, free_first_state, with_past
+from lin_freq_ocp.loop.step_problem import depends_on_past, free_first_state, with_past
+from lin_freq_ocp.problem.reformulations import add_disturbance
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 COST = lfo.QuadraticCost(Q=1.0, R=0.1)
@@ -101,3 +102,5 @@ def test_a_disturbance_is_added_to_the_offset():
     with pytest.raises(lfo.errors.ProblemError) as caught:
         add_disturbance(problem(), [1.0])
     assert caught.value.field == "disturbance"
+    with pytest.raises(lfo.errors.UnsupportedError, match="a preview needs linear dynamics; these are Piecewise"):
+        lfo.RecedingHorizon(lfo.library.pendulum_with_wall(horizon=5)).step(np.zeros(2), disturbance=[0.0, 0.1])

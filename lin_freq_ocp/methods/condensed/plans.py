@@ -137,6 +137,8 @@ class CondensedSolver:
         """Take the ends, references, offsets and bounds of a problem; whether it differs in nothing else."""
         tables = self.kernel.tables
         old = tables.loop.lti
+        if lti is old:
+            return True
         same = all(getattr(lti, name) is getattr(old, name) for name in ("linear", "p", "offset", "prices"))
         same &= lti.bounds.lower is old.bounds.lower and lti.bounds.upper is old.bounds.upper
         ends = [(one.end, one.bounds.last_lower, one.bounds.last_upper) for one in (lti, old)]

@@ -85,7 +85,8 @@ class ProgramCache:
     def program(self, problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling]:
         """Return the program of a problem, and the units in which it should be of order 1."""
         linear = LinearProgram(problem)
-        known = next((entry for entry in self._known if linear.share_matrices(entry[0])), None)
+        last_first = reversed(self._known)  # the match is as many programs back as there are steps in a hop
+        known = next((entry for entry in last_first if linear.share_matrices(entry[0])), None)
         if known is not None:
             self._known.remove(known)  # and is the last again
         scaling = natural_scaling(linear) if known is None else known[1]

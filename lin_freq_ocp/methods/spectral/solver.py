@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import add_disturbance
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.program.program import Residuals
@@ -101,7 +102,8 @@ class SpectralSolver:
 
     def __init__(self, problem: OptimalControlProblem):
         require_convex(problem)
-        rows = row_form(problem)
+        rows, T = row_form(problem), problem.horizon
+        self._end_rows = rows is not None and any((polyhedron.times == T).any() for polyhedron in rows.polyhedra)
         problem = problem if rows is None else rows.problem
         reason = refusal(problem)
         if reason is not None:
@@ -151,8 +153,9 @@ class SpectralSolver:
         warm_start: SpectralSolution | None = None,
         tolerance: float | None = None,
         time_limit: float | None = None,
+        disturbance: ArrayLike | None = None,
     ) -> SpectralSolution:
-        """Solve, with other ends, references or bounds if given.
+        """Solve, with other ends, references and bounds or a disturbance, if given.
 
         Parameters
         ----------
@@ -168,20 +171,22 @@ class SpectralSolver:
             Relative violation of bounds to stop at.
         time_limit : float, optional
             Seconds; acts between rounds. It does not count the wait for a solve of another thread.
+        disturbance : (n,) or (T, n), optional
+            Added to the coming states.
 
         Raises
         ------
         ProblemError
             If new data do not fit the problem, or the tolerance or time limit is not above zero.
         UnsupportedError
-            If a new set is neither a box nor a point.
+            If a new set is neither a box nor a point, or there is a disturbance and a polyhedron at the end.
         """
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
                 positive_number(field, value)
         with self._lock:
             started = now()
-            problem, lti = self.changed_problem(initial_state, terminal_state, references, bounds)
+            problem, lti = self.changed_problem(initial_state, terminal_state, references, bounds, disturbance)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
@@ -209,12 +214,17 @@ class SpectralSolver:
         terminal_state: ArrayLike | ConvexSet | None,
         references: Mapping[str, ArrayLike] | None,
         bounds: Mapping[str, object] | None,
+        disturbance: ArrayLike | None,
     ) -> tuple[OptimalControlProblem, Lti]:
         """Return the problem with new data and its form in ``units``; ProblemError if its structure is another one."""
         changes = known_entries("bounds", bounds, ("state_set", "control_set"))
         problem = replace(self.problem, **changes) if changes else self.problem
         if references is not None:
             problem = problem.with_references(references)
+        if disturbance is not None:
+            if self._end_rows:  # those on x_T are rows on the step before, in which the disturbance acts
+                raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
+            problem = add_disturbance(problem, disturbance)
         if initial_state is not None or terminal_state is not None:
             problem = problem.with_ends(initial_state, terminal_state)
         if problem is self.problem:
@@ -224,7 +234,8 @@ class SpectralSolver:
         for entry in (*new_sets, *(end for given, end in ends if given is not None)):
             if entry is not None and not all(member.soft for member in entry.members):
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
-        ends_only = not (changes or references or (terminal_state is not None and self._lti.prices is not None))
+        data = changes or references or disturbance is not None
+        ends_only = not (data or (terminal_state is not None and self._lti.prices is not None))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
         if lti.periodic != self._lti.periodic:

@@ -157,6 +157,11 @@ class Dynamics(ABC):
         """Return the dynamics of x - origin, origin (n,); None if their zero has a meaning."""
         return self.standard_form.translated(origin)
 
+    def disturbed(self, disturbance: Array) -> Dynamics:
+        """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states, if they are linear."""
+        kind = type(self).__name__
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
+
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
         return self.standard_form.augmented(A, B, names, horizon)

@@ -304,6 +304,10 @@ class LinearDynamics(StateEquations):
         plant = self.plant and self.plant.translated(origin)
         return replace(self, offset=with_products(self.offset, (growth, origin)), plant=plant)
 
+    def disturbed(self, disturbance: Array) -> LinearDynamics:
+        """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states."""
+        return replace(self, offset=self.offset + disturbance)
+
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
         k = len(A)

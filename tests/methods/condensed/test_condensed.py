@@ -189,10 +189,11 @@ def test_other_references_offsets_bounds_and_ends():
         "x_ref": dict(references={"x_ref": np.linspace(0, 0.02, 121)[:, None] * [1, 0, 0, 0]}),
         "end": dict(terminal_state=[0.01, 0.0, 0.0, 0.0]),
         "bounds": dict(bounds={"control_set": lfo.Box(-1.5, 2.0)}),
+        "disturbance": dict(disturbance=1e-4 * np.sin(np.arange(120))[:, None] * np.ones(4)),
         "nothing": {},
     }
     for name, change in changes.items():
-        arguments = [change.get(key) for key in ("terminal_state", "references", "bounds")]
+        arguments = [change.get(key) for key in ("terminal_state", "references", "bounds", "disturbance")]
         stated, lti = spectral.changed_problem(start, *arguments)
         plan = solver.plan(start, lti)
         assert plan is not None, name

@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.spectral.rows import Rows
+from lin_freq_ocp.problem.reformulations import add_disturbance
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}
 
@@ -50,7 +51,10 @@ MOVED = {  # name: arguments of solve
     "bounds at some times only": {
         "bounds": {"state_set": [lfo.sets.Everything()] * (T - 2) + [lfo.Box(-1.0, 1.0)] * 3}
     },
+    "a disturbance": {"disturbance": wave(T, 3, 0.02, 4)},
+    "a constant disturbance": {"disturbance": [0.0, 1e-3, 0.0]},
     "everything": {
+        "disturbance": wave(T, 3, 0.01, 5),
         "initial_state": 0.8 * START,
         "terminal_state": 0.8 * END,
         "references": REFERENCE,
@@ -63,7 +67,8 @@ def changed(problem: lfo.OptimalControlProblem, **arguments: Any) -> lfo.Optimal
     """Return what solve(**arguments) is to solve."""
     fields = {name: arguments[name] for name in ("initial_state", "terminal_state") if name in arguments}
     problem = replace(problem, **fields, **arguments.get("bounds", {}))
-    return with_cost(problem, **arguments.get("references", {}))
+    problem = with_cost(problem, **arguments.get("references", {}))
+    return add_disturbance(problem, arguments["disturbance"]) if "disturbance" in arguments else problem
 
 
 @pytest.mark.parametrize("name", MOVED)
@@ -285,3 +290,14 @@ def test_values_that_were_fixed_cannot_be_freed_afterwards():
 def test_new_sets_that_are_no_boxes_are_refused(changes):
     with pytest.raises(lfo.errors.UnsupportedError, match="only boxes"):
         lfo.SpectralSolver(lfo.library.double_integrator()).solve(**changes)
+
+
+def test_a_disturbance_does_not_fit_rows_on_the_end():
+    """They are rows on the step before, with the old offset in their limits."""
+    corner = lfo.sets.Polyhedron([[1.0, 1.0, 0.0]], [0.2])
+    solver = lfo.SpectralSolver(base_problem(terminal_state=corner))
+    assert solver.solve().status == "optimal"
+    with pytest.raises(lfo.errors.UnsupportedError, match="a disturbance moves the rows of a polyhedron at the end"):
+        solver.solve(disturbance=[0.0, 0.1, 0.0])
+    with pytest.raises(lfo.errors.ProblemError, match=r"disturbance: got shape \(2,\)"):
+        lfo.SpectralSolver(base_problem()).solve(disturbance=[0.0, 0.1])
