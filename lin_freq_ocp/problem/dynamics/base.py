@@ -265,7 +265,8 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
         return form
     if dynamics.without_cost is not dynamics:
         raise UnsupportedError("cost: got a cost by formulas; expected quadratic, L1 and L-infinity costs only.")
-    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
+    expected = kind.__name__ if kind is not StateEquations else "LinearDynamics or FrequencyResponse"
+    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {expected}. {advice}".rstrip())
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
