@@ -10,6 +10,7 @@ import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import indent
 
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
@@ -64,7 +65,7 @@ def save_figures(block: object, variables: dict[str, dict], settings: dict, **op
             shown.append(figure)
             paths.append(next(variables["image_path_iterator"]))
             figure.savefig(paths[-1], dpi=110)
-    return figure_rst(paths, settings["src_dir"])
+    return ".. container:: figures\n\n" + indent(figure_rst(paths, settings["src_dir"]), "    ") if paths else ""
 
 
 def _figures(names: dict[str, object]) -> Iterator[Figure]:

@@ -159,10 +159,11 @@ def raise_for(result: Result) -> None:
     if result.status == Status.INFEASIBLE:
         message = f"No trajectory of {name} satisfies all constraints ({result.message})."
         if result.conflict is not None:
-            conflict = result.explanation.family if result.explanation else map(str, result.conflict)
+            of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
+            family = result.explanation.family if result.explanation else of_ray
             cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
             advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
-            message += f" In conflict: {'; '.join(conflict)}. {advice}"
+            message += f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
     elif result.status == Status.INFEASIBLE_CLAIMED:
         message = (
             f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "

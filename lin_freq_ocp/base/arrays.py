@@ -31,7 +31,7 @@ def real_array(
     try:
         array = np.asarray(value)
         if array.size and array.dtype.kind not in kinds:
-            advice = "Numbers have no quotes and no units." if array.dtype.kind == "U" else ""
+            advice = {"U": "Numbers have no quotes and no units.", "c": "They must be real."}.get(array.dtype.kind, "")
             raise TypeError(f"entries of type {array.dtype}")
         if array.flags.writeable or not array.flags.owndata or array.dtype != dtype:
             array = np.array(array, dtype=dtype)

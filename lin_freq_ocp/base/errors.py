@@ -168,7 +168,7 @@ class BandWarning(UserWarning):
 
 
 class ClosedLoopWarning(UserWarning):
-    """A frequency constraint of a control loop that holds for each plan, and says nothing about what is applied.
+    """A frequency constraint of a control loop that limits each plan, but not the applied signal.
 
     Examples
     --------

@@ -174,7 +174,7 @@ def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
         proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, RIGOROUS)
     if proven.value > 0:
         return proven
-    practical = _cut_sets(extremal.problem, uncurved, largest, "what is practical")
+    practical = _cut_sets(extremal.problem, uncurved, largest, "trajectories of practical size")
     return _evaluate(extremal, uncurved, practical, 0.0, NUMERICAL)[0]
 
 

@@ -111,7 +111,7 @@ def nearby_bounds(
         if not np.isfinite(radius).all():
             return None
         pairs.append(_intersection((box.lower, box.upper), (signal - radius, signal + radius)))
-    return Region(pairs[0], pairs[1], cost, "what costs no more than the trajectory")
+    return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
 
 
 def _intersection(bounds: Pair, others: Pair) -> Pair:

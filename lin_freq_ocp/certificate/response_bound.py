@@ -83,7 +83,7 @@ def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
     if proven.value > 0:
         return proven
     near = _cut_bounds(tube, largest[1])
-    return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "what is practical")
+    return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "trajectories of practical size")
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:

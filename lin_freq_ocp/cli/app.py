@@ -65,8 +65,7 @@ class Commands(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
-            error.message += f" {suggestion(args[0], COMMANDS)}".rstrip()
-            raise
+            raise click.UsageError(f"{error.message} {suggestion(args[0], COMMANDS)}".rstrip(), ctx) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the first line of each command's docstring, read from the source: importing all takes a second."""

@@ -130,8 +130,8 @@ class ComparisonOutcome:
         """Return the name of every trajectory, with its origin and its measures in words."""
         rows: list[tuple[str, str, Measures | None]] = [("classical", self.classical.status, self.classical_measures)]
         for entry in self.filtered:
-            unstable = entry.replay.stopped or "not replayed: that would amplify rounding errors"
-            rows.append((entry.name, "replayed" if entry.replay.meaningful else unstable, entry.replay.measures))
+            unstable = entry.replay.stopped or "not simulated: that would amplify rounding errors"
+            rows.append((entry.name, "simulated" if entry.replay.meaningful else unstable, entry.replay.measures))
         nothing = self.constrained.status == Status.LIMIT and self.constrained.trajectory is None
         status = f"{self.constrained.status}, no point found" if nothing else self.constrained.status
         rows.append(("constrained", status, self.constrained_measures))

@@ -86,7 +86,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
         except RecursionError:
             raise ProblemError("tables", "nested too deeply", "tables as the documentation has them") from None
         except (ValueError, OverflowError, MemoryError) as error:  # sizes no array can have, integers no float can
-            raise ProblemError("values", f"what no array can hold ({error})", "smaller numbers and sizes") from None
+            raise ProblemError("values", f"too much for an array ({error})", "smaller numbers and sizes") from None
 
 
 def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:

@@ -192,7 +192,7 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
 
     Columns are found by the problem's names of states and controls, with or without their units, in any order. Other
     columns are left out. The controls at time T have no effect, and are not read. A table that has, apart
-    from the clock, controls only is replayed from the problem's initial state; it may end at time T-1.
+    from the clock, controls only is simulated from the problem's initial state; it may end at time T-1.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def header(name: str) -> str:
 def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Trajectory:
     """Read a trajectory from a .mat file: x (T+1, n) and u (T, m), one row per time, as lsim and ode45 have them.
 
-    Without x, the controls are replayed from the problem's initial state. u may have T+1 rows, as for lsim; its last
+    Without x, the controls are simulated from the problem's initial state. u may have T+1 rows, as for lsim; its last
     row acts on nothing. t, a vector in seconds, is compared with the sampling time if there are both. Other variables
     are left out.
 
@@ -447,7 +447,7 @@ def _cells(names: tuple[str, ...]) -> NDArray[np.object_]:
 
 
 def trajectory_from_signals(problem: OptimalControlProblem, x: ArrayLike | None, u: ArrayLike) -> Trajectory:
-    """Return states x (T+1, n) and controls u (T, m), or (T+1, m), as a trajectory; without x, u is replayed."""
+    """Return states x (T+1, n) and controls u (T, m), or (T+1, m), as a trajectory; without x, u is simulated."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     controls = real_array("u", _fit_shape("u", u, [(T, m), (T + 1, m)])[:T])  # u_T has no effect
     if x is None:

@@ -67,6 +67,6 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     if not np.isfinite(x).all():
         t = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise NumericalError(
-            f"The open-loop state overflows at t = {t}: these dynamics cannot be replayed over {T} steps."
+            f"The open-loop state overflows at t = {t}: these dynamics cannot be simulated over {T} steps."
         )
     return Trajectory(x, u)

@@ -66,6 +66,6 @@ def start_of(problem: OptimalControlProblem, start: object) -> Start:
         with located_at("start", "mode"):
             trajectory = simulate(problem, array)
     except NumericalError as error:
-        got = f"controls that cannot be replayed ({error})"
+        got = f"controls that cannot be simulated ({error})"
         raise ProblemError("start", got, "controls that lead through regions of modes") from None
     return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)

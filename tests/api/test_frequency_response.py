@@ -26,7 +26,7 @@ def test_a_comparison_replays_by_the_response(wave, tmp_path):
     comparison = lfo.compare(wave)
     assert comparison.constrained.cost == pytest.approx(lfo.solve(wave).cost)
     page = comparison.save(tmp_path).read_text(encoding="utf-8")
-    assert "replayed open-loop; no state follows from the first." in page
+    assert "simulated open-loop; no state follows from the first." in page
     assert "-fold" not in page
 
 

@@ -308,7 +308,7 @@ def test_bound_over_implied_sets_is_rigorous_where_nothing_is_bounded():
     problem = lfo.library.pendulum(state_bounds=(None,) * 4, control_bound=None)
     certificate = lfo.solve(problem).certificate
     assert certificate.bound.kind == "rigorous"
-    assert certificate.bound.sets == "what costs no more than the trajectory"
+    assert certificate.bound.sets == "trajectories that cost no more than this one"
     assert certificate.gap < 1e-6
 
 

@@ -81,7 +81,7 @@ def test_without_any_bound_the_bound_is_rigorous_and_random_trajectories_cost_mo
     task = problem("constant", **{"control_set": None, "initial_state": None, **SOUND[name]})
     result = lfo.solve(task)
     assert result.status == "optimal"
-    assert result.certificate.bound.sets == "what costs no more than the trajectory"
+    assert result.certificate.bound.sets == "trajectories that cost no more than this one"
     rng, (x, u) = np.random.default_rng(4), (result.trajectory.x, result.control)
     for size in 10.0 ** rng.uniform(-8, 3, 60):
         start = x[0] if task.initial_box.fixed.all() else task.initial_box.project(x[0] + size * rng.standard_normal(2))

@@ -222,10 +222,20 @@ BAD_FILES = {
     "overridden horizon": (solve_cart('horizon="abc"'), "cart.toml: horizon: got 'abc';"),
     "overridden key unknown": (solve_cart("bogus=1"), "cart.toml: bogus: got an unknown key; expected one of schema"),
     "overridden table": (solve_cart("dynamics=3"), "cart.toml: dynamics: got 3; expected a table"),
+    "unit in a number": (
+        solve_cart('dynamics.sampling_time="10 ms"'),
+        "sampling_time: got '10 ms'; expected one number above zero. Numbers have no quotes and no units.",
+    ),
+    "linear cost a number": (solve_cart("cost.q=1.0"), "cart.toml: cost.q: got a single number;"),
+    "other suffix, no file": (("solve", "cart.tml"), "cart.tml: got no such file"),
     "A of wrong shape": (solve_cart("dynamics.A=[[1, 0]]"), "cart.toml: dynamics.A: got shape (1, 2);"),
     "A a number": (solve_cart("dynamics.A=3"), "cart.toml: dynamics.A: got shape ();"),
     "B of wrong shape": (solve_cart("dynamics.B=[1, 2]"), "cart.toml: dynamics.B: got shape (2,);"),
-    "A ragged": (solve_cart("dynamics.A=[[1, 0], [1]]"), "cart.toml: dynamics.A: got [[1, 0], [1]];"),
+    "A ragged": (
+        solve_cart("dynamics.A=[[1, 0], [1]]"),
+        "cart.toml: dynamics.A: got [[1, 0], [1]];",
+        "All rows have the same length.",
+    ),
     "Q asymmetric": (
         solve_cart("cost.Q=[[1, 2], [0, 1]]"),
         "cart.toml: cost.Q: got a matrix that differs from its transpose by 2; expected a symmetric matrix",

@@ -16,6 +16,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require
 from helpers.command_line import COMMAND, once, parsed, run
 from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.app import COMMANDS
 
 # --- for people -----------------------------------------------------------------------------------------------------
@@ -45,6 +46,12 @@ def test_help_names_every_option(arguments, options):
 
 def test_version():
     assert once("--version") == (0, f"lin-freq-ocp, version {lfo.__version__}\n", "")
+
+
+def test_an_unknown_command_names_the_nearest():
+    status, out, err = run("slove", "pendulum")
+    assert (status, out) == (console.BAD_INPUT, "")
+    assert "No such command 'slove'. Did you mean 'solve'?" in err
 
 
 def test_list_shows_every_problem():

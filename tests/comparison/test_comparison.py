@@ -83,7 +83,7 @@ def test_a_comparison_in_a_few_lines(pendulum):
     assert lines[-1].startswith("constrained ")
     assert "optimal, cost 3199.19" in lines[-1]
     for line, one in zip(lines[2:-1], pendulum.filtered, strict=True):
-        assert line.split()[:2] == [one.name, "replayed,"]
+        assert line.split()[:2] == [one.name, "simulated,"]
         assert f"end missed by {one.replay.measures.terminal_error:.2g}" in line
     assert max(map(len, lines)) < 200
     assert "brickwall" in repr(pendulum)
@@ -97,7 +97,7 @@ def test_what_has_no_trajectory_or_replay_says_so():
     assert repr(comparison.constrained) == "Result(infeasible by spectral, no trajectory)"
     unstable = lfo.compare(lfo.library.pendulum(horizon=1500, parameters="physical"), filters=["brickwall"])
     assert not unstable.replay_is_meaningful
-    assert "not replayed: that would amplify rounding errors" in str(unstable)
+    assert "not simulated: that would amplify rounding errors" in str(unstable)
 
 
 def test_unknown_filter_is_refused_before_any_work():

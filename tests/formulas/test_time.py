@@ -71,6 +71,10 @@ def test_linear_dynamics_per_time_are_formulas_of_time():
         ("look_up(x_0, 1)", "the time t"),
         ("look_up(t, x_0)", "expected numbers, x_0"),
         ("look_up(t)", "expected numbers, x_0"),
+        ("sinn(x_0)", "got the function 'sinn'; expected one of abs, max, .* Did you mean 'sin'"),
+        ("x_0^2", r"A power is written x_0\*\*2"),
+        ("x0 + t", "got 'x0'; expected one of x_0, u_0, t. Did you mean 'x_0'"),
+        ("x_9 + t", "got 'x_9'; expected one of x_0, u_0, t.$"),
     ],
 )
 def test_what_is_no_table_over_time_is_refused(f, got):

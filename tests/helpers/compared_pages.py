@@ -16,7 +16,7 @@ from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
 
 CASES: dict[str, Callable[[], OptimalControlProblem]] = {
     "pendulum": pendulum,
-    "not replayed": lambda: pendulum(horizon=100, sampling_time=0.1),
+    "not simulated": lambda: pendulum(horizon=100, sampling_time=0.1),
     "infeasible": lambda: pendulum(control_bound=4.5),
     "state band": lambda: double_integrator(
         sampling_time=0.01, state_spectrum=stop_band(bins=[5, 6], component=1), state_set=Box([None, -1], [None, 9])

@@ -148,21 +148,21 @@ def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
 
 
 def test_without_a_meaningful_replay_no_states_are_claimed():
-    comparison = case("not replayed")
+    comparison = case("not simulated")
     assert not comparison.replay_is_meaningful
     table = comparison_rows(comparison)
     groups = {group.title: group for group in table.groups}
     filtered = slice(1, -1)
-    for title in ("Beyond the state bounds by", "Misses the end state by"):
+    for title in ("Violates the state bounds by", "Misses the end state by"):
         assert {cell.text for row in groups[title].rows for cell in row.cells[filtered]} == {NOT_MEANINGFUL}
         assert NOT_MEANINGFUL not in {row.cells[-1].text for row in groups[title].rows}
     one_step = groups["Misses the next planned state, in one step, by"]
     for i, row in enumerate(one_step.rows):
         expected = [one.replay.one_step_residual[i] for one in comparison.filtered]
         assert [float(cell.text) for cell in row.cells[filtered]] == pytest.approx(expected, rel=1e-3)
-    assert "cannot be replayed" in text("not replayed")
+    assert "cannot be simulated" in text("not simulated")
     figure = comparison_figure(comparison)
-    assert all(any("not replayed" in one.get_text() for one in ax.texts) for ax in figure.axes[2:])
+    assert all(any("not simulated" in one.get_text() for one in ax.texts) for ax in figure.axes[2:])
     orange = STYLES["filtered"].color
     assert [sum(line.get_color() == orange for line in ax.lines) > 0 for ax in figure.axes] == [
         True,
@@ -199,7 +199,12 @@ def test_cells_fail_where_a_constraint_does():
     assert False not in {cell.passed for cell in constrained}
     groups = {group.title: group.rows for group in table.groups}
     brick_wall = table.columns.index("brickwall")
-    assert [row.cells[brick_wall].passed for row in groups["Beyond the state bounds by"]] == [False, False, True, False]
+    assert [row.cells[brick_wall].passed for row in groups["Violates the state bounds by"]] == [
+        False,
+        False,
+        True,
+        False,
+    ]
     assert [row.cells[brick_wall].passed for row in groups["Misses the end state by"]] == [False] * 4
     energy = groups["Stop band of the controls"][0]
     assert [cell.passed for cell in energy.cells] == [False, True, False, False, False, False, True]

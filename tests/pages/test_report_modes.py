@@ -172,7 +172,7 @@ def test_outside_all_regions_there_is_no_mode():
     assert not figure.axes[0].patches
     data = replace(result_data(solve(closed)), problem=closed)
     figure = strips_figure(data, rows)
-    assert [one.get_text() for one in figure.axes[0].texts] == ["falling", "outside", "rising", "not replayed"]
+    assert [one.get_text() for one in figure.axes[0].texts] == ["falling", "outside", "rising", "not simulated"]
     assert "Dashed: outside" in modes_caption(rows, "filtered")
     ax = figure.axes[0]
     hidden = replace(
@@ -412,7 +412,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     assert "its states leave the regions of all modes, so that" in str(findings.finding_of(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert not first.between_levels
-    assert notes == ["filtered: not replayed; its states leave the regions of all modes"]
+    assert notes == ["filtered: not simulated; its states leave the regions of all modes"]
     html = render_page(comparison, tuple(drawings("wall").values()))
     assert "regions of all modes\n  (brickwall" in html
 
@@ -436,10 +436,10 @@ def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     assert filtered.replay.between_levels
     assert not comparison.classical_solution.between_levels
     words = findings.finding_of(comparison).filtering
-    assert words == "its controls lie between the levels, so that they cannot be replayed to the end"
+    assert words == "its controls lie between the levels, so that they cannot be simulated to the end"
     data = comparison_data(comparison)
     assert [note.text for note in data.notes(data.states[:1])] == [
-        "filtered: not replayed; its controls lie between the levels"
+        "filtered: not simulated; its controls lie between the levels"
     ]
     html = render_page(comparison, draw_figures(comparison))
     assert "the controls lie between the levels\n  (brickwall)" in html

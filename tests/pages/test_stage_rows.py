@@ -32,7 +32,7 @@ def test_violations_are_measured_and_shown():
     assert measure(cart(), comparison.classical.trajectory).stage_violation is None
     summary = json.loads(json.dumps(comparison_summary(comparison)))
     assert summary["filtered"]["brickwall"]["stage_violation"] == pytest.approx(excess)
-    group = next(group for group in comparison_rows(comparison).groups if group.title == "Beyond the joint rows by")
+    group = next(group for group in comparison_rows(comparison).groups if group.title == "Violates the joint rows by")
     (row,) = group.rows
     assert (row.label, row.unit) == ("traction", "N")
     assert [cell.passed for cell in row.cells] == [True, False, True]

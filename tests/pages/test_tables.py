@@ -27,8 +27,8 @@ def test_comparison_rows_are_the_measures():
         for title, value in {
             "": measures.cost,
             "Largest magnitude": measures.max_control,
-            "Beyond the control bounds by": measures.control_violation,
-            "Beyond the state bounds by": measures.state_violation,
+            "Violates the control bounds by": measures.control_violation,
+            "Violates the state bounds by": measures.state_violation,
             "Misses the end state by": measures.terminal_error,
         }.items():
             assert largest(title) == pytest.approx(value, rel=0.05 if value and value < 1e-3 else 1e-3)

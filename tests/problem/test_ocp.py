@@ -52,7 +52,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
         ({"control_spectrum": 20}, "control_spectrum", "a band"),
         ({"state_spectrum": [lfo.low_pass(2.0), None]}, "state_spectrum[1]", "a band"),
         ({"state_spectrum": lfo.low_pass(1.0, component="angle")}, "state_spectrum.component", "'position [m]'"),
-        ({"control_spectrum": lfo.low_pass(1.0, component=1)}, "control_spectrum.component", "0 .. 0"),
+        ({"control_spectrum": lfo.low_pass(1.0, component=1)}, "control_spectrum.component", "an index 0 or"),
         ({"control_spectrum": lfo.low_pass(cutoff_hz=6)}, "control_spectrum.low_pass", "Nyquist frequency 5 Hz"),
     ],
     ids=lambda value: value if isinstance(value, str) else None,

@@ -67,7 +67,7 @@ def test_band_of_one_bin():
     assert removed(notch(np.pi / 4, 0.1), 8) == [1]
     assert removed(notch(0.0, 0.1), 8) == [0]  # DC alone
     assert removed(notch(np.pi, 0.1), 8) == [4]  # Nyquist alone
-    with pytest.warns(BandWarning, match="removes no bin"):
+    with pytest.warns(BandWarning, match="no bin of a signal of 9 samples; its bins are 2 pi / 9 rad/sample"):
         assert removed(notch(np.pi, 0.1), 9) == []  # an odd length has no bin at Nyquist
 
 

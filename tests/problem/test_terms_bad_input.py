@@ -109,7 +109,7 @@ MASKS = {
         "'force', and 0 from the band",
         "one component",
     ),
-    "component": (lambda: controls(mask(1, component=1)), "control_spectrum[0].component", "1", "an index 0 .. 0"),
+    "component": (lambda: controls(mask(1, component=1)), "control_spectrum[0].component", "1", "an index 0 or"),
     "component's name": (
         lambda: controls(mask(1, component="pull")),
         "control_spectrum[0].component",
@@ -196,7 +196,12 @@ ENERGIES_AND_EQUATIONS = {
         "above zero",
     ),
     "a price per row": (lambda: Rows([[1, 0]], None, [1], penalty=[1]), "stage_rows.penalty", "[1]", "one number"),
-    "price in words": (lambda: Rows([[1, 0]], None, [1], penalty="hard"), "stage_rows.penalty", "'hard'", "numbers"),
+    "price in words": (
+        lambda: Rows([[1, 0]], None, [1], penalty="hard"),
+        "stage_rows.penalty",
+        "'hard'",
+        "one number above zero",
+    ),
 }
 
 OUTPUTS = {
@@ -226,7 +231,7 @@ OUTPUTS = {
         lambda: problem(output_spectrum=outputs([[1, 0]], None, lfo.low_pass(1, component="tip"), ["hip [m]"])),
         "output_spectrum.constraints[0].component",
         "'tip'",
-        "an index 0 .. 0 or one of 'hip [m]'",
+        "an index 0 or one of 'hip [m]'",
     ),
     "among controls": (
         lambda: controls(outputs([[1, 0]])),
@@ -302,7 +307,7 @@ SETS = {
     ),
     "and a number": (lambda: Box(0, 1) & 3, "Intersection", "3", "sets such as Box"),
     "soft and soft": (lambda: Soft(Soft(Ball(1), 1.0), 1.0), "Soft", "Soft(", "a Box, Polyhedron, Ball or Ellipsoid"),
-    "no price": (lambda: Soft(Ball(1), None), "Soft.penalty", "None", "numbers"),
+    "no price": (lambda: Soft(Ball(1), None), "Soft.penalty", "None", "one number above zero"),
 }
 
 ALL = {

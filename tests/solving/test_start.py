@@ -150,7 +150,7 @@ def test_bad_starts_are_refused_by_name(start, words, smooth):
     assert caught.value.field.startswith("start")
 
 
-def test_controls_that_cannot_be_replayed_are_refused():
+def test_controls_that_cannot_be_simulated_are_refused():
     modes = [lfo.AffineMode([[2.0]], [[1.0]], None, [[sign], [-sign]], None, [0.0, 9.0]) for sign in (1.0, -1.0)]
     problem = lfo.OptimalControlProblem(
         lfo.PiecewiseAffineDynamics(modes),
@@ -160,7 +160,7 @@ def test_controls_that_cannot_be_replayed_are_refused():
         state_set=lfo.Box(-9, 9),
         initial_state=[1.0],
     )
-    with pytest.raises(lfo.errors.ProblemError, match="start: got controls that cannot be replayed"):
+    with pytest.raises(lfo.errors.ProblemError, match="start: got controls that cannot be simulated"):
         lfo.solve(problem, start=np.ones((6, 1)))
     with pytest.raises(lfo.errors.ProblemError, match="start: initial_state"):
         lfo.solve(replace(problem, initial_state=None), start=np.ones((6, 1)))

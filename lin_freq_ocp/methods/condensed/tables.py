@@ -282,8 +282,8 @@ def condense(lti: Lti) -> CondensedTables:
     in_unknowns = (in_unknowns + in_unknowns.T) / 2
     values = np.linalg.eigvalsh(in_unknowns)
     if not len(values) or not values[0] > DEFINITE * values[-1]:
-        what = "it is not strictly convex in the controls that stop bands and ends leave"
-        raise UnsupportedError(f"method 'condensed': cost: {what}.")
+        fault = "it is not strictly convex in the controls that stop bands and ends leave; R > 0 suffices"
+        raise UnsupportedError(f"method 'condensed': cost: {fault}.")
     L = np.linalg.cholesky(in_unknowns)
     V = solve_triangular(L, Z.T, lower=True).T
     families, bounds, limits = _bounds(lti)

@@ -134,7 +134,7 @@ def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) ->
             _write(ax, 0.5 * factor * (span.start + span.end), row, name, look.MUTED if outside else look.INK)
     for row, (_, modes) in enumerate(rows):
         if modes is None:
-            _write(ax, 0.5 * factor * horizon, row, "not replayed", look.MUTED)
+            _write(ax, 0.5 * factor * horizon, row, "not simulated", look.MUTED)
     look.style_axes(ax, "Modes", data.time.label, "")
     ax.grid(False)
     ax.set_xlim(-0.008 * factor * horizon, 1.008 * factor * horizon)

@@ -144,9 +144,9 @@ class PlotData:
         for trace in self.traces:
             measured, text = trace.measured, ""
             if measured.stopped:
-                text = f"not replayed; its {measured.why_stopped}"
+                text = f"not simulated; its {measured.why_stopped}"
             elif not measured.meaningful:
-                text = f"not replayed; rounding errors would grow {rough(measured.measures.amplification)}-fold"
+                text = f"not simulated; rounding errors would grow {rough(measured.measures.amplification)}-fold"
             elif trace.overlay and outside:
                 end = measured.end  # its distance from the terminal set; with a free end, the largest values
                 missed = [] if end is None else [signal for signal in signals if end.bounded[signal.index]]

@@ -55,11 +55,11 @@ def finding_of(comparison: ComparisonOutcome) -> Finding:
             filtering = f"breaks no constraint{'' if replay.meaningful else ' on the controls'}"
         if replay.stopped:
             filtering += (
-                f"{'; ' if filtering else ''}its {replay.why_stopped}, so that they cannot be replayed to the end"
+                f"{'; ' if filtering else ''}its {replay.why_stopped}, so that they cannot be simulated to the end"
             )
         elif not replay.meaningful:
             filtering += (
-                "; the states cannot be replayed: over this horizon the dynamics amplify rounding errors "
+                "; the states cannot be simulated: over this horizon the dynamics amplify rounding errors "
                 f"{rough(comparison.classical_measures.amplification)}-fold"
             )
         filtering += f". Note: {limits}" if limits else ""

@@ -181,7 +181,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
     """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
     drawing = drawing_of("loop", "States, controls, their spectra over time, and the steps", CAPTION, loop_figure(loop))
     steps = plural(len(loop.steps), "step")
-    sentence = f"{steps}; the plans of {int(loop.satisfied.sum())} satisfy the maximum principle"
+    sentence = f"{int(loop.satisfied.sum())} of {steps} have plans that satisfy the maximum principle"
     known = loop.gaps[np.isfinite(loop.gaps)]
     sentence += f", with gaps of at most {number(float(known.max()), 2)}." if len(known) else "."
     sentence += f" The loop stopped before its end: {loop.stopped}" if loop.stopped else ""
@@ -191,7 +191,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         most = f"at most {number(float(solve.max()), 3)} ms"
         headline += [
             ("time of a step", f"{number(float(np.median(solve)), 3)} ms", most),
-            ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "apart"),
+            ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "in addition"),
             ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
         ]
         if loop.changes.any():

@@ -76,7 +76,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         labels.append(comparison.constrained_label)
     controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
     only_rows = all(term.kind.is_rows for term in hard)
-    of_terms = "Beyond the joint rows by" if only_rows else "Beyond other constraints by"
+    of_terms = "Violates the joint rows by" if only_rows else "Violates other constraints by"
     groups = [
         _group("", ["cost"], columns, lambda line, _: _measured_cell(line, line.measures.cost, digits=COST_DIGITS)),
         _group(
@@ -85,8 +85,8 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
             columns,
             lambda line, j: TableCell(align(line.largest(controls[j]))),
         ),
-        _violation_group("Beyond the control bounds by", problem.control_names, columns, lambda line: line.controls),
-        _violation_group("Beyond the state bounds by", problem.state_names, columns, lambda line: line.states),
+        _violation_group("Violates the control bounds by", problem.control_names, columns, lambda line: line.controls),
+        _violation_group("Violates the state bounds by", problem.state_names, columns, lambda line: line.states),
         _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms),
         _violation_group("Misses the end state by", problem.state_names, columns, lambda line: line.end),
         _stop_band_group(problem, columns, of_states=False),

@@ -271,7 +271,8 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
     if dynamics.without_cost is not dynamics:
         expected = "quadratic, L1 and L-infinity costs, and linear rows"
         raise UnsupportedError(f"cost: got a cost by formulas, or stage_rows: a path constraint; expected {expected}.")
-    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {kind.__name__}. {advice}".rstrip())
+    expected = kind.__name__ if kind is not StateEquations else "LinearDynamics or FrequencyResponse"
+    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {expected}. {advice}".rstrip())
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:

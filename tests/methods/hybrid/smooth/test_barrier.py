@@ -188,3 +188,11 @@ def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
     assert found is not None
     monkeypatch.undo()
     assert found.cost == pytest.approx(lfo.solve(problem, global_bound=False).cost, rel=1e-9)
+
+
+def test_a_cost_that_is_not_defined_at_the_start_gives_no_answer_and_no_bound():
+    """inf - inf in the enclosures is no warning, and no proof of infeasibility."""
+    cost = lfo.costs.SmoothCost(stage="log(x_0)") + lfo.QuadraticCost(R=1.0)
+    problem = OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, lfo.Box(-1, 1), initial_state=[0.0])
+    result = lfo.solve(problem, throw=False, time_limit=0.05)  # 25 looks at the clock
+    assert (result.status, result.lower_bound) == ("numerical_error", None)
