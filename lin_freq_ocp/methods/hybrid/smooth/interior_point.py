@@ -29,7 +29,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.cones import Cone
-from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
+from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, Derivatives, SmoothModel
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
 from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, End
@@ -513,9 +513,11 @@ def smooth_optimum(
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
     for _ in range(UNIT_REVISIONS):
-        # what obstacles demand may be far from what the data state: the answer is then accurate in other units alone
-        if problem.path_constraints:
-            again, weights = model.revised(answer.point.y) if answer.end is End.OPTIMAL else None, (WARM_MU, MOST_STEPS)
+        # units that follow from the data may be far from an answer between obstacles or far within its bounds, and it
+        # is then accurate in its own units alone
+        if answer.end is End.OPTIMAL and barrier.unequal:
+            weights, far = (WARM_MU, MOST_STEPS), 0.0 if problem.path_constraints else FAR_UNIT
+            again = model.revised(answer.point.y, far)
         else:
             stalled = answer.end is End.STALLED and not barrier.unequal
             assembly, weights = model.assembly.revised(answer.point.y) if stalled else None, first
@@ -523,17 +525,11 @@ def smooth_optimum(
         if again is None:
             break
         after = Barrier(again, loops(wait=end == np.inf), end, *weights).run(again.assembly.point(trajectory))
-        if problem.path_constraints and after.end is not End.OPTIMAL:
+        if barrier.unequal and after.end is not End.OPTIMAL:
+            answer = replace(answer, end=End.INTERRUPTED) if after.end is End.INTERRUPTED else answer
             break
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
-    smaller = model.in_smaller_units(answer.point.y) if answer.end is End.OPTIMAL and barrier.unequal else None
-    if smaller is not None:  # the units were those of far bounds
-        after = Barrier(smaller, loops(wait=end == np.inf), end, WARM_MU).run(smaller.assembly.point(trajectory))
-        if after.end is End.OPTIMAL:
-            model, answer, trajectory = smaller, after, smaller.trajectory(after.point.y)
-        elif after.end is End.INTERRUPTED:
-            answer = replace(answer, end=End.INTERRUPTED)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)
     sequence = np.zeros(problem.horizon, dtype=np.intp)

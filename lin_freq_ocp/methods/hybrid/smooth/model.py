@@ -67,11 +67,9 @@ class SmoothModel:
     plain: Assembly | None = None  # without the weight of the end
 
     @classmethod
-    def at(
-        cls, problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
-    ) -> SmoothModel:
-        """Return the model linearised at a trajectory, in units of ``sizes``, by default those that the data state."""
-        sizes = sizes or stated_sizes(problem)
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
+        """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
+        sizes = stated_sizes(problem)
         linear = replace(
             problem,
             dynamics=problem.dynamics_along(trajectory),
@@ -96,10 +94,15 @@ class SmoothModel:
         constant = stages.constant + 0.5 * weight * float(end @ end)
         return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain)
 
-    def revised(self, y: Array) -> SmoothModel | None:
-        """Return the model in units of the size of a solution y, or None if the present units are similar."""
+    def revised(self, y: Array, far: float) -> SmoothModel | None:
+        """Return the model in units of the size of a solution y.
+
+        None if the present units are similar, or none of them exceeds its new one by the factor ``far``.
+        """
         plain = None if self.plain is None else self.plain.revised(y)
-        return None if plain is None else self.with_end_weighted(self.problem, plain, self.trajectory(y))
+        if self.plain is None or plain is None or (self.plain.units.columns <= far * plain.units.columns).all():
+            return None
+        return self.with_end_weighted(self.problem, plain, self.trajectory(y))
 
     @property
     def stages(self) -> Stages:
@@ -148,14 +151,6 @@ class SmoothModel:
     def stages_at(self, y: Array) -> Stages:
         """Return the stages with the path constraints linearised at a point; without any, those of the model."""
         return self.linearised(y, self.derivatives(y)) if len(self.path.values) else self.stages
-
-    def in_smaller_units(self, y: Array) -> SmoothModel | None:
-        """Return the model in units of the size of a solution y; None if the present units are not far larger."""
-        revised, n = self.assembly.revised(y), self.problem.state_dim
-        if revised is None or (self.assembly.units.columns <= FAR_UNIT * revised.units.columns).all():
-            return None
-        sizes = revised.units.columns[:, : n + self.problem.control_dim]
-        return self.at(self.problem, self.trajectory(y), (sizes[:, :n].max(axis=0), sizes[:-1, n:].max(axis=0)))
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
