@@ -40,18 +40,18 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 40_712,
-    "code lines, linear part": 19_696,
-    "code lines, hybrid": 8_574,
-    SHARE_SAID: 19.4,  # at least
-    "files": 300,
+    "code lines": 41_244,
+    "code lines, linear part": 20_140,
+    "code lines, hybrid": 8_603,
+    SHARE_SAID: 19.5,  # at least
+    "files": 302,
     "folders": 40,
     "folders at the root": 17,
     "modules at the root": 11,
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.8,
+    "functions used once [%]": 11.7,
     "files entered by a solve": 46,
     "functions entered by a solve": 374,
     "calls of a solve": 769,
@@ -60,8 +60,8 @@ LIMITS: dict[str, float] = {
     "class names used twice": 0,
     "constants of several values": 3,
     "file stems used three times": 4,
-    "names of a lone participle": 1,
-    "isinstance on dynamics": 4,
+    "names of a lone participle": 0,
+    "isinstance on dynamics": 3,
     "isinstance on terms": 5,
     "Any": 24,
 }

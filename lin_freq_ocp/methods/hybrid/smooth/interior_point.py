@@ -487,7 +487,7 @@ def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: flo
 
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
-UNIT_REVISIONS = 3  # of the units, each in those of a point at which the iteration stalled
+UNIT_REVISIONS = 3  # an answer between obstacles, or far within its bounds, is accurate in its own units alone
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
@@ -513,11 +513,9 @@ def smooth_optimum(
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
     for _ in range(UNIT_REVISIONS):
-        # units that follow from the data may be far from an answer between obstacles or far within its bounds, and it
-        # is then accurate in its own units alone
         if answer.end is End.OPTIMAL and barrier.unequal:
-            weights, far = (WARM_MU, MOST_STEPS), 0.0 if problem.path_constraints else FAR_UNIT
-            again = model.revised(answer.point.y, far)
+            again = model.revised(answer.point.y, 0.0 if problem.path_constraints else FAR_UNIT)
+            weights = WARM_MU, MOST_STEPS
         else:
             stalled = answer.end is End.STALLED and not barrier.unequal
             assembly, weights = model.assembly.revised(answer.point.y) if stalled else None, first
@@ -526,7 +524,7 @@ def smooth_optimum(
             break
         after = Barrier(again, loops(wait=end == np.inf), end, *weights).run(again.assembly.point(trajectory))
         if barrier.unequal and after.end is not End.OPTIMAL:
-            answer = replace(answer, end=End.INTERRUPTED) if after.end is End.INTERRUPTED else answer
+            answer = replace(answer, end=after.end if after.end is End.INTERRUPTED else answer.end)
             break
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
