@@ -118,8 +118,9 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     """Return the global bound of a convex problem with formulas; None if it is not proven to be convex.
 
     At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
-    over the sets and the trajectory, which may be outside of them. A path constraint is at least its tangent. The problem with these in their place has a quadratic cost
-    and rows, and the bound of one: a lower bound for the given problem, which is close if its multipliers fit.
+    over the sets and the trajectory, which may be outside of them. A path constraint is at least its tangent. The
+    problem with these in their place has a quadratic cost and rows, and the bound of one: a lower bound for the given
+    problem, which is close if its multipliers fit.
     """
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
@@ -169,14 +170,14 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
 
 
 def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint, trajectory: Trajectory) -> bool:
-    """Whether a path constraint is proven to be above its tangents at a trajectory: it is convex there and on the sets."""
+    """Whether a path constraint is proven to be above its tangents at a trajectory: convex on the sets and there."""
     _, *bounds = _signals_with_bounds(problem, trajectory)
     lower, upper = (bound[: len(constraint.limits())] for bound in bounds)
     return all(is_convex(formula, lower, upper) for formula in constraint.formulas)
 
 
 def _signals_with_bounds(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return (x_t, u_t) and bounds of the sets and of them, (T + 1, n + m) each; at T those of the controls are zeros."""
+    """Return (x_t, u_t) and bounds of the sets and of them, (T + 1, n + m) each; for u_T, zeros."""
     states, controls = problem.state_tube, problem.control_tube
     pairs = (trajectory.x, trajectory.u), (states.lower, controls.lower), (states.upper, controls.upper)
     points, lower, upper = (np.hstack([x, np.pad(u, ((0, 1), (0, 0)))]).astype(np.float64) for x, u in pairs)
