@@ -118,16 +118,15 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     """Return the global bound of a convex problem with formulas; None if it is not proven to be convex.
 
     At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
-    over the sets. A path constraint is at least its tangent. The problem with these in their place has a quadratic cost
-    and rows, and the bound of one: a lower bound for the given problem, which is close if its multipliers fit.
+    over the sets and the trajectory, which may be outside of them. A path constraint is at least its tangent. The
+    problem with these in their place has a quadratic cost and rows, and the bound of one: a lower bound for the given
+    problem, which is close if its multipliers fit.
     """
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
         return None
-    cost, (lower, upper) = problem.quadratic, _signal_bounds(problem)
-    # slopes and least curvatures of all times; at T the controls are zeros
-    points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))])
-    slopes, curved = np.zeros_like(points), np.zeros_like(points)
+    cost, (points, lower, upper) = problem.quadratic, _signals_with_bounds(problem, trajectory)
+    slopes, curved = np.zeros_like(points), np.zeros_like(points)  # least curvatures
     for formula, times in zip(problem.cost.formulas, (slice(T), slice(T, T + 1)), strict=True):
         if formula is None:
             continue
@@ -138,7 +137,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     declared, of_rows = list[str](), 0.0
     for one in problem.path_constraints:
         tangents = one.linearised(trajectory.x, trajectory.u)
-        if not is_proven_convex(problem, one):
+        if not is_proven_convex(problem, one, trajectory):
             if not one.convex or one.bends_down(trajectory.x, trajectory.u):
                 return None
             declared.append(f"{one.name!r} is convex, as declared")
@@ -170,18 +169,19 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     )
 
 
-def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint) -> bool:
-    """Whether a path constraint of a problem is proven to be convex over its sets: it is then above its tangents."""
-    lower, upper = (bound[: len(constraint.limits())] for bound in _signal_bounds(problem))
+def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint, trajectory: Trajectory) -> bool:
+    """Whether a path constraint is proven to be above its tangents at a trajectory: convex on the sets and there."""
+    _, *bounds = _signals_with_bounds(problem, trajectory)
+    lower, upper = (bound[: len(constraint.limits())] for bound in bounds)
     return all(is_convex(formula, lower, upper) for formula in constraint.formulas)
 
 
-def _signal_bounds(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """Return the bounds of (x_t, u_t), (T + 1, n + m) each; at T those of the controls are zeros."""
+def _signals_with_bounds(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+    """Return (x_t, u_t) and bounds of the sets and of them, (T + 1, n + m) each; for u_T, zeros."""
     states, controls = problem.state_tube, problem.control_tube
-    pairs = (states.lower, controls.lower), (states.upper, controls.upper)
-    lower, upper = (np.hstack([x, np.pad(u, ((0, 1), (0, 0)))]) for x, u in pairs)
-    return lower, upper
+    pairs = (trajectory.x, trajectory.u), (states.lower, controls.lower), (states.upper, controls.upper)
+    points, lower, upper = (np.hstack([x, np.pad(u, ((0, 1), (0, 0)))]).astype(np.float64) for x, u in pairs)
+    return points, np.minimum(lower, points), np.maximum(upper, points)
 
 
 def _judge_norms(

@@ -62,11 +62,7 @@ def best_multipliers(
     if priced is not None:
         given = first and priced.with_adjoint(first)
         multipliers = priced.multipliers(best_multipliers(priced.problem, priced.with_cost(trajectory), given)[1])
-        certificate, none = judge(problem, trajectory, multipliers), zero_multipliers(problem, 1.0)
-        if certificate.failed and certificate.feasible:  # where all is at rest, a fit has only residuals
-            at_rest = judge(problem, trajectory, none)
-            certificate, multipliers = (certificate, multipliers) if at_rest.failed else (at_rest, none)
-        return certificate, multipliers
+        return _unless_at_rest(problem, trajectory, judge(problem, trajectory, multipliers), multipliers)
     best: tuple[Certificate, Multipliers] | None = None
     fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
     try:
@@ -82,7 +78,18 @@ def best_multipliers(
         if first is None:
             raise
     assert best is not None  # there are candidates, or an error
-    return best
+    return _unless_at_rest(problem, trajectory, *best)
+
+
+def _unless_at_rest(
+    problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate, multipliers: Multipliers
+) -> tuple[Certificate, Multipliers]:
+    """Return multipliers, or zeros if only those satisfy the conditions: at rest, a fit has only residuals."""
+    if certificate.failed and certificate.feasible:
+        none = zero_multipliers(problem, 1.0)
+        at_rest = judge(problem, trajectory, none)
+        certificate, multipliers = (certificate, multipliers) if at_rest.failed else (at_rest, none)
+    return certificate, multipliers
 
 
 def _facts(certificate: Certificate) -> SwitchingFacts:

@@ -375,7 +375,9 @@ def _proof_of_infeasibility(
     deadline, stated = now() + seconds, problem.dynamics.without_cost
     if not stated.mode_names:
         rows = problem.stage_rows if at is None else problem.rows_along(at)
-        left_out = {one.name for one in problem.path_constraints if at is None or not is_proven_convex(problem, one)}
+        left_out = {
+            one.name for one in problem.path_constraints if at is None or not is_proven_convex(problem, one, at)
+        }
         hard = [row for row in rows if row.hard_part is not None and row.name not in left_out]
         relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))

@@ -57,6 +57,31 @@ def test_the_bound_of_any_multipliers_and_trajectory_is_below_the_optimum(name, 
             assert certificate.bound.value <= result.cost + 1e-12 * certificate.cost_scale
 
 
+@pytest.mark.parametrize("control", [[-2.0, 0.0], [-1.5, -0.2], [-1.5, 1.3]])
+@pytest.mark.parametrize("constrained", [False, True])
+def test_tangents_at_a_trajectory_outside_of_the_sets_give_no_bound_above_the_optimum(control, constrained):
+    """x^3 is convex where x >= 0 only: its tangent at -1.5 is above it within the sets."""
+    cost, rows = lfo.QuadraticCost(R=0.01), []
+    if constrained:
+        cost, rows = lfo.QuadraticCost(R=1.0, Q=1.0, x_ref=3.0), [lfo.sets.PathConstraint("x_0**3", upper=0.5)]
+    else:
+        cost = cost + lfo.costs.SmoothCost(stage="x_0**3", terminal="x_0**3")
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]),
+        2,
+        cost,
+        initial_state=[0.5],
+        state_set=lfo.Box(0.1, 5),
+        control_set=lfo.Box(-2, 2),
+        stage_rows=rows,
+    )
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    outside = lfo.simulate(problem, np.reshape(control, (-1, 1)))
+    bound = lfo.certify(problem, outside, result.multipliers).bound
+    assert bound is None or bound.value <= result.cost + 1e-9
+
+
 def test_a_problem_that_is_not_convex_has_no_such_bound():
     for cost in ("cos(x_0)", "x_0*u_0", "x_0**4 - x_0**2"):
         result = lfo.solve(stated(lfo.QuadraticCost(R=0.1, Q=0.01) + lfo.costs.SmoothCost(stage=cost)), "nonsmooth")

@@ -195,3 +195,17 @@ def test_a_point_where_h_is_no_number_is_refused():
         lfo.certify(mass("log(x_0) - 1"), np.zeros((12, 2)))
     result = lfo.solve(mass("log(x_0) - 1"), "nonsmooth", throw=False)
     assert "where the dynamics or path constraints are not defined" in result.message
+
+
+@pytest.mark.parametrize("h", ["0.04 - (x_0 - 0.5)**2", "x_0**2 + u_0**2 - 1.5"])
+def test_a_price_that_nothing_costs_leaves_multipliers_of_zero(h):
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.8]], [[1.0]]),
+        2,
+        lfo.QuadraticCost(R=0.0),
+        initial_state=[0.0],
+        control_set=lfo.Box(-1, 1),
+        stage_rows=[lfo.sets.PathConstraint(h, price=5.0)],
+    )
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
+    assert (result.cost, result.certificate.pmp) == (0.0, "satisfied")
