@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_244,
-    "code lines, linear part": 20_140,
-    "code lines, hybrid": 8_603,
+    "code lines": 41_264,
+    "code lines, linear part": 20_154,
+    "code lines, hybrid": 8_609,
     SHARE_SAID: 19.5,  # at least
     "files": 302,
     "folders": 40,
