@@ -179,10 +179,12 @@ class Repeated:
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
         located = self._located
-        if self.spectral and (located is None or self._is_far(located, start)):
-            kept = self.located(self.problem.with_ends(start)).kept
-            if kept is not None:
-                kept.prepare()
+        if not self.spectral:
+            return
+        if located is None or self._is_far(located, start):
+            located = self.located(self.problem.with_ends(start))
+        if located.kept is not None and not located.kept.prepared:
+            located.kept.prepare()
 
     def plans(self, start: Array) -> bool:
         """Whether the condensed method is set up for states near this one, (n,)."""

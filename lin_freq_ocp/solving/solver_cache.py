@@ -136,6 +136,11 @@ class SolverCache:
         self._condensed_solver()
 
     @property
+    def prepared(self) -> bool:
+        """Whether the condensed method is set up, or has refused the problem."""
+        return self._condensed is not None or bool(self._refused_condensed)
+
+    @property
     def plans(self) -> bool:
         """Whether the condensed method is set up for the problem, and not for a reduced one."""
         return self._condensed is not None and self._reduced is not None and not self._reduced.inverses
