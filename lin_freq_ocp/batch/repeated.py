@@ -183,7 +183,7 @@ class Repeated:
             return
         if located is None or self._is_far(located, start):
             located = self.located(self.problem.with_ends(start))
-        if located.kept is not None and not located.kept.prepared:
+        if located.kept is not None:
             located.kept.prepare()
 
     def plans(self, start: Array) -> bool:

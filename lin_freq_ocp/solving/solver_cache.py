@@ -131,14 +131,9 @@ class SolverCache:
         return reduced.recover(replace(answer.candidate(changed), seconds=seconds))
 
     def prepare(self) -> None:
-        """Set up the condensed method now, to be tried from the first solve on."""
+        """Set up the condensed method now, if it is not, to be tried from the first solve on."""
         self._solves = CONDENSED_SOLVES
         self._condensed_solver()
-
-    @property
-    def prepared(self) -> bool:
-        """Whether the condensed method is set up, or has refused the problem."""
-        return self._condensed is not None or bool(self._refused_condensed)
 
     @property
     def plans(self) -> bool:
