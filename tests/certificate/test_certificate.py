@@ -11,6 +11,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.certificate.tolerances import DATA_ROUNDING
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
@@ -328,6 +329,70 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
     assert after.value < before.value
+
+
+def multipliers_of(problem, **fields):
+    """Return normal multipliers that are zero but for some fields."""
+    (T, n, m), given = (problem.horizon, problem.state_dim, problem.control_dim), {}
+    given |= {"eta_C": 1.0, "eta": np.zeros((T, n)), "mu": np.zeros((T + 1, n)), "nu": np.zeros((T, m))}
+    given |= {"rho_u": np.zeros(problem.control_stop.shape, complex), "stage": {}}
+    given |= {"rho_x": np.zeros(problem.state_stop.shape, complex)}
+    return lfo.results.Multipliers(**(given | fields))
+
+
+def test_a_slope_that_rounding_hides_leaves_no_rigorous_bound():
+    """J is the first component of x_0, which nothing bounds: its slope 1 is 1 + 2^120 - 2^120, rounded to 0."""
+    large = 2.0**120
+    cost = lfo.QuadraticCost(q=[-large, 0.0], p=[large, 1.0])
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 1))), 1, cost)
+    problem = replace(problem, control_set=lfo.Box(-1, 1))
+    multipliers = multipliers_of(problem, eta=np.array([[-large, -1.0]]))
+    bound = judge(problem, lfo.simulate(problem, np.zeros((1, 1)), np.zeros(2)), multipliers).bound
+    assert bound.kind == "numerical"
+    assert bound.value < -10.0  # the cost at its own box
+
+
+@pytest.mark.parametrize(("wrong_by", "lower", "upper"), [(-1e-3, -1.0, 10.0), (1e-3, -10.0, 1.0)])
+def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wrong_by, lower, upper):
+    """J = r u - x_1 and x_1 = u: with a rounding of 1e-3, r = 1 is not told from 1 + wrong_by."""
+    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: abs(wrong_by))
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]),
+        1,
+        lfo.QuadraticCost(r=[1.0], p=[-1.0]),
+        control_set=lfo.Box(lower, upper),
+        state_set=lfo.Box(lower, upper),
+        initial_state=[0.0],
+    )
+    at_rest = lfo.simulate(problem, np.zeros((1, 1)))
+    bound = judge(problem, at_rest, multipliers_of(problem, eta=np.ones((1, 1)))).bound
+    assert bound.kind == "rigorous"
+    assert bound.value <= min(wrong_by * lower, wrong_by * upper)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_scale_of_the_cost_is_that_of_rounding_on_either_side_of_a_kink(side):
+    """At a soft bound, the cost is zero and grows on one side only: S is at least what rounding costs there."""
+    price = 0.5
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(), lfo.sets.Soft(lfo.Box(-1, 1), price)
+    )
+    problem = problem.with_ends([0.0])
+    certificate = judge(problem, lfo.simulate(problem, [[side]]), multipliers_of(problem))
+    assert certificate.cost == 0
+    moved = lfo.simulate(problem, [[side * (1 + DATA_ROUNDING)]])
+    assert certificate.allowed_gap >= problem.value(moved.x, moved.u) > 0
+
+
+def test_the_worth_of_residuals_covers_what_a_state_band_costs():
+    """The optimal cost is convex in a bin's value: without the band it falls by no more than the worth of that bin."""
+    band = lfo.stop_band(bins=[2], component=0)
+    free = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.9]], [[1.0]]), 8, lfo.QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
+    )
+    without, banded = lfo.solve(free), lfo.solve(replace(free, state_spectrum=band))
+    certificate = judge(banded.problem, without.trajectory, banded.multipliers)
+    assert certificate.worth_of_residuals >= banded.cost - without.cost > 1e-3
 
 
 def test_a_nonconvex_cost_has_no_bound_but_is_judged():
