@@ -149,7 +149,7 @@ class _Measures:
     mu: float
     errors: Errors
     left: float  # the largest residual
-    ray: float  # |A'z|, P y relative to -b'z; inf if that is not above zero
+    ray: float  # |A'z| relative to -b'z; inf if that is not above zero
     descent: float  # |A y + s|, P y relative to -h'y
 
 
@@ -235,7 +235,7 @@ class Embedding:
             of_y / tau / (of_h + max(curved, largest(point.z)) / tau),
             abs(primal - dual) / max(self._least_terms, self._terms(point.y / tau, yPy / tau**2)),
         )
-        ray = max(largest([Atz]), curved) / -bz if bz < 0 else np.inf
+        ray = largest([Atz]) / -bz if bz < 0 else np.inf
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
