@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import DATA_ROUNDING
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
@@ -545,3 +546,11 @@ def test_a_stop_band_in_conflict_is_named():
 def test_the_optimum_of_a_feasible_problem_is_no_proof_of_infeasibility(solved):
     result = solved("paper, constrained")
     assert prove_infeasible(result.problem, result.multipliers) is None
+
+
+@pytest.mark.parametrize("end", ["initial_state", "terminal_state"])
+def test_fixed_ends_are_sizes_of_states(end):
+    """A trajectory at rest misses its end by all of its size, whatever else it does."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
+    at_rest = lfo.Trajectory(np.zeros((2, 1)), np.ones((1, 1)))
+    assert trajectory_sizes(replace(problem, **{end: [-50.0]}), at_rest)[0].tolist() == [50.0]

@@ -234,3 +234,32 @@ def test_the_bound_holds_from_states_that_are_not_of_the_response():
         bound = judge(problem, there, zero_multipliers(problem)).bound
         assert bound.kind == "rigorous"
         assert bound.value <= -2.0
+
+
+@pytest.mark.parametrize("change", [-1e-2, 1e-2])
+def test_slopes_at_states_that_are_not_of_the_response_do_not_hide_those_of_the_cost(change):
+    """J = u^2 - x^2/2 + change u: where x = u its slope at 0 is the change, at x = change it is 0."""
+    cost, reach = lfo.QuadraticCost(Q=-1.0, R=2.0, r=[change]), 1e-3
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(3)), 4, cost, lfo.Box(-reach, reach))
+    bound = judge(problem, Trajectory(np.full((5, 1), change), np.zeros((4, 1))), zero_multipliers(problem)).bound
+    best = lfo.simulate(problem, np.full((4, 1), -np.sign(change) * reach))
+    assert bound.kind == "rigorous"
+    assert bound.value <= problem.value(best.x, best.u)
+
+
+def test_the_bound_holds_for_all_responses_that_rounding_may_hide(monkeypatch):
+    """J = x_0 - u_0 and x_0 = u_0: with a rounding of 1e-3, both costs and the response may be wrong."""
+    unit, reach = 1e-3, 1.0
+    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: unit)
+
+    def problem(wrong_by):
+        q, r = (1 - wrong_by) * np.eye(2, 1), -(1 + wrong_by) * np.eye(2, 1)
+        boxes = [lfo.Box(-reach, reach), lfo.Box(0.0, 0.0)]
+        return lfo.OptimalControlProblem(
+            lfo.FrequencyResponse((1 - wrong_by) * np.ones(2)), 2, lfo.QuadraticCost(q=q, r=r), boxes
+        )
+
+    rounded, exact = problem(0.0), problem(unit)
+    bound = judge(rounded, lfo.simulate(rounded, np.zeros((2, 1))), zero_multipliers(rounded)).bound
+    best = lfo.simulate(exact, [[reach], [0.0]])
+    assert bound.value <= exact.value(best.x, best.u) < 0
