@@ -201,7 +201,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
         error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
         minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
         stage_gaps[: len(signal)] -= minimum.sum(1)
-        losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))
+        losses.append(-np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
     residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
     dynamics_term = float((extremal.multipliers.eta * residual).sum())

@@ -140,7 +140,7 @@ def _evaluate(
     error += ARITHMETIC_ROUNDING * np.abs(slope)
     low, high = box[0] - extremal.trajectory.u, box[1] - extremal.trajectory.u
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
-    losses = ARITHMETIC_ROUNDING * np.abs(slope * u) - np.minimum(*pessimistic)
+    losses = -np.minimum(*pessimistic)
     at_bounds = (normal * (x - limits)).sum(1)
     stage_gaps = -at_bounds.astype(np.float64)
     stage_gaps[:-1] -= minimum.sum(1)

@@ -1,6 +1,7 @@
 """State bounds between the samples: a published table, dense sampling, and integration by another program."""
 
 from dataclasses import asdict, replace
+from math import comb
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ from scipy.integrate import solve_ivp
 
 import lin_freq_ocp as lfo
 from helpers.schemas import RESULT, faults, printed
-from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, between_samples
+from lin_freq_ocp.certificate import between_samples as module
+from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
 from lin_freq_ocp.files.summary import certificate_summary, result_summary
 from lin_freq_ocp.pages.report.findings import finding_of
@@ -270,3 +272,14 @@ def test_results_and_certificates_say_it():
     silent = lfo.solve(lfo.library.quadcopter(horizon=20))
     assert silent.between_samples is None
     assert "between " not in str(silent)
+
+
+def test_the_proven_value_covers_the_rest_of_the_series(monkeypatch):
+    """x' = x from 1 over a period of REACH: with four terms, the polynomial is 3e-4 below the exponential."""
+    monkeypatch.setattr(module, "DEGREE", 4)
+    monkeypatch.setattr(module, "BERNSTEIN", np.array([[comb(k, j) / comb(4, j) for j in range(5)] for k in range(5)]))
+    plant = lfo.LinearDynamics.from_continuous([[1.0]], [[1.0]], REACH)
+    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(None, 1.0))
+    (bound,) = between_samples(problem, lfo.simulate(problem, np.zeros((1, 1)), [1.0])).bounds
+    assert bound.violation < np.expm1(REACH) - 1e-4
+    assert bound.at_most >= np.expm1(REACH)

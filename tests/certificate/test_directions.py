@@ -270,6 +270,23 @@ class TestRefused:
     def test_out_of_a_stop_band(self, bins, accepted):
         assert self.accepted(control_spectrum=lfo.stop_band(bins=bins)) is accepted
 
+    def test_a_small_part_in_a_stop_band(self):
+        """A second control moves by 1e-7 of its size, in its stopped bin alone: no direction that is found does so."""
+        wave = np.sin(2 * np.pi * 3 * np.arange(self.T) / self.T)[:, None]
+        fields = {
+            "dynamics": lfo.LinearDynamics(self.PLANT.A, [[0.02, 0.0], [0.2, 0.0]], offset=[0.0, 0.01]),
+            "cost": lfo.QuadraticCost(Q=[[1.0, 0], [0, 0.1]], R=0.1, u_ref=[0.0, 1.0]),
+            "control_spectrum": lfo.stop_band(bins=[3], component=1),
+        }
+        point, along = self.point(), self.along()
+        point = lfo.Trajectory(point.x, np.hstack([self.U, 0 * wave]))
+        for size, accepted in ((0.0, True), (1e-7, False)):
+            there = lfo.Trajectory(along.x, np.hstack([along.u, size * wave]))
+            found = descent_direction(self.problem(**fields), point, there)
+            assert not accepted or found is not None
+            part = np.zeros(self.T) if found is None else found.u[:, 1]
+            assert np.abs(np.fft.rfft(part))[3] <= DIRECTION_TOLERANCE * np.linalg.norm(part)
+
     def test_out_of_a_state_stop_band(self):
         assert not self.accepted(state_spectrum=lfo.stop_band(bins=[2], component=0))
 

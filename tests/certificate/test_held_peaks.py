@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.terms.semi_infinite import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
 
@@ -72,3 +73,15 @@ def test_zeros_and_what_is_not_finite():
     everywhere = held(5, [(1.0, 9.0)])
     assert proven_peak(everywhere, np.zeros(5)).ratio == 0
     assert proven_peak(everywhere, np.array([1.0, np.inf, 0, 0, 0])).ratio == np.inf
+
+
+def test_the_band_of_a_problem_ends_a_period_after_its_last_point():
+    """A tone at 0.8 pi has its next image above 1.6 pi at 2.8 pi: that is the largest value of the band."""
+    N = 40
+    mask = lfo.MagnitudeBound(2.0, band=lfo.low_pass(cutoff_hz=0.8), every_frequency=True, hold=True)
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]], sampling_time=1.0)
+    problem = lfo.OptimalControlProblem(plant, N, lfo.QuadraticCost(R=1.0), control_spectrum=mask)
+    samples = np.cos(0.8 * np.pi * np.arange(N))
+    peak = proven_peak(problem.terms[0].semi_infinite, samples)
+    assert magnitude(samples, np.linspace(1.6 * np.pi, 60.0, 20_001)).max() <= 2.0 * peak.ratio
+    assert peak.frequency == pytest.approx(2.8 * np.pi, rel=1e-2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -201,3 +202,53 @@ def test_other_kinds_of_problems_are_for_the_judge_alone():
         lfo.library.elliptic_rendezvous(),
     ]
     assert not any(map(batch_judge_takes, others))
+
+
+def test_costs_are_those_of_the_problem():
+    """With a linear term of each kind, at any trajectory."""
+    cost = replace(COST, q=[0.1, -0.3], r=[0.7], p=[0.4, -0.2], u_ref=[0.3])
+    problem = replace(PROBLEMS["states, references and linear terms"](), cost=cost)
+    rng, (T, n, m) = np.random.default_rng(5), (problem.horizon, problem.state_dim, problem.control_dim)
+    x, u = rng.standard_normal((3, T + 1, n)), rng.standard_normal((3, T, m))
+    zeros = (
+        np.zeros((3, T, n)),
+        np.zeros((3, T + 1, n)),
+        np.zeros((3, T, m)),
+        np.zeros((3, *problem.control_stop.shape)),
+    )
+    found = judge_batch(problem, x[:, 0], Extremals(x, u, *zeros, {}))
+    assert found.costs == pytest.approx([problem.value(*signals) for signals in zip(x, u, strict=True)], rel=1e-12)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_controls_reach_on_the_farther_side_count(side):
+    """x_t is a sum of controls between -1 and 3, or -3 and 1; without multipliers, D is below the cost of all 3."""
+    limits = np.sort([-side, 3 * side])
+    cost = lfo.QuadraticCost(q=[-side], p=[-side])
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(plant, 4, cost, lfo.Box(*limits), initial_state=[0.0])
+    farthest = lfo.simulate(problem, np.full((4, 1), 3 * side))
+    zero = [np.zeros((1, *shape)) for shape in ((5, 1), (4, 1), (4, 1), (5, 1), (4, 1), (3, 1))]
+    found = judge_batch(problem, np.zeros((1, 1)), Extremals(*zero, {}))
+    assert -np.inf < found.bounds[0] <= problem.value(farthest.x, farthest.u)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_is_below_the_exact_one_where_its_terms_cancel(seed):
+    """Everything is fixed, and x_{t+1} = 0 is violated by x_{t+1}: D = sum eta_t x_{t+1}, about 0, in exact numbers."""
+    rng, T = np.random.default_rng(seed), 64
+    x, u, eta = rng.standard_normal((T + 1, 1)), np.zeros((T, 1)), rng.standard_normal((T, 1))
+    eta[-1] = -(eta[:-1] * x[1:-1]).sum() / x[-1]
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[0.0]]),
+        T,
+        lfo.QuadraticCost(r=[1.0]),
+        control_set=lfo.Box(0, 0),
+        state_set=[lfo.Box(value, value) for value in x],
+        initial_state=x[0],
+    )
+    exact = sum(Fraction(a) * Fraction(b) for a, b in zip(eta[:, 0].tolist(), x[1:, 0].tolist(), strict=True))
+    zero = np.zeros((1, T + 1, 1)), np.zeros((1, T, 1)), np.zeros((1, T // 2 + 1, 1), dtype=complex)
+    given = Extremals(x[None], u[None], eta[None], *zero, {})
+    assert Fraction(judge_batch(problem, x[:1], given).bounds[0]) <= exact
+    assert Fraction(judge_single(problem, x[0], given, 0).bound.value) <= exact

@@ -119,3 +119,27 @@ def test_a_direction_of_unbounded_descent_is_verified():
     assert free.descent_ray_residual(np.array([0.25, 1.0])) == pytest.approx(0.125)  # curved, and nothing else
     reversed_cost = dataclasses.replace(program, q=np.array([0.0, 2.0]))
     assert reversed_cost.descent_ray_residual(np.array([0.0, -1.0])) == pytest.approx(0.5)  # z_1 >= 0 stops it
+
+
+def test_residuals_refuse_duals_outside_the_polar_of_a_cone():
+    """Min 0 with s = (z_0, z_1) in a cone: the duals (0, 1) are stationary, and complementary at 0, but no normal."""
+    program = Program(
+        sp.csc_array((2, 2)),
+        np.array([0.0, -1.0]),
+        sp.csc_array(np.eye(2)),
+        np.zeros(2),
+        np.full(2, np.inf),
+        cones=(slice(0, 2),),
+    )
+    assert program.residuals(np.zeros(2), np.array([0.0, 1.0])).dual == pytest.approx(1.0)
+    inside = dataclasses.replace(program, q=np.array([1.0, -1.0]))
+    assert inside.residuals(np.zeros(2), np.array([-1.0, 1.0])).worst == 0
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+def test_of_several_rows_on_one_variable_the_tightest_bounds_count(order):
+    """-4 <= z <= 3, -2 <= 2 z <= 4 and -5 <= -z <= 1, in any order: -1 <= z <= 2."""
+    rows = np.array([[1.0, -4.0, 3.0], [2.0, -2.0, 4.0], [-1.0, -5.0, 1.0]])[list(order)]
+    program = Program(sp.csc_array((1, 1)), np.zeros(1), sp.csc_array(rows[:, :1]), rows[:, 1], rows[:, 2])
+    bounds = program.single_bounds()
+    assert (bounds.below.tolist(), bounds.above.tolist(), bounds.violation) == ([-1.0], [2.0], 0.0)

@@ -281,3 +281,21 @@ def test_the_kernel_is_strict_c99(real, tmp_path):
     command = [compiler, *flags, "-c", str(source), "-o", str(tmp_path / "kernel.o")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("kind", ["C", "NumPy"])
+def test_rows_that_are_nearly_parallel_hold_as_exactly_as_others(kind):
+    """u_1 + 0.7 u_2 <= 1 <= u_1 + (0.7 + a) u_2 - a are active at the point (0.3, 1) alone, for a = 1e-6."""
+    a = 1e-6
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(0.5 * np.eye(2), [[1.0, 0.3], [0.2, 1.0]]),
+        3,
+        lfo.QuadraticCost(Q=1.0, R=1.0, P=1.0, u_ref=[2.0, 2.0]),
+        stage_rows=lfo.StageRows(None, [[1.0, 0.7], [-1.0, -0.7 - a]], [1.0, -1.0 - a]),
+        initial_state=[0.1, 0.2],
+    )
+    tables, start = tables_of(problem), np.array([0.1, 0.2])
+    kernel = NativeKernel(tables, compiled()) if kind == "C" else DenseKernel(tables)
+    units = natural_units(problem)
+    assert kernel.step(start / units.x) == SOLVED
+    np.testing.assert_allclose(kernel.control * units.u, [0.3, 1.0], atol=1e-7)
