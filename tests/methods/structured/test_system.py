@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.system import (
     BALLS,
     EQUATIONS,
@@ -157,8 +157,8 @@ def test_a_step_solves_its_system(side, free):
 @pytest.mark.parametrize("side", [RangeSpaceSolver, low_rank])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_optimum_is_clarabels(side, seed, compiled):
-    if compiled:
-        pytest.importorskip("numba")
+    if compiled and not can_compile():
+        pytest.skip("numba does not compile")
     problem = soft_stages(seed, cones=(3,) if seed else ())
     system, answer = embedded(problem, compiled, side)
     assert answer.end is End.OPTIMAL
