@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import ContextDecorator, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -54,33 +53,36 @@ def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
     )
 
 
-@contextmanager
-def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread while any thread of this process is in this context.
+class _OneBlasThread(ContextDecorator):
+    """A context, also a decorator: linear algebra uses one thread while any thread of this process is in it.
 
     The last thread that leaves restores the numbers that the first one found.
     """
-    global _users, _before
-    with _lock:
-        _users += 1
-        if _users == 1:
-            threads = [(library, library.num_threads) for library in _blas_libraries()]
-            _before = [(library, count) for library, count in threads if count != 1]
-            for library, _ in _before:
-                library.set_num_threads(1)
-    try:
-        yield
-    finally:
-        with _lock:
-            _users -= 1
-            for library, count in () if _users else _before:
+
+    def __init__(self):
+        self._lock, self._users = threading.Lock(), 0
+        self._before = list[tuple[Any, int]]()  # the libraries that had other numbers of threads, and these
+
+    @cached_property
+    def _libraries(self) -> list[Any]:
+        import scipy.linalg  # noqa: F401  # it loads SciPy's library; NumPy has one of its own
+
+        return ThreadpoolController().select(user_api="blas").lib_controllers
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._users == 0:
+                threads = [(library, library.get_num_threads()) for library in self._libraries]
+                self._before = [(library, count) for library, count in threads if count != 1]
+                for library, _ in self._before:
+                    library.set_num_threads(1)
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            for library, count in () if self._users else self._before:
                 library.set_num_threads(count)
 
 
-_lock, _users = threading.Lock(), 0  # of one BLAS thread
-_before: list[tuple[Any, int]] = []  # the libraries that had other numbers of threads, and these
-
-
-@cache
-def _blas_libraries() -> list[Any]:
-    return ThreadpoolController().select(user_api="blas").lib_controllers
+one_blas_thread = _OneBlasThread()

@@ -145,12 +145,11 @@ def _solve_parts(
 ) -> Generator[Mapping[str, Item]]:
     """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
-        with one_blas_thread():
-            for part in _split_parts(changes, PART).values():
-                solved = solve_part(again, part, time_limit)
-                yield solved.items
-                if solved.interrupted:
-                    raise KeyboardInterrupt
+        for part in _split_parts(changes, PART).values():
+            solved = solve_part(again, part, time_limit)
+            yield solved.items
+            if solved.interrupted:
+                raise KeyboardInterrupt
         return
 
     work = Work[Mapping[str, Change], SolvedPart](
@@ -182,8 +181,7 @@ def _solve_in_worker(
     attempt: int,
 ) -> SolvedPart:
     """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    with one_blas_thread():
-        return solve_part(Repeated(problem, method), changes, time_limit)
+    return solve_part(Repeated(problem, method), changes, time_limit)
 
 
 def changes_of(
@@ -260,6 +258,7 @@ class SolvedPart:
     interrupted: bool = False
 
 
+@one_blas_thread
 def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
     """Solve problems one after another, each from the one before; a failure is an item, too."""
     items, interrupted = dict[str, Item](), False

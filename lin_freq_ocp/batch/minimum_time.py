@@ -22,6 +22,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
 from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
@@ -245,6 +246,7 @@ def require_source(source: Source) -> None:
         require_problem(source)
 
 
+@one_blas_thread
 def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]:
     """Return the conditions that fail for the problems of these horizons, in words; none: feasibility is monotone.
 

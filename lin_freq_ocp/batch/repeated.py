@@ -10,6 +10,7 @@ from itertools import islice
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
@@ -176,6 +177,7 @@ class Repeated:
         far = (np.abs(start - located.origin) > reach) & (reach > 0)
         return bool((far if fixed is True else far & fixed).any())
 
+    @one_blas_thread
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
         located = self._located
@@ -241,6 +243,7 @@ class Repeated:
             if ray is not None:
                 located.exclusions.appendleft(ray)
 
+    @one_blas_thread
     def solve(
         self,
         change: Change,

@@ -54,6 +54,7 @@ DECIDED = {Status.INFEASIBLE: False} | {status: True for status in Status if sta
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 
+@one_blas_thread
 def explain(
     problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None
 ) -> Explanation:
@@ -103,14 +104,13 @@ def explain(
     ends = [
         (clock, clock() + positive_number(name, limit)) for name, (clock, limit) in limits.items() if limit is not None
     ]
-    with one_blas_thread():  # several would use up the processor time while they wait for each other
-        search = _VariantSolver(problem, ends)
-        result = search.solve_variant(problem)
-        if result.status != Status.INFEASIBLE:
-            got = f"with the status '{result.status}'"
-            raise UnsupportedError(f"explain: got a problem {got}; expected one that is proven infeasible.")
-        family = search.irreducible_family(result)
-        cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
+    search = _VariantSolver(problem, ends)
+    result = search.solve_variant(problem)
+    if result.status != Status.INFEASIBLE:
+        got = f"with the status '{result.status}'"
+        raise UnsupportedError(f"explain: got a problem {got}; expected one that is proven infeasible.")
+    family = search.irreducible_family(result)
+    cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
     return Explanation(tuple(block.name for block in family), search.sure, cures)
 
 

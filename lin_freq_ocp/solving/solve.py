@@ -21,6 +21,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.methods.progress import Progress
@@ -45,6 +46,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as much as the allowed gap
 
 
+@one_blas_thread
 def solve_judged(
     problem: OptimalControlProblem,
     method: str | Method = "auto",

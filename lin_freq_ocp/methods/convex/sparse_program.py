@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +30,7 @@ from lin_freq_ocp.methods.candidate import (
 )
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import polish_point, zero_rounding
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
@@ -307,7 +307,7 @@ def structured_first(problem: OptimalControlProblem) -> str:
     signals = problem.state_dim, problem.control_dim
     if any(len(term.map.locations) and term.map.spectrum_form(*signals) is None for term in problem.terms):
         return "close frequencies of a mask cost the sparse program digits"
-    rows, compiled = dense_rows(problem), find_spec("numba") is not None
+    rows, compiled = dense_rows(problem), can_compile()
     if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):
         return f"the sparse program would have {rows.count} dense rows"
     if compiled and rows.variables >= VARIABLES:

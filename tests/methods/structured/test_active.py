@@ -1,7 +1,6 @@
 """Solves again and again by the active rows, against the embedding."""
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from lin_freq_ocp.methods.structured import active
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
 from lin_freq_ocp.solving.linear import Structured
@@ -22,7 +21,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.solver_cache import Change, SolverCache
 from tests.methods.structured.examples import spectrum, stages
 
-COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]
+COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]
 
 
 def coupled(seed):
@@ -77,7 +76,8 @@ def test_answers_are_those_of_the_embedding(seed, compiled):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_both_kinds_of_loops_find_the_same_to_rounding(seed):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     problem = stages(seed, bound=0.8, coupling=coupled(seed))
     near = np.zeros(problem.h.shape)
     plain, fast = (

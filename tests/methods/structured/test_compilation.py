@@ -6,7 +6,10 @@ from threading import Event, Thread
 
 import pytest
 
-pytest.importorskip("numba", reason="the extra fast is not installed")
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+
+if not can_compile():
+    pytest.skip("numba does not compile", allow_module_level=True)
 
 from lin_freq_ocp.methods.structured.kkt import compilation, kernels
 from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit

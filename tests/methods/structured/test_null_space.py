@@ -1,7 +1,6 @@
 """The null-space solver against the equations of kkt/system.py, and against the range-space solver."""
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from lin_freq_ocp.methods.structured.kkt.null_space import (
     unit_scale,
 )
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations
 from methods.structured.linear_systems import random_system, solved, stop_band
@@ -25,8 +24,8 @@ GROWTHS = (0.0, 12.0, -5.0)
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 

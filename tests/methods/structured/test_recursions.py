@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,22 +10,22 @@ import scipy.linalg as la
 
 from lin_freq_ocp.methods.structured.kkt import recursions
 from lin_freq_ocp.methods.structured.kkt.dense import OpenLoop
-from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, loops
+from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, can_compile, loops
 
 NONE = np.zeros(0, dtype=np.intp)
 
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("the extra fast is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 
 @pytest.fixture
 def both():
-    if find_spec("numba") is None:
-        pytest.skip("the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     return loops(True), loops(False)
 
 
@@ -261,7 +260,8 @@ def test_convexity_is_that_of_the_reduced_hessian(seed, compiled):
 
 
 def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     from lin_freq_ocp.methods.structured.kkt import kernels
 
     assert isinstance(loops(), kernels.CompiledLoops)
@@ -273,6 +273,12 @@ def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
 def test_without_numba_arrays_do_the_same(monkeypatch):
     monkeypatch.setattr(recursions, "find_spec", lambda name: None)
     assert isinstance(loops(), BandedLoops)
+
+
+def test_numba_that_is_switched_off_compiles_nothing(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert isinstance(loops(), BandedLoops)
+    assert isinstance(loops(wait=False), BandedLoops)
 
 
 def test_numba_is_imported_only_when_compiled_loops_are_asked_for():

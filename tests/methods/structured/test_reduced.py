@@ -1,12 +1,10 @@
 """Conjugate gradients on the kept coefficients, and what their second level is worth."""
 
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_REST, TwoLevel, clip
 from methods.structured.linear_systems import random_system, solved
 
@@ -25,8 +23,8 @@ class Counted(TwoLevel):
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 
