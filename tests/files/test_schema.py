@@ -18,6 +18,7 @@ import lin_freq_ocp as lfo
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, printed
+from helpers.seeds import seeds
 from lin_freq_ocp.api.solve import ERRORS
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.rays import Conflict
@@ -86,7 +87,7 @@ def test_the_page_names_every_key():
     assert {key for key, _ in properties(PROBLEM)} - told == set()
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", seeds(range(24)))
 def test_problems_of_mixed_features_are_valid(tmp_path, seed):
     lfo.write_problem(problem_of(random_model(seed)), tmp_path / "problem.toml")
     assert_valid_file(tmp_path / "problem.toml")

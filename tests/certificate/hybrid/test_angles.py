@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, AngleBoxes
 
@@ -60,7 +61,7 @@ def test_amplitudes_may_have_no_limit(third):
     assert pattern(8).value(trajectory.x, trajectory.u) <= lfo.solve(pattern(8)).cost + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(range(5)))
 def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     rng, bound = np.random.default_rng(seed), loose(12)
     count = 100
