@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.browsers import browser as browser
+from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
 from helpers.seeds import VARIABLE, choose_seeds
 from helpers.stage_rows import two_families as two_families
