@@ -35,7 +35,7 @@ PROBLEMS = {
 
 
 def least_of_many(problem):
-    """Return the least cost of trajectories that local searches from random controls find."""
+    """Return the least cost of trajectories that four local searches from random controls find."""
     start, steps, rng = problem.initial_box.lower, problem.horizon, np.random.default_rng(0)
 
     def cost(u):
@@ -45,7 +45,7 @@ def least_of_many(problem):
             return 1e3
         return problem.value(trajectory.x, trajectory.u)
 
-    starts = rng.uniform(-1, 1, (6, steps))
+    starts = rng.uniform(-1, 1, (4, steps))
     found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * steps, options={"maxfun": 200}) for u in starts]
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
