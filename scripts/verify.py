@@ -27,9 +27,10 @@ loop         closed loops with disturbances, and plans of ten plants against the
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
+suite        the tests with all their random seeds
 
-Seeded samples run with the tests. N is by default the number beside each part below; "frequencies" checks five times as
-many signals; "loop" and "embedded" count steps.
+A run of the tests takes a third of their seeded samples. N is by default the number beside each part below;
+"frequencies" checks five times as many signals; "loop" and "embedded" count steps.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "proofs": 100,
     "answers": None,
     "limits": None,
+    "suite": None,
 }
 WIDTH = 132  # columns of the tables, also where they are written into a file
 

@@ -8,7 +8,10 @@ from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.browsers import browser as browser
+from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
+from helpers.seeds import VARIABLE, choose_seeds
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
@@ -20,7 +23,9 @@ COMPILED = ("test_paths.py",)
 
 
 def pytest_configure():
-    """Give each process one BLAS thread, children included: with several, workers wait for threads of one another.
+    """Choose the random seeds, and give each process one BLAS thread, children included.
+
+    With several threads, workers wait for threads of one another.
 
     Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
     package anew, and every run rewrites the assertions of all tests.
@@ -28,6 +33,7 @@ def pytest_configure():
     A suite that a script starts in the background ignores Ctrl-C, as do the commands that it starts; the tests of
     Ctrl-C need the handler of Python.
     """
+    choose_seeds()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -36,6 +42,13 @@ def pytest_configure():
     sys.dont_write_bytecode = False
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any machine")
+
+
+def pytest_sessionstart(session):
+    """Print the choice of seeds; workers have no reporter."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None:
+        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: this third of the random seeds, or all")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,6 +13,7 @@ import pytest
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
@@ -49,7 +50,7 @@ def feasible(problem, horizon):
     return found.status == 0
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_least_horizons_are_those_of_brute_force(seed):
     problem = random_problem(seed)
     every = [T for T in range(1, LAST + 1) if feasible(problem, T)]

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import lin_freq_ocp as lfo
 from helpers.schemas import RESULT, faults, printed
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate import between_samples as module
 from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
@@ -133,7 +134,7 @@ def test_a_bound_on_one_side_is_relative_to_the_range_of_the_state():
     assert worst.relative == pytest.approx(2 * worst.violation / np.ptp(trajectory.x[:, 0]), rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_random_plants_against_dense_sampling(seed):
     rng = np.random.default_rng(seed)
     n, m, T = rng.integers(1, 6), rng.integers(1, 3), 12

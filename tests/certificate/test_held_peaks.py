@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.terms.semi_infinite import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
 
@@ -21,7 +22,7 @@ def magnitude(samples, w):
     return np.abs(factor * np.polyval(samples[::-1], np.exp(-1j * w)))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_nothing_is_above_the_proven_value(seed):
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 120))

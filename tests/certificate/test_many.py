@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -83,7 +84,7 @@ def test_figures_are_those_of_the_judge(solved):
 
 
 @pytest.mark.parametrize("units", UNITS)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_verdicts_on_soft_and_joint_rows_are_those_of_the_judge(seed, units):
     """The solutions, and the same with one part wrong by more and by less than the judge allows."""
     problem = plant_with_rows(seed, *UNITS[units])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal.windows import chebwin
 
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate import peaks as cells
 from lin_freq_ocp.certificate.peaks import TERMS, Cells, certified_peak
 from lin_freq_ocp.problem.terms.semi_infinite import limits_on
@@ -26,7 +27,7 @@ def sampled(samples, limits, count=4000):
     return found
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", seeds(range(60)))
 def test_no_sampled_value_is_above_it_and_it_is_attained(seed):
     rng = np.random.default_rng(seed)
     N, ends = int(rng.integers(1, 200)), np.sort(rng.uniform(0, np.pi, 4))

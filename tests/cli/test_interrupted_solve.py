@@ -160,7 +160,7 @@ def test_ctrl_c_in_the_middle_of_a_long_solve(backend, horizon, tmp_path):
     ) as process:
         try:
             assert "removes no bin" in process.stderr.readline()
-            work_on(process, 1.0)
+            work_on(process, 0.3)
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=PATIENCE)
         finally:

@@ -26,7 +26,7 @@ def test_a_proof_is_written_and_confirmed(tmp_path, monkeypatch, capsys):
 def test_an_infeasible_problem_has_a_proof_too(tmp_path, monkeypatch, capsys):
     file = tmp_path / "run.proof"
     status, _, err = run(
-        "solve", "double_integrator", "--set", "cutoff_hz=0.3", "--time-limit", "1", "--proof", str(file)
+        "solve", "double_integrator", "--set", "cutoff_hz=0.3", "--time-limit", "0.3", "--proof", str(file)
     )
     assert status == 1, err
     monkeypatch.setattr(sys, "argv", ["lfo-check", str(file)])

@@ -13,6 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
 from helpers.random.mixed import FEATURES, problem_of, random_model
+from helpers.seeds import seeds
 from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.files import problem_file as toml_file
 from lin_freq_ocp.files.problem_file import INLINE_LIMIT
@@ -264,7 +265,7 @@ def test_large_arrays_of_modes_leave_the_text(tmp_path, monkeypatch):
     assert tables["dynamics"]["modes"][1]["h"] == {"npz": "problem.problem.npz", "key": "dynamics.modes[1].h"}
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", seeds(range(24)))
 def test_mixed_features_survive_the_round_trip(tmp_path, seed):
     round_trip(problem_of(random_model(seed)), tmp_path)
 

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.methods.spectral.reductions import row_form, soft_bins, soft_bounds
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
@@ -27,7 +28,7 @@ from lin_freq_ocp.sets import Polyhedron, Soft
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 
 Problem = lfo.OptimalControlProblem
-T, SEEDS = 16, (0, 1, 2)
+T, SEEDS = 16, seeds(range(3))
 HIGH = 1e4  # a price above all multipliers of these problems
 SOFT_BAND = lfo.MagnitudeBound(0.0, bins=[3, 7], penalty=HIGH)
 INFEASIBLE, UNBOUNDED = "infeasible", "unbounded"

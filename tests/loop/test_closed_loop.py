@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -99,6 +100,11 @@ def test_what_does_not_fit_is_named(arguments, field):
         lfo.spectrum.closed_loop(*arguments)
 
 
+@cache
+def noisy_and_soft():
+    return noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))
+
+
 def noisy(problem, steps=60, **fields):
     """Return the record of a loop of the mass with strong disturbances."""
     noise = np.random.default_rng(1).normal(scale=[1e-3, 5e-2], size=(steps, 2))
@@ -118,7 +124,7 @@ LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(10))
 
 
 def test_the_record_has_the_spectra_of_the_applied_windows():
-    log = noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))
+    log = noisy_and_soft()
     (found,) = log.spectra()
     np.testing.assert_allclose(found.magnitudes, windows_of(log.controls[:, 0], LIMIT), atol=1e-9)
     np.testing.assert_array_equal(found.begins, -10 + LIMIT.hop * np.arange(len(found.begins)))
@@ -189,7 +195,7 @@ def test_short_loops_have_no_windows_and_other_constraints_are_refused():
 
 
 def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(tmp_path):
-    log = noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))
+    log = noisy_and_soft()
     (found,) = log.spectra()
     page = log.save(tmp_path).read_text()
     assert "Windows of the applied signals" in page

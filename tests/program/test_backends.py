@@ -16,6 +16,7 @@ import qpsolvers
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
@@ -167,7 +168,7 @@ def random_program(seed: int) -> Program:
 
 
 @each_solver
-@pytest.mark.parametrize("seed", RANDOM_SEEDS)
+@pytest.mark.parametrize("seed", seeds(RANDOM_SEEDS))
 def test_random_programs_against_enumeration_of_active_sets(name, seed):
     asked = random_program(seed)
     z, y = enumerated(asked)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from helpers.transcribed import each_problem, small_problem
 from lin_freq_ocp import library
 from lin_freq_ocp.methods.candidate import Candidate
@@ -153,7 +154,7 @@ def in_bins(problem: OptimalControlProblem) -> OptimalControlProblem:
     return dataclasses.replace(problem, **changes)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 @pytest.mark.parametrize("name", ["flexible_satellite", "two_mass_spring"])
 def test_models_with_hidden_states_in_random_units(name, seed):
     """Modal states and speeds have no bound, end or reference that would say how large they are."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.errors import InfeasibleError, ProblemError, UnsupportedError
 from lin_freq_ocp.certificate.rays import prove_infeasible
@@ -44,7 +45,7 @@ def independent_cost(problem: lfo.OptimalControlProblem) -> float:
     return float(program.solve(solver="CLARABEL"))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_every_method_finds_the_optimum_of_cvxpy(seed):
     problem = random_problem(seed)
     expected = independent_cost(problem)
@@ -158,7 +159,7 @@ def test_the_fourier_domain_method_closes_the_period(name):
     assert result.cost == pytest.approx(lfo.solve(problem, method="structured").cost, rel=1e-8)
 
 
-@pytest.mark.parametrize("seed", range(0, 12, 2))
+@pytest.mark.parametrize("seed", seeds(range(0, 12, 2)))
 def test_the_fourier_domain_method_agrees_on_random_problems(seed):
     given = random_problem(seed)
     problem = replace(given, cost=replace(given.quadratic, P=np.zeros((3, 3))))

@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import translation
 from helpers.rounded_products import exact_optimum
+from helpers.seeds import seeds
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.solving import linear
@@ -23,7 +24,7 @@ METHODS = ("auto", "spectral", "structured", "convex")
 
 
 @pytest.mark.parametrize(
-    ("question", "seed"), [(question, seed) for question, seeds in SEEDS.items() for seed in seeds]
+    ("question", "seed"), seeds((question, seed) for question, given in SEEDS.items() for seed in given)
 )
 def test_the_same_problem_far_from_zero_has_the_same_answer(question, seed):
     outcome = translation.check(seed, question)

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 
@@ -254,7 +255,15 @@ class Drawing:
     title: str
     caption: str
     svg: str
-    png: bytes
+    figure: Figure
+
+    @cached_property
+    def png(self) -> bytes:
+        """Return the figure as an image, which only a saved page has."""
+        self.figure.set_dpi(PIXELS_PER_INCH)
+        png = BytesIO()
+        FigureCanvasAgg(self.figure).print_png(png)
+        return png.getvalue()
 
     @property
     def inline(self) -> Markup:
@@ -270,15 +279,17 @@ class Drawing:
 
 
 def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    """Return a figure as SVG text and as a PNG image."""
+    """Return a figure as SVG text, with the layout of its PNG image."""
     figure.set_dpi(PIXELS_PER_INCH)
-    svg, png = BytesIO(), BytesIO()
-    FigureCanvasAgg(figure).print_png(png)
+    FigureCanvasAgg(figure)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)
     figure.set_layout_engine("none")  # keeps the layout that was found
+    svg = BytesIO()
     # Names of shapes are the same in every run, and text looks the same on every machine.
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
+    return Drawing(name, title, caption, svg.getvalue().decode(), figure)
 
 
 def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:

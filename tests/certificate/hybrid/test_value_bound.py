@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -40,7 +41,7 @@ def random_formula(rng, variables, depth):
     return made[rng.integers(len(made))]()
 
 
-@pytest.mark.parametrize("seed", range(80))
+@pytest.mark.parametrize("seed", seeds(range(80)))
 def test_enclosures_contain_values_gradients_and_hessians(seed):
     rng = np.random.default_rng(seed)
     x, u = signals(2, 1)
@@ -98,7 +99,7 @@ def test_logarithms_outside_of_their_domain_have_unbounded_derivatives():
     assert np.isinf(found.slopes[0][0, 0, 0])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
     rng = np.random.default_rng(seed)
     x, u = signals(2, 1)
@@ -125,7 +126,7 @@ def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
     np.testing.assert_allclose(bound(tiny), value(np.zeros((6, 3))), rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_bounds_that_the_cost_implies_hold_on_its_sublevel_set_and_touch_it(seed):
     rng = np.random.default_rng(seed)
     root, b, above = rng.normal(size=(3, 3)), rng.normal(size=3), 10.0 ** rng.uniform(-3, 3)
@@ -284,7 +285,7 @@ def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
     bounds = value_bounds(problem, multipliers_of(problem), cost, 0.01)
-    found = max(level.value for level, _ in zip(bounds, range(4), strict=False))
+    found = max(level.value for level, _ in zip(bounds, range(3), strict=False))
     assert found <= optimum
     assert found >= min(cost - 0.01, 17.0)
 

@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid.search import common as search
@@ -44,7 +45,7 @@ def reached(problem, sequence):
     return relaxation, relaxation.reach.from_start(np.array(sequence)[:, None] == np.arange(2))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_rows_that_leave_room_one_by_one_and_none_together_leave_none(seed):
     """x <= 0.4 and x >= 0.6: the bounds that they cut cross, for the search and for the judge."""
     problem = two_modes([[1, 0], [-1, 0]], [0.4, -0.6], seed)
@@ -56,7 +57,7 @@ def test_rows_that_leave_room_one_by_one_and_none_together_leave_none(seed):
     assert result.sequence.tolist() == [1, 1]
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     """x - y <= -1 leaves a corner of the square, which y - x <= 1/2 excludes: boxes show none of it."""
     problem = two_modes([[1, -1], [-1, 1]], [-1.0, 0.5], seed)

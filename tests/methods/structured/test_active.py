@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
@@ -55,7 +56,7 @@ def responses(problem, compiled=False):
 
 
 @pytest.mark.parametrize("compiled", COMPILED)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_answers_are_those_of_the_embedding(seed, compiled):
     problem = stages(seed, bound=0.8, coupling=coupled(seed))
     kept, near, rows_held = responses(problem, compiled), np.zeros(problem.h.shape), 0
@@ -74,7 +75,7 @@ def test_answers_are_those_of_the_embedding(seed, compiled):
     assert rows_held > 0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_both_kinds_of_loops_find_the_same_to_rounding(seed):
     if not can_compile():
         pytest.skip("numba does not compile")

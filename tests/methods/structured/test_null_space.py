@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured.kkt.null_space import (
     Coefficients,
     NullSpaceSolver,
@@ -29,7 +30,7 @@ def chosen(request):
     return loops(request.param == "compiled")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)
@@ -37,7 +38,7 @@ def test_it_solves_the_system_of_a_step(chosen, seed, others):
     assert left < 1e-11
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_both_solvers_agree(chosen, seed):
     system = random_system(seed)
     kept, _ = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)

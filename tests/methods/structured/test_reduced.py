@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_REST, TwoLevel, clip
@@ -28,7 +29,7 @@ def chosen(request):
     return loops(request.param == "compiled")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)

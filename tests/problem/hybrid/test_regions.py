@@ -13,6 +13,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.seeds import seeds
 from lin_freq_ocp.base import polyhedra
 from lin_freq_ocp.base.polyhedra import SAME_FACET, THICKNESS, Cell
 
@@ -281,7 +282,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert halves(0.0, 0.1).gap is not None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_coverage_against_random_points(seed):
     """Boxes of a grid, some left out: the domain is covered iff no random point says otherwise."""
     rng = np.random.default_rng(seed)

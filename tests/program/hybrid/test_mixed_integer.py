@@ -14,6 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.search import mixed
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
@@ -56,7 +57,7 @@ def test_the_reference_values_are_found(backend, name, given, cost):
 
 
 @each_backend
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_problems_with_four_modes_agree_with_branch_and_bound(backend, seed):
     problem = random_problem(seed, horizon=3, kinks=2, control_spectrum=lfo.stop_band(bins=[1]))
     best = lfo.solve(problem).cost
@@ -418,7 +419,7 @@ def without_a_mode(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_where_no_mode_is_possible_infeasible_is_proven_by_the_same_tree(seed):
     problem = without_a_mode(seed)
     methods = ("auto", *(lfo.solvers.MixedInteger(backend=backend) for backend in BACKENDS))
