@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import subprocess
 import sys
@@ -20,6 +21,12 @@ from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.app import COMMANDS
 
 # --- for people -----------------------------------------------------------------------------------------------------
+
+
+def test_matplotlib_says_nothing_of_its_font_cache(caplog):
+    run("--version")
+    logging.getLogger("matplotlib.font_manager").warning("Matplotlib is building the font cache")
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(
