@@ -93,6 +93,12 @@ def test_a_soft_set_does_not_hide_that_hard_bounds_contradict_each_other():
     assert lfo.solve(soft, method="spectral").certificate.pmp == "satisfied"
 
 
+def test_a_ray_pays_no_soft_set_even_where_a_fixed_end_violates_it():
+    given = problem(control_set=lfo.Box(-0.05, 0.05), state_set=Soft(SLOW, 1.0))
+    ray = lfo.SpectralSolver(given).solve().ray
+    assert (ray.eta_C, np.abs(ray.stage["state set"]).max()) == (0, 0)
+
+
 @pytest.mark.parametrize("states", [1e6, 1e-6])
 @pytest.mark.parametrize("cost", [1.0, 1e-9])
 def test_units_do_not_change_the_verdict(states, cost):

@@ -207,6 +207,8 @@ def test_other_changes_are_not_exchanged():
     assert assembly.exchanged(replace(problem, control_set=lfo.Box(-0.5, 0.5))) is None
     assert assembly.exchanged(problem.with_ends(lfo.Box(-1, 1))) is None
     assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None
+    boxed = KINDS["end boxes"]()
+    assert assemble_stages(boxed).exchanged(boxed.with_ends(lfo.Box(0.4, 1.0))) is None
 
 
 def test_what_never_moves_does_not_measure_the_cost():

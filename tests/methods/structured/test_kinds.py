@@ -26,7 +26,9 @@ def test_every_kind_is_solved(kind, compiled):
     problem = KINDS[kind]()
     found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "optimal"
-    assert lfo.certify(problem, found.trajectory, found.multipliers).globally_optimal
+    certificate = lfo.certify(problem, found.trajectory, found.multipliers)
+    assert certificate.globally_optimal
+    assert certificate.pmp == "satisfied"
     known = lfo.solve(problem, method="convex").cost
     assert problem.value(found.trajectory.x, found.trajectory.u) == pytest.approx(known, rel=1e-8)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.system import (
@@ -177,6 +177,22 @@ def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
     with_correctors = steps()
     monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
     assert with_correctors < 0.9 * steps()
+
+
+def test_rays_and_directions_have_no_curvature_and_gaps_no_sign():
+    problem = soft_stages(3)
+    system = System(problem, loops(False))
+    embedding = Embedding(system, StepSystem(system, RangeSpaceSolver(CouplingResponse(problem, loops(False)))))
+    y = -problem.h / np.vdot(problem.h, problem.h)
+    s = {i: -system.rows(y)[i] * cone.present for i, cone in system.cones.items()}
+    for below in (-1.0, 1.0):  # the dual objective, -b'z, below or above the primal one
+        z = [below * b for b in system.b]
+        found = embedding.measure(EmbeddedPoint(y, z, s))
+        curved = largest([system.curvature(y)])
+        assert found.hy == pytest.approx(-1.0)
+        assert found.descent >= curved > 0
+        assert found.ray >= (curved / -found.bz if found.bz < 0 else np.inf)
+        assert found.errors.gap > 0
 
 
 def test_duals_are_multipliers():

@@ -348,6 +348,18 @@ def test_a_point_that_is_none_is_no_answer(monkeypatch):
     assert solve_miqp(problem).status == "failed"
 
 
+def test_a_point_with_shares_of_modes_is_no_answer(monkeypatch):
+    """The optimum of the relaxation satisfies all rows; with whole modes, it does not."""
+
+    def relaxed(name, binaries):
+        return lambda program, *_: solver_named("clarabel")(replace(program, binaries=program.binaries[:0]), 1e-8, None)
+
+    monkeypatch.setattr(mixed, "backend", relaxed)
+    outcome = solve_miqp(library.buck_affine(horizon=6))
+    assert outcome.status == "failed"
+    assert "with binaries rounded its point violates a row of order 1 by" in outcome.message
+
+
 def test_wrong_claims_are_told():
     problem = library.pendulum_with_wall(horizon=6)
     outcome = solve_miqp(problem, "daqp")
