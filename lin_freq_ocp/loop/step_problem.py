@@ -30,7 +30,7 @@ from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
-CLOSE = 1e-12  # a row this close to its limit, relative to its terms, is compared in exact arithmetic
+EXACTLY_WITHIN = 1e-12  # a row this close to its limit, relative to its terms, is compared in exact arithmetic
 FIELDS = ("state_set", "terminal_state", "stage_rows", *SPECTRA)  # that can be soft
 
 
@@ -104,7 +104,7 @@ class ControlLimits:
             inside = np.array(u)
             beyond = self.C @ x + self.d * u[self.acting] - self.e
             size = np.abs(self.C) @ np.abs(x) + np.abs(self.d * u[self.acting]) + np.abs(self.e)
-            for i in np.flatnonzero(beyond > -CLOSE * size):
+            for i in np.flatnonzero(beyond > -EXACTLY_WITHIN * size):
                 inside[self.acting[i]] = self._inside(i, x, float(inside[self.acting[i]]))
         return np.minimum(np.maximum(inside, self.lower), self.upper)
 
