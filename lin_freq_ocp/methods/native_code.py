@@ -71,10 +71,8 @@ def compiled_library(module: str, names: tuple[str, ...], purpose: str) -> ctype
     if found is None:
         return None
     *_, source = sources = [Path(module).with_name(name) for name in names]
-    version, machine = os.stat(found), (sysconfig.get_platform(), platform.node(), processor())
-    key = repr(
-        ([source.read_bytes() for source in sources], found, version.st_size, version.st_mtime_ns, FLAGS, machine)
-    )
+    machine = sysconfig.get_platform(), platform.node(), processor()
+    key = repr(([file.read_bytes() for file in sources], found, os.stat(found).st_mtime_ns, FLAGS, machine))
     try:
         target = _library_path(f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so")
         library, missing = _find_library(target)
