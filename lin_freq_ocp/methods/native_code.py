@@ -11,7 +11,6 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
 import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
@@ -19,6 +18,7 @@ from functools import cache
 from pathlib import Path
 
 from lin_freq_ocp.base.atomic import lock_file, write_bytes
+from lin_freq_ocp.base.clock import seconds_since
 from lin_freq_ocp.base.errors import ProblemError
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
@@ -71,10 +71,8 @@ def compiled_library(module: str, names: tuple[str, ...], purpose: str) -> ctype
     if found is None:
         return None
     *_, source = sources = [Path(module).with_name(name) for name in names]
-    version, machine = os.stat(found), (sysconfig.get_platform(), platform.node(), processor())
-    key = repr(
-        ([source.read_bytes() for source in sources], found, version.st_size, version.st_mtime_ns, FLAGS, machine)
-    )
+    machine = sysconfig.get_platform(), platform.node(), processor()
+    key = repr(([file.read_bytes() for file in sources], found, os.stat(found).st_mtime_ns, FLAGS, machine))
     try:
         target = _library_path(f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so")
         library, missing = _find_library(target)
@@ -107,7 +105,7 @@ def _find_library(target: Path) -> tuple[ctypes.CDLL | None, bool]:
         return ctypes.CDLL(str(target)), False
     except OSError:
         record = target.with_suffix(FAILED)
-        return None, not (record.exists() and time.time() - record.stat().st_mtime < DAY)
+        return None, not (record.exists() and seconds_since(record.stat().st_mtime) < DAY)
 
 
 def _compile_library(found: str, source: Path, target: Path) -> ctypes.CDLL:
@@ -115,19 +113,19 @@ def _compile_library(found: str, source: Path, target: Path) -> ctypes.CDLL:
 
     The compiler has a group of its own: Ctrl-C ends this process, and is no failure of the compiler.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        compiled, messages = Path(folder) / target.name, Path(folder) / "messages"
+    # Messages go to a file: a pipe would stay open while any process of the compiler lives
+    with tempfile.TemporaryDirectory() as folder, (Path(folder) / "messages").open("wb") as messages:
+        compiled = Path(folder) / target.name
         command = [found, *FLAGS, str(source), "-o", str(compiled), "-lm"]
         if os.name == "posix":
             command = ["sh", "-c", f'ulimit -S -t {PROCESSOR_SECONDS}; exec "$@"', "sh", *command]
         try:
-            with messages.open("wb") as stream:  # a pipe would stay open while any process of the compiler lives
-                subprocess.run(
-                    command, stdout=stream, stderr=stream, check=True, timeout=SECONDS_TO_WAIT, process_group=0
-                )
+            subprocess.run(
+                command, stdout=messages, stderr=messages, check=True, timeout=SECONDS_TO_WAIT, process_group=0
+            )
             write_bytes(target, compiled.read_bytes())
             return ctypes.CDLL(str(target))
         except (OSError, ProblemError, subprocess.SubprocessError) as error:
             record = target.with_suffix(FAILED)
-            record.write_text(f"{error}\n{messages.read_text(errors='replace')}", encoding="utf-8")
+            record.write_text(f"{error}\n{Path(messages.name).read_text(errors='replace')}", encoding="utf-8")
             raise OSError(f"{record} says why. To try again before tomorrow, remove this file") from None

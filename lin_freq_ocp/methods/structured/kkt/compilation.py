@@ -68,10 +68,9 @@ class Kernels:
 
     def prepare(self) -> None:
         """Compile everything, or load it from the cache; if that takes long, say so in the terminal."""
-        if self.loaded:
-            return
         if self.ready:
-            self._load()
+            if not self.loaded:
+                self._load()
             return
         lock = self._folder / f"{self._sources[0].stem}.lock" if self._folder else None
         with compile_once("loops of the structured method", lock):
