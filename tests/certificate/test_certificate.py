@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
+from helpers.seeds import examples
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
@@ -261,7 +262,7 @@ def test_a_numerical_bound_and_residuals_of_worth_prove_nothing(solved):
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=examples(60), deadline=None)
 @given(rng=matrices, size=st.integers(1, 5), rank=st.integers(0, 5))
 def test_curvature_is_below_the_hessian(rng, size, rank):
     factor = rng.standard_normal((min(rank, size), size)) * 10.0 ** rng.integers(-4, 5, size)
@@ -316,7 +317,7 @@ def test_curvature_of_a_diagonal_hessian_is_exact_and_of_an_indefinite_one_does_
     assert diagonal_curvature(np.array([[1.0, 2.0], [2.0, 1.0]])) is None
 
 
-@settings(derandomize=True, max_examples=100, deadline=None)
+@settings(derandomize=True, max_examples=examples(100), deadline=None)
 @given(rng=matrices)
 def test_box_minimum_against_a_grid(rng):
     slope, curvature = rng.standard_normal(), rng.choice([0.0, 1.0, 1e-3, -1e-3])

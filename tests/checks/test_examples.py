@@ -52,8 +52,11 @@ LONG = (
     "printer_move",
     "inverter",
     "receding_horizon",
+    "obstacles",
+    "torque_map",
+    "kinks",
 )
-"""They take nine tenths of the time; the site, too, is built from them."""
+"""They take nine tenths of the time, and take turns; the site runs all examples."""
 
 
 @pytest.mark.parametrize(

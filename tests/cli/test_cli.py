@@ -244,7 +244,7 @@ def test_none_takes_a_value_away(tmp_path, monkeypatch):
 
 def test_it_is_said_that_nothing_was_saved(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, _, err = run("solve", "pendulum", "--set", "control_bound=1", "--save", "run.npz")
+    status, _, err = run("solve", "pendulum", *TOO_WEAK, "--save", "run.npz")
     assert status == 1
     assert "nothing saved to run.npz" in err
     assert not Path("run.npz").exists()

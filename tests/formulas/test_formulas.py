@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
+from helpers.seeds import examples
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, text_of
 from lin_freq_ocp.formulas.text import formula_from_text
@@ -17,7 +18,7 @@ N, M = 2, 1
 X, U = lfo.signals(N, M)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 8))
 def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, size):
     formula = random_formula(np.random.default_rng(seed), size, [*X, *U])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from datetime import date
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 
@@ -20,9 +20,12 @@ ALL = "all"
 CHOICES = "0", "1", "2", ALL
 
 
+today = date.today
+
+
 def choose_seeds() -> None:
     """Choose the third of today, unless the environment has a choice."""
-    chosen = os.environ.setdefault(VARIABLE, str(date.today().toordinal() % 3))
+    chosen = os.environ.setdefault(VARIABLE, str(today().toordinal() % 3))
     if chosen not in CHOICES:
         raise pytest.UsageError(f"{VARIABLE}: got {chosen!r}; expected one of {', '.join(CHOICES)}")
 
@@ -37,6 +40,11 @@ def seeds(given: Iterable[Seed], always: Iterable[Seed] = ()) -> list[Seed]:
     return [*taken, *always]
 
 
-def whole_sample(test):
+def examples(most: int) -> int:
+    """Return how many examples Hypothesis draws in this run: a third of the most, which it draws with all seeds."""
+    return most if os.environ[VARIABLE] == ALL else max(1, most // 3)
+
+
+def whole_sample(test: Any) -> Any:
     """Run a test only with all seeds: it says what the answers to all of them have in common."""
     return pytest.mark.skipif(os.environ[VARIABLE] != ALL, reason=f"needs {VARIABLE}={ALL}")(test)

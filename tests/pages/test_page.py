@@ -11,6 +11,8 @@ import matplotlib as mpl
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
@@ -21,7 +23,7 @@ from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
 from lin_freq_ocp.pages.figures.look import STYLES
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import draw_figures, render_page, save_report, tiles
+from lin_freq_ocp.pages.report.page import draw_figures, drawing_of, render_page, save_report, tiles
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, comparison_rows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -72,9 +74,20 @@ def test_page_and_figures_do_not_change_from_run_to_run():
     comparison = case("infeasible")
     first, second = drawings("infeasible"), tuple(draw_figures(comparison))
     assert [one.svg for one in first] == [one.svg for one in second]
-    assert first[0].png == second[0].png
+    assert first[0].png() == second[0].png()
     assert render_page(comparison, first) == render_page(comparison, second)
     assert mpl.rcParams["svg.hashsalt"] is None
+
+
+def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(monkeypatch):
+    drawn, honest = [], FigureCanvasAgg.print_png
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda *given: drawn.append(given) or honest(*given))
+    figure = Figure()
+    figure.subplots()
+    drawing = drawing_of("one", "One", "", figure)
+    assert not drawn
+    assert drawing.png().startswith(b"\x89PNG")
+    assert len(drawn) == 1
 
 
 def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.seeds import examples
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -110,7 +111,7 @@ def test_the_pendulum_of_the_paper():
     assert one_based != {-k % 240 for k in one_based}
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
+@settings(max_examples=examples(60), derandomize=True, deadline=None)
 @given(
     length=st.integers(2, 400),
     sampling_time=st.sampled_from([0.01, 0.1, 1 / 3, 2.0]),
@@ -147,7 +148,7 @@ def test_a_notch_may_reach_below_zero():
 # ---------------------------------------------------------------------------------------------- bins given as bins
 
 
-@settings(max_examples=80, derandomize=True, deadline=None)
+@settings(max_examples=examples(80), derandomize=True, deadline=None)
 @given(data=st.data(), length=st.integers(1, 60))
 def test_listed_bins_are_closed_under_conjugation(data, length):
     bins = data.draw(st.lists(st.integers(-length, length), min_size=1, max_size=8))

@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 
@@ -257,12 +256,10 @@ class Drawing:
     svg: str
     figure: Figure
 
-    @cached_property
     def png(self) -> bytes:
-        """Return the figure as an image, which only a saved page has."""
+        """Return the figure as an image."""
         self.figure.set_dpi(PIXELS_PER_INCH)
-        png = BytesIO()
-        FigureCanvasAgg(self.figure).print_png(png)
+        FigureCanvasAgg(self.figure).print_png(png := BytesIO())
         return png.getvalue()
 
     @property
@@ -279,16 +276,11 @@ class Drawing:
 
 
 def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    """Return a figure as SVG text, with the layout of its PNG image."""
-    figure.set_dpi(PIXELS_PER_INCH)
-    FigureCanvasAgg(figure)
-    if (layout := figure.get_layout_engine()) is not None:
-        layout.execute(figure)
-    figure.set_layout_engine("none")  # keeps the layout that was found
-    svg = BytesIO()
+    """Return a figure as SVG text; its image is drawn when it is asked for."""
     # Names of shapes are the same in every run, and text looks the same on every machine.
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
+        FigureCanvasSVG(figure).print_svg(svg := BytesIO(), metadata={"Date": None})
+    figure.set_layout_engine("none")  # keeps the layout that was found
     return Drawing(name, title, caption, svg.getvalue().decode(), figure)
 
 
@@ -297,7 +289,7 @@ def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
     with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
-    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
+    contents |= {folder / f"{drawing.name}.png": drawing.png() for drawing in drawings}
     path = folder / "index.html"
     write_each(contents | {path: page.encode()})
     return path

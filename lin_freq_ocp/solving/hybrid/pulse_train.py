@@ -39,10 +39,6 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
         return bound.amplitudes(steps, angles)[derivative][rows]
 
-    def relative_cost(angles: Array) -> tuple[float, Array]:
-        cost, slope = bound.cost(steps, angles)
-        return cost / bound.size, slope / bound.size
-
     constraints: list[LinearConstraint | NonlinearConstraint] = []
     limited = np.isfinite(low) | np.isfinite(high)
     for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
@@ -52,7 +48,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
     optimum = minimize(
-        relative_cost,
+        partial(bound.relative_cost, steps),
         angles,
         jac=True,
         method="SLSQP",
@@ -63,7 +59,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
     values, _ = bound.amplitudes(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    return None if violation > AMPLITUDE_VIOLATION else (at, bound.cost(steps, at)[0])
+    return None if violation > AMPLITUDE_VIOLATION else (at, bound.size * bound.relative_cost(steps, at)[0])
 
 
 GAP = 1e-6  # default of the relative gap to prove

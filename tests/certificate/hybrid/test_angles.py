@@ -32,12 +32,13 @@ def test_cost_and_amplitudes_are_those_of_the_fourier_series():
     k = np.arange(1, 20001, 2)
     b = 4 / (np.pi * k) * (steps[:, None] * np.cos(k * angles[:, None])).sum(0)
     bound = loose(12)
-    (cost, slope), (amplitudes, slopes) = bound.cost(steps, angles), bound.amplitudes(steps, angles)
+    cost, slope = (bound.size * part for part in bound.relative_cost(steps, angles))
+    amplitudes, slopes = bound.amplitudes(steps, angles)
     assert amplitudes == pytest.approx(b[:2], abs=1e-14)
     assert cost == pytest.approx(((b / k) ** 2).sum() - M**2, abs=1e-10)
     for i in range(3):
         near = [angles + sign * 1e-6 * np.eye(3)[i] for sign in (1, -1)]
-        above, below = (bound.cost(steps, at)[0] for at in near)
+        above, below = (bound.size * bound.relative_cost(steps, at)[0] for at in near)
         up, down = (bound.amplitudes(steps, at)[0] for at in near)
         assert slope[i] == pytest.approx((above - below) / 2e-6, abs=1e-8)
         assert slopes[:, i] == pytest.approx((up - down) / 2e-6, abs=1e-8)
@@ -78,7 +79,9 @@ def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     least = np.full(count, np.inf)
     for _ in range(50):
         inside = np.clip(boxes.centre + boxes.radius * rng.uniform(-1, 1, (count, 3)), 0, np.pi / 2)
-        least = np.minimum(least, [bound.cost(s, a)[0] for s, a in zip(boxes.steps, inside, strict=True)])
+        least = np.minimum(
+            least, [bound.size * bound.relative_cost(s, a)[0] for s, a in zip(boxes.steps, inside, strict=True)]
+        )
     assert (boxes.bound <= least).all()
     assert np.median(least - boxes.bound) < 0.2
 

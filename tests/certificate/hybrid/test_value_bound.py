@@ -310,7 +310,7 @@ def random_problem(seed):
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", seeds([1, 2, 3]))
 def test_random_problems_are_bounded_below_their_optimum_whatever_cost_is_claimed(seed):
     problem = random_problem(seed)
     optimum = lfo.solve(problem, method="nonsmooth").cost

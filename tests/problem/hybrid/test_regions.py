@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
-from helpers.seeds import seeds
+from helpers.seeds import examples, seeds
 from lin_freq_ocp.base import polyhedra
 from lin_freq_ocp.base.polyhedra import SAME_FACET, THICKNESS, Cell
 
@@ -47,7 +47,7 @@ def with_region(mode, **change):
 # --- gaps and overlaps ------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=15, deadline=None)
+@settings(derandomize=True, max_examples=examples(15), deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), kinks=st.integers(1, 2), boxed=st.booleans(), kind=st.sampled_from("gsw"))
 def test_what_is_wrong_with_regions_is_found_where_it_is(seed, n, kinks, boxed, kind):
     """One mode left out (g), one facet moved inwards (s) or outwards (w), by 2 % of its size."""
@@ -253,7 +253,7 @@ def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
 # --- the machinery --------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=20, deadline=None)
+@settings(derandomize=True, max_examples=examples(20), deadline=None)
 @given(seed=SEEDS, d=st.integers(1, 6), rows=st.integers(1, 25))
 def test_the_largest_ball_is_that_of_a_linear_program(seed, d, rows):
     """With thresholds just below and just above the radius that another solver finds."""

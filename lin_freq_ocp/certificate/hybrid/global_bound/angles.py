@@ -81,10 +81,10 @@ class AngleBound:
         self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
-    def cost(self, steps: Array, angles: Array) -> tuple[float, Array]:
-        """Return J and its slopes (d,) of one train."""
+    def relative_cost(self, steps: Array, angles: Array) -> tuple[float, Array]:
+        """Return J and its slopes (d,) of one train, relative to ``size``."""
         cost, slope, _, _ = self._cost(steps[None], angles[None], np.zeros_like(angles[None]))
-        return float(cost[0]), slope[0]
+        return float(cost[0]) / self.size, slope[0] / self.size
 
     def amplitudes(self, steps: Array, angles: Array) -> tuple[Array, Array]:
         """Return the amplitudes b_k and their slopes (k, d) of one train."""
