@@ -554,3 +554,27 @@ def test_fixed_ends_are_sizes_of_states(end):
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
     at_rest = lfo.Trajectory(np.zeros((2, 1)), np.ones((1, 1)))
     assert trajectory_sizes(replace(problem, **{end: [-50.0]}), at_rest)[0].tolist() == [50.0]
+
+
+@pytest.mark.parametrize(("angle", "passed"), [(1e-6, True), (1e-3, False)])
+def test_a_multiplier_of_a_wrong_direction_is_no_subgradient(angle, passed):
+    """At u = (1, 0) of the unit ball; the gap is of second order in the angle, 5e-7 at 1e-3."""
+    plant, cost = lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]), lfo.QuadraticCost(r=[-1.0, 0.0])
+    problem = lfo.OptimalControlProblem(plant, 1, cost, lfo.sets.Ball(1.0))
+    (term,) = problem.terms
+    weights = np.array([[np.cos(angle), np.sin(angle)]])
+    there = lfo.simulate(problem, [[1.0, 0.0]])
+    certificate = judge(problem, there, multipliers_of(problem, stage={term.name: weights}))
+    (condition,) = [one for one in certificate.conditions if "subgradients" in one.name]
+    assert condition.passed is passed
+
+
+@pytest.mark.parametrize(("weight", "passed"), [(1e-12, True), (1e-3, False)])
+def test_a_multiplier_of_an_absent_bound_counts_with_the_size_of_its_component(weight, passed):
+    """Rounding of a multiplier is none of its own, though the bound is infinitely far away."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.0]]), 1, lfo.QuadraticCost(Q=1.0))
+    certificate = judge(
+        problem, lfo.simulate(problem, [[0.0]], [1.0]), multipliers_of(problem, mu=np.array([[weight], [0.0]]))
+    )
+    (condition,) = [one for one in certificate.conditions if one.label == "N-x"]
+    assert condition.passed is passed
