@@ -491,15 +491,37 @@ def test_the_scale_of_the_cost_is_that_of_rounding_on_either_side_of_a_kink(side
     assert certificate.allowed_gap >= problem.value(moved.x, moved.u) > 0
 
 
-def test_the_worth_of_residuals_covers_what_a_state_band_costs():
-    """The optimal cost is convex in a bin's value: without the band it falls by no more than the worth of that bin."""
-    band = lfo.stop_band(bins=[2], component=0)
+TIGHTER = {
+    "state band": {"state_spectrum": lfo.stop_band(bins=[2], component=0)},
+    "control band": {"control_spectrum": lfo.stop_band(bins=[1])},
+    "offset": {"dynamics": lfo.LinearDynamics([[0.9]], [[1.0]], offset=[0.1])},
+    "control bound": {"control_set": lfo.Box(-0.08, 0.08)},
+    "joint row": {"stage_rows": lfo.StageRows([[0.0]], [[-1.0]], [0.08])},
+}
+
+
+@pytest.mark.parametrize("name", TIGHTER)
+def test_the_worth_of_residuals_covers_what_a_constraint_costs(name):
+    """The optimal cost is convex in right-hand sides: without a constraint, it falls by no more than the worth."""
     free = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.9]], [[1.0]]), 8, lfo.QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
     )
-    without, banded = lfo.solve(free), lfo.solve(replace(free, state_spectrum=band))
-    certificate = judge(banded.problem, without.trajectory, banded.multipliers)
-    assert certificate.worth_of_residuals >= banded.cost - without.cost > 1e-3
+    looser, tighter = lfo.solve(free), lfo.solve(replace(free, **TIGHTER[name]))
+    certificate = judge(tighter.problem, looser.trajectory, tighter.multipliers)
+    assert certificate.worth_of_residuals >= tighter.cost - looser.cost > 1e-4
+
+
+def test_a_small_control_in_its_stop_band_fails():
+    """Its size counts, not that of the larger control."""
+    waves = np.cos(2 * np.pi * np.arange(8) / 8)[:, None] * [1.0, 1e-7]
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]),
+        8,
+        lfo.QuadraticCost(R=1.0),
+        initial_state=[0.0],
+        control_spectrum=lfo.stop_band(bins=[1], component=1),
+    )
+    assert failures(judge(problem, lfo.simulate(problem, waves), multipliers_of(problem)), "C-vii")
 
 
 def test_a_nonconvex_cost_has_no_bound_but_is_judged():
@@ -555,3 +577,27 @@ def test_fixed_ends_are_sizes_of_states(end):
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
     at_rest = lfo.Trajectory(np.zeros((2, 1)), np.ones((1, 1)))
     assert trajectory_sizes(replace(problem, **{end: [-50.0]}), at_rest)[0].tolist() == [50.0]
+
+
+@pytest.mark.parametrize(("angle", "passed"), [(1e-6, True), (1e-3, False)])
+def test_a_multiplier_of_a_wrong_direction_is_no_subgradient(angle, passed):
+    """At u = (1, 0) of the unit ball; the gap is of second order in the angle, 5e-7 at 1e-3."""
+    plant, cost = lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]), lfo.QuadraticCost(r=[-1.0, 0.0])
+    problem = lfo.OptimalControlProblem(plant, 1, cost, lfo.sets.Ball(1.0))
+    (term,) = problem.terms
+    weights = np.array([[np.cos(angle), np.sin(angle)]])
+    there = lfo.simulate(problem, [[1.0, 0.0]], [0.0])
+    certificate = judge(problem, there, multipliers_of(problem, stage={term.name: weights}))
+    (condition,) = [one for one in certificate.conditions if "subgradients" in one.name]
+    assert condition.passed is passed
+
+
+@pytest.mark.parametrize(("weight", "passed"), [(1e-12, True), (1e-3, False)])
+def test_a_multiplier_of_an_absent_bound_counts_with_the_size_of_its_component(weight, passed):
+    """Rounding of a multiplier is none of its own, though the bound is infinitely far away."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.0]]), 1, lfo.QuadraticCost(Q=1.0))
+    certificate = judge(
+        problem, lfo.simulate(problem, [[0.0]], [1.0]), multipliers_of(problem, mu=np.array([[weight], [0.0]]))
+    )
+    (condition,) = [one for one in certificate.conditions if one.label == "N-x"]
+    assert condition.passed is passed

@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
+from lin_freq_ocp.certificate import many
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -221,17 +222,60 @@ def test_costs_are_those_of_the_problem():
     assert found.costs == pytest.approx([problem.value(*signals) for signals in zip(x, u, strict=True)], rel=1e-12)
 
 
+def integrator(controls: lfo.Box, side: float, gain: float = 1.0, offset: float = 0.0) -> lfo.OptimalControlProblem:
+    """Return x_{t+1} = gain x_t + u_t + offset from 0 with the cost -side (x_0 + .. + x_4), and nothing on states."""
+    cost, plant = lfo.QuadraticCost(q=[-side], p=[-side]), lfo.LinearDynamics([[gain]], [[1.0]], offset=[offset])
+    return lfo.OptimalControlProblem(plant, 4, cost, controls, initial_state=[0.0])
+
+
+def bound_without_multipliers(problem: lfo.OptimalControlProblem, x: np.ndarray, start: float = 0.0) -> float:
+    """Return D of states x (T+1,) and of controls that are 0: the cost at the edge of the reachable states."""
+    zero = [np.zeros((1, *shape)) for shape in ((4, 1), (4, 1), (5, 1), (4, 1), (3, 1))]
+    return float(judge_batch(problem, np.full((1, 1), start), Extremals(x.reshape(1, 5, 1), *zero, {})).bounds[0])
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_states_that_controls_reach_on_the_farther_side_count(side):
-    """x_t is a sum of controls between -1 and 3, or -3 and 1; without multipliers, D is below the cost of all 3."""
-    limits = np.sort([-side, 3 * side])
-    cost = lfo.QuadraticCost(q=[-side], p=[-side])
-    plant = lfo.LinearDynamics([[1.0]], [[1.0]])
-    problem = lfo.OptimalControlProblem(plant, 4, cost, lfo.Box(*limits), initial_state=[0.0])
+    """Controls are between -1 and 3, or -3 and 1."""
+    problem = integrator(lfo.Box(*np.sort([-side, 3 * side])), side)
     farthest = lfo.simulate(problem, np.full((4, 1), 3 * side))
-    zero = [np.zeros((1, *shape)) for shape in ((5, 1), (4, 1), (4, 1), (5, 1), (4, 1), (3, 1))]
-    found = judge_batch(problem, np.zeros((1, 1)), Extremals(*zero, {}))
-    assert -np.inf < found.bounds[0] <= problem.value(farthest.x, farthest.u)
+    assert -np.inf < bound_without_multipliers(problem, np.zeros(5)) <= problem.value(farthest.x, farthest.u)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_residuals_and_other_starts_reach_count(side):
+    """The states are 0, but the only feasible ones are t and 1, or -t and -1."""
+    still = np.zeros((4, 1))
+    driven, plain = (integrator(lfo.Box(0, 0), side, offset=offset) for offset in (side, 0.0))
+    feasible = lfo.simulate(driven, still)
+    assert bound_without_multipliers(driven, np.zeros(5)) <= driven.value(feasible.x, feasible.u)
+    feasible = lfo.simulate(plain, still, [side])
+    assert bound_without_multipliers(plain, np.zeros(5), side) <= plain.value(feasible.x, feasible.u)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_rounding_of_residuals_reaches_count(monkeypatch, side):
+    """With a rounding of 1e-3, unstable dynamics may have an offset of 1e-3 of the largest state."""
+    monkeypatch.setattr(many, "RADIUS_MARGIN", 1 + 1e-3)
+    x = 10.0 ** np.arange(5)
+    problem = replace(integrator(lfo.Box(0, 0), side, 10.0), dynamics=lfo.LinearDynamics([[10.0]], [[0.0]]))
+    hidden = replace(problem, dynamics=lfo.LinearDynamics([[10.0]], [[0.0]], offset=[side * 1e-3 * x.max()]))
+    apart = lfo.simulate(hidden, np.zeros((4, 1))).x
+    expected = problem.value(x[:, None] + apart, np.zeros((4, 1)))
+    assert bound_without_multipliers(problem, x, 1.0) <= expected
+
+
+def test_starts_outside_of_the_bounds_of_states_are_not_proven():
+    """x_1 = u_0 = 0 is best from any start, but x_0 = 2 is none."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(Q=1.0, R=1.0), state_set=lfo.Box(-1, 1)
+    )
+    problem, starts = problem.with_ends([1.0]), np.array([[1.0], [2.0]])
+    x = np.concatenate([starts[:, :, None], np.zeros((2, 1, 1))], axis=1)
+    mu = -x  # of the fixed start
+    zero = np.zeros((2, 1, 1))
+    given = Extremals(x, zero, zero, mu, zero, np.zeros((2, 1, 1), dtype=complex), {})
+    assert judge_batch(problem, starts, given).proven.tolist() == [True, False]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -253,3 +297,13 @@ def test_the_bound_is_below_the_exact_one_where_its_terms_cancel(seed):
     given = Extremals(x[None], u[None], eta[None], *zero, {})
     assert Fraction(judge_batch(problem, x[:1], given).bounds[0]) <= exact
     assert Fraction(judge_single(problem, x[0], given, 0).bound.value) <= exact
+
+
+def test_the_bound_holds_for_all_offsets_that_rounding_may_hide(monkeypatch):
+    """D = -1 is the offset times eta: with a rounding of 1e-3, it may be -1.001."""
+    monkeypatch.setattr(many, "unit_rounding", lambda problem: 1e-3)
+    plant, fixed = lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0]), lfo.Box(0, 0)
+    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(), fixed, state_set=fixed, initial_state=[0.0])
+    zero, one = np.zeros((1, 1, 1)), np.ones((1, 1, 1))
+    given = Extremals(np.zeros((1, 2, 1)), zero, one, np.zeros((1, 2, 1)), zero, zero.astype(complex), {})
+    assert judge_batch(problem, np.zeros((1, 1)), given).bounds[0] <= -1.001

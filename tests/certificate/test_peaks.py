@@ -93,3 +93,26 @@ def test_halved_polynomials_differ_by_no_more_than_their_error():
         middle = Fraction(float(part.middle[0]))
         value = sum(factor * middle**power for power, factor in enumerate(exact))
         assert abs(Fraction(float(part.a[0, 0].real)) - value) <= Fraction(float(part.error[0]))
+
+
+def single_cell(a, limit, error=0.0):
+    coefficients = np.zeros((1, TERMS), dtype=complex)
+    coefficients[0, : len(a)] = a
+    return Cells(coefficients, np.zeros(1), np.ones(1), np.array([limit]), np.zeros(1), np.array([error]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_cell_whose_end_exceeds_its_limit_by_rounding_is_not_proven(seed):
+    """|g(1)|, the largest value, is above the limit by the part of a rounding: exact arithmetic tells."""
+    a = np.random.default_rng(seed).uniform(0.1, 1.0, (5, 2)) @ [1.0, 1.0j]
+    exact = sum(sum(map(Fraction, part.tolist())) ** 2 for part in (a.real, a.imag))
+    limit = float(np.abs(a.sum()))
+    while Fraction(limit) ** 2 >= exact:
+        limit = float(np.nextafter(limit, 0.0))
+    assert cells._undecided_cells(single_cell(a, limit), 1.0).tolist() == [0]
+
+
+def test_a_cell_is_proven_only_with_the_error_of_its_polynomial():
+    """|g| = 1 and a limit of 1.05: |V| may be 1.04 or 1.06."""
+    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.04), 1.0).tolist() == []
+    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.06), 1.0).tolist() == [0]

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate import response_bound
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -263,3 +264,24 @@ def test_the_bound_holds_for_all_responses_that_rounding_may_hide(monkeypatch):
     bound = judge(rounded, lfo.simulate(rounded, np.zeros((2, 1))), zero_multipliers(rounded)).bound
     best = lfo.simulate(exact, [[reach], [0.0]])
     assert bound.value <= exact.value(best.x, best.u) < 0
+
+
+def test_the_bound_holds_for_all_limits_that_rounding_may_hide(monkeypatch):
+    """D = -1 is the upper bound of x_0 times its multiplier: with a rounding of 1e-3, it may be -1.001."""
+    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: 1e-3)
+    still = lfo.Box(0.0, 0.0)
+    problem = lfo.OptimalControlProblem(
+        lfo.FrequencyResponse(np.ones(2)), 2, lfo.QuadraticCost(), still, state_set=lfo.Box(None, 1.0)
+    )
+    multipliers = replace(zero_multipliers(problem), mu=np.eye(3, 1))
+    extremal = extremal_at(problem, lfo.simulate(problem, np.zeros((2, 1))), multipliers)
+    assert response_bound.farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_multipliers_of_absent_bounds_are_left_out(side):
+    cost = lfo.QuadraticCost(Q=1.0, r=[0.1])
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(2)), 2, cost, lfo.Box(-1.0, 1.0))
+    at_rest, none = lfo.simulate(problem, np.zeros((2, 1))), zero_multipliers(problem)
+    bound = judge(problem, at_rest, replace(none, mu=np.full((3, 1), side))).bound
+    assert bound.value == judge(problem, at_rest, none).bound.value
