@@ -12,6 +12,7 @@ from helpers.clocks import Clock
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
+from helpers.verdicts import Close, Record
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.testing import PENDULUM, reference_problem
 
@@ -64,6 +65,18 @@ def _coarse_images():
         yield
 
 
+verdicts = Record()
+verdicts.watch()
+
+
+@pytest.fixture(autouse=True)
+def _verdict_distance(request):
+    """Record how close the verdicts of a test are to the tolerances at which they flip."""
+    verdicts.closest = Close(0.0, "")
+    yield
+    request.node.user_properties.append(("closest", tuple(verdicts.closest)))
+
+
 def judged_problem(name):
     """The three problems on which every condition of the theorem is made to fail."""
     if name == "velocity bound":
@@ -82,3 +95,19 @@ def solved():
         return results[name]
 
     return solve
+
+
+_closest = {}  # of each test, in the process that reports
+
+
+def pytest_runtest_logreport(report):
+    """Collect the closest verdicts, also from workers."""
+    if report.when == "teardown":
+        _closest[report.nodeid] = dict(report.user_properties).get("closest", (0.0, ""))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """List the tests whose verdicts are close to their tolerance."""
+    for (close, subject), test in sorted(((close, test) for test, close in _closest.items()), reverse=True):
+        if close > 0.1:
+            terminalreporter.write_line(f"{close:.2f} {test}: {subject}")
