@@ -12,7 +12,7 @@ from helpers.clocks import Clock
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
-from helpers.verdicts import Close, Record
+from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.testing import PENDULUM, reference_problem
 
@@ -20,8 +20,10 @@ COMPILED = ("test_paths.py",)
 """The tests that wait longest for numba."""
 
 
-def pytest_configure():
+def pytest_configure(config):
     """Give each process one BLAS thread, children included: with several, workers wait for threads of one another.
+
+    OPENBLAS_NUM_THREADS and OMP_NUM_THREADS in the environment say otherwise.
 
     Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
     package anew, and every run rewrites the assertions of all tests.
@@ -31,10 +33,11 @@ def pytest_configure():
     """
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    threadpool_limits(1, user_api="blas")
+    threads = os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
+    threadpool_limits(int(threads), user_api="blas")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
+    config.addinivalue_line("markers", "at_tolerance(reason): verdicts of the test may be close to their tolerance")
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any machine")
 
@@ -65,16 +68,18 @@ def _coarse_images():
         yield
 
 
-verdicts = Record()
-verdicts.watch()
+_verdicts, _closest = Record(), {}
+_verdicts.watch()
 
 
 @pytest.fixture(autouse=True)
-def _verdict_distance(request):
-    """Record how close the verdicts of a test are to the tolerances at which they flip."""
-    verdicts.closest = Close(0.0, "")
+def _verdicts_far_from_tolerances(request):
+    """Fail a test whose verdict is about to flip; the report of a test says how close its verdicts are."""
     yield
-    request.node.user_properties.append(("closest", tuple(verdicts.closest)))
+    (closeness, subject), _verdicts.closest = _verdicts.closest, FAR
+    request.node.user_properties.append((CLOSEST, (closeness, subject)))
+    if closeness > REFUSED and not request.node.get_closest_marker("at_tolerance"):
+        pytest.fail(f"a verdict is at {closeness:.2f} of its tolerance: {subject}")
 
 
 def judged_problem(name):
@@ -97,17 +102,13 @@ def solved():
     return solve
 
 
-_closest = {}  # of each test, in the process that reports
-
-
 def pytest_runtest_logreport(report):
-    """Collect the closest verdicts, also from workers."""
+    """Collect the closest verdicts of tests, also of those in workers."""
     if report.when == "teardown":
-        _closest[report.nodeid] = dict(report.user_properties).get("closest", (0.0, ""))
+        _closest[report.nodeid] = dict(report.user_properties).get(CLOSEST, (0.0, ""))
 
 
 def pytest_terminal_summary(terminalreporter):
-    """List the tests whose verdicts are close to their tolerance."""
-    for (close, subject), test in sorted(((close, test) for test, close in _closest.items()), reverse=True):
-        if close > 0.1:
-            terminalreporter.write_line(f"{close:.2f} {test}: {subject}")
+    """List the verdicts that are close to their tolerance."""
+    for line in list_close_verdicts(_closest):
+        terminalreporter.write_line(line)
