@@ -10,8 +10,8 @@ import os
 import threading
 from contextlib import ContextDecorator, suppress
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -61,28 +61,23 @@ class _OneBlasThread(ContextDecorator):
 
     def __init__(self):
         self._lock, self._users = threading.Lock(), 0
-        self._before = list[tuple[Any, int]]()  # the libraries that had other numbers of threads, and these
 
     @cached_property
-    def _libraries(self) -> list[Any]:
-        import scipy.linalg  # noqa: F401  # it loads SciPy's library; NumPy has one of its own
-
-        return ThreadpoolController().select(user_api="blas").lib_controllers
+    def _controller(self) -> ThreadpoolController:
+        import_module("scipy.linalg")  # it loads SciPy's library; NumPy has one of its own
+        return ThreadpoolController().select(user_api="blas")
 
     def __enter__(self) -> None:
         with self._lock:
             if self._users == 0:
-                threads = [(library, library.get_num_threads()) for library in self._libraries]
-                self._before = [(library, count) for library, count in threads if count != 1]
-                for library, _ in self._before:
-                    library.set_num_threads(1)
+                self._limits = self._controller.limit(limits=1)
             self._users += 1
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._users -= 1
-            for library, count in () if self._users else self._before:
-                library.set_num_threads(count)
+            if self._users == 0:
+                self._limits.restore_original_limits()
 
 
 one_blas_thread = _OneBlasThread()

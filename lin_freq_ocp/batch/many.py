@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated, proven_in_batch
@@ -258,7 +257,6 @@ class SolvedPart:
     interrupted: bool = False
 
 
-@one_blas_thread
 def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
     """Solve problems one after another, each from the one before; a failure is an item, too."""
     items, interrupted = dict[str, Item](), False

@@ -75,10 +75,12 @@ class PlannedStart:
         return self.plan.control
 
     @property
+    @one_blas_thread
     def trajectory(self) -> Trajectory:
         """Return the plan in the given coordinates."""
         return self.translation.trajectory(self.plan.trajectory)
 
+    @one_blas_thread
     def better_of(self, last: Trajectory | None) -> PlannedStart:
         """Return the better of this plan and the rest of the last one from the same state; see ``Plan.rank``."""
         if last is None:
@@ -86,6 +88,7 @@ class PlannedStart:
         other = self.plan.following(self.translation.translated(last))
         return replace(self, plan=other) if other.rank < self.plan.rank else self
 
+    @one_blas_thread
     def certified(self, tolerance: float | None) -> Outcome:
         """Return the judged outcome."""
         problem = self.translation.problem.with_ends(self.plan.start)
@@ -105,6 +108,7 @@ class ProvenPlan:
     gap: float
 
 
+@one_blas_thread
 def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, ProvenPlan]:
     """Return the plans of one problem, by number, that the batch judge proves optimal."""
     translation, proven = next(iter(planned.values())).translation, dict[int, ProvenPlan]()
@@ -210,6 +214,7 @@ class Repeated:
         plan = located.kept.plan(start - located.origin, budget)
         return plan and PlannedStart(located.translation, plan)
 
+    @one_blas_thread
     def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
         """Return plans from initial states (N, n) by number, without certificates, and whether Ctrl-C came.
 

@@ -12,6 +12,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, term_rows
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
@@ -294,6 +295,7 @@ class Certificate:
         return f"cost {self.cost:.12g}, bound {_number(self.lower_bound)}, gap {_number(self.gap, '.2e')}"
 
 
+@one_blas_thread
 def judge(
     problem: OptimalControlProblem,
     trajectory: Trajectory,

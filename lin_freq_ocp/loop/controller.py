@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, brief, one_component, positive_integer, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
@@ -132,12 +131,6 @@ class Controller:
             control = self._limits.clip(begin, quick.control)
             self._record(replace(quick, control=control, solve_seconds=now() - started))
             return self._steps[-1], None
-        return self._advance_by_solving(x, begin, preview, started)
-
-    @one_blas_thread
-    def _advance_by_solving(
-        self, x: Array, begin: Array, preview: Preview, started: float
-    ) -> tuple[Step | None, Outcome | None]:
         hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
         plan = self._plan(outcome)
@@ -205,12 +198,10 @@ class Controller:
         changes += plan.plan.changes
         if plan.plan.settled:
             return Step(x, plan.control, None, source, "condensed", changes=changes, pending=plan)
-        with one_blas_thread:  # the compiled step of a settled plan calls no BLAS
-            better = plan.better_of(self._steps[-1].planned)
-            source = Source.BEST_POINT if better is plan else Source.PREVIOUS_PLAN
-            return Step(x, better.control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
+        better = plan.better_of(self._steps[-1].planned)
+        source = Source.BEST_POINT if better is plan else Source.PREVIOUS_PLAN
+        return Step(x, better.control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
 
-    @one_blas_thread
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
         tolerance: float | None = getattr(self._hard.method, "tolerance", None)

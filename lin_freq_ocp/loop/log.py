@@ -14,7 +14,6 @@ from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.loop.embedded import REALS, log_header, step_problem
@@ -175,7 +174,6 @@ def _log_row(line: str, columns: int) -> list[float]:
     return row
 
 
-@one_blas_thread
 def certify_log(
     problem: OptimalControlProblem, penalties: Mapping[str, float], delay: int, path: Path, tolerance: float
 ) -> CertifiedLog:

@@ -120,7 +120,8 @@ class TestOthersSolutions:
         x, u = cp.Variable((2, T + 1)), cp.Variable((2, T))
         cost = 0.5 * cp.sum_squares(x) + 0.05 * cp.sum_squares(u) + 0.4 * cp.norm1(u)
         rules = [x[:, 0] == start, x[:, 1:] == A @ x[:, :-1] + B @ u, cp.norm(u, axis=0) <= 0.8]
-        cp.Problem(cp.Minimize(cost), rules).solve(solver="CLARABEL")
+        accurate = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-10)
+        cp.Problem(cp.Minimize(cost), rules).solve(solver="CLARABEL", **accurate)
         problem = lfo.OptimalControlProblem(
             lfo.LinearDynamics(A, B),
             T,

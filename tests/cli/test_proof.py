@@ -9,6 +9,7 @@ import flint
 import pytest
 
 from helpers.command_line import run
+from helpers.patience import PATIENCE
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -59,6 +60,6 @@ def test_the_checker_needs_nothing_but_python_and_flint(tmp_path):
     program += "runpy.run_path(sys.argv[0], run_name='__main__')"
     proof = Path(__file__).parents[1] / "proof" / "double_integrator.proof"
     command = [sys.executable, "-I", "-S", "-c", program, str(numbers), str(alone), str(proof)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.splitlines()[-1].startswith("VERIFIED ")

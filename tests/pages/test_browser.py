@@ -9,10 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
+from helpers.patience import PATIENCE
 from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
 from lin_freq_ocp.pages.explorer.session import Session
-
-PATIENCE = 600  # seconds, after which something hangs
 
 
 def new_session():

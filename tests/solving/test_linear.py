@@ -10,7 +10,6 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks import linear
-from helpers.checks.units import solved
 from helpers.random.linear import random_linear
 from helpers.seeds import seeds
 from lin_freq_ocp.methods.candidate import SolveOptions
@@ -219,6 +218,21 @@ def test_unbounded_needs_a_verified_direction(monkeypatch):
     assert not refused.dual
 
 
-def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again():
-    result = solved(469)
-    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again(monkeypatch):
+    """A bound loses the square of what multipliers are wrong by: it proves the optimum, and conditions fail."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.9]], [[1.0]]),
+        6,
+        lfo.QuadraticCost(Q=1.0, R=1.0, P=1.0),
+        control_set=lfo.Box(-0.5, 0.5),
+        state_set=lfo.Box(-5.0, 5.0),
+        initial_state=[2.0],
+    )
+    right = next(convex_candidates(problem, "clarabel", SolveOptions(), None))
+    wrong = replace(right, multipliers=replace(right.multipliers, eta=right.multipliers.eta * (1 + 1e-5)))
+    outcomes = []
+    for candidates in ([wrong], [wrong, right]):
+        monkeypatch.setattr("lin_freq_ocp.solving.linear.convex_candidates", lambda *given, each=candidates: iter(each))
+        result = lfo.solve(problem, method="convex")
+        outcomes.append((result.status, result.certificate.pmp))
+    assert outcomes == [("optimal", "violated"), ("optimal", "satisfied")]
