@@ -35,12 +35,11 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from queue import SimpleQueue
 
 from rich.console import Console
 from rich.table import Table
@@ -48,9 +47,9 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "lin_freq_ocp"
 TABLES = ROOT / "scripts" / "mutations"
-LEFT_OUT = (".git", ".venv", "build", "dist", "_build", "__pycache__", ".*_cache", ".hypothesis")
+LEFT_OUT = (".git", ".venv", "build", "dist", "_build", ".*_cache", ".hypothesis")
 OPTIONS = ("-x", "-n", "0", "-p", "no:cacheprovider", "--tb=no", "-rfE", "--no-header")
-FAILED, INTERRUPTED = 1, 2  # exit status of pytest; the second if a file of tests cannot be imported
+FAILED, INTERRUPTED = 1, 2  # exit statuses of pytest; the second if a file of tests cannot be imported
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ class Mutation:
         pattern = re.compile(r"\s+".join(map(re.escape, self.old.split())))
         found = [
             (path, *match.span())
-            for path, text in texts(package)
+            for path, text in sources(package)
             for match in pattern.finditer(text)
             if any(begin <= match.start() and match.end() <= end for begin, end in spans(path, text, self.place))
         ]
@@ -91,7 +90,7 @@ class Mutation:
 
 
 @cache
-def texts(package: Path) -> list[tuple[Path, str]]:
+def sources(package: Path) -> list[tuple[Path, str]]:
     """Return the sources of the package in Python and C, each with its path in there."""
     paths = sorted(path for ending in ("*.py", "*.c") for path in package.rglob(ending))
     return [(path.relative_to(package), path.read_text(encoding="utf-8")) for path in paths]
@@ -135,7 +134,7 @@ def all_mutations() -> list[Mutation]:
     return mutations
 
 
-def chosen(mutations: Iterable[Mutation], names: list[str]) -> list[Mutation]:
+def select_mutations(mutations: Iterable[Mutation], names: list[str]) -> list[Mutation]:
     """Return the faults of these names or areas, all without any name."""
     mutations = list(mutations)
     unknown = set(names) - {mutation.name for mutation in mutations} - {mutation.area for mutation in mutations}
@@ -144,7 +143,7 @@ def chosen(mutations: Iterable[Mutation], names: list[str]) -> list[Mutation]:
     return [mutation for mutation in mutations if not names or {mutation.name, mutation.area} & set(names)]
 
 
-def copy(source: Path, target: Path) -> Path:
+def copy_repository(source: Path, target: Path) -> Path:
     """Copy a repository without what is built or downloaded; times of files stay, and so caches of code stay valid."""
     shutil.copytree(source, target, ignore=shutil.ignore_patterns(*LEFT_OUT) if source == ROOT else None)
     return target
@@ -183,6 +182,8 @@ class Runner:
 
     def run(self, folder: Path, tests: Iterable[str], cpu: int | None = None) -> Outcome:
         """Run tests until the first one fails; every process may use so many seconds of CPU time."""
+        if self.stopped:
+            raise KeyboardInterrupt
         limit = self.cpu if cpu is None else cpu
         command = [sys.executable, "-m", "pytest", *OPTIONS, *(f"tests/{name}" for name in tests)]
         with (folder / "output.txt").open("w+", encoding="utf-8") as file:
@@ -198,24 +199,20 @@ class Runner:
         return Outcome(process.returncode, failed[0] if failed else "", usage.ru_utime + usage.ru_stime)
 
     def stop(self) -> None:
-        """End the tests that are running."""
+        """End the tests that are running, and begin no others."""
         self.stopped = True
         for pid in list(self.running):
             with suppress(ProcessLookupError):
                 os.killpg(pid, signal.SIGKILL)
 
-    def try_out(self, mutation: Mutation, pristine: Path, number: int) -> dict[str, object] | None:
-        """Return what came of a fault, as the log keeps it; None if the run was stopped."""
-        if self.stopped:
-            return None
-        folder = copy(pristine, pristine.parent / f"fault-{number}")
+    def try_out(self, mutation: Mutation, pristine: Path, number: int) -> dict[str, object]:
+        """Return what came of a fault, as the log keeps it."""
+        folder = copy_repository(pristine, pristine.parent / f"fault-{number}")
         path, text = mutation.text(pristine / PACKAGE)
         (folder / PACKAGE / path).write_text(text, encoding="utf-8")
         outcome = self.run(folder, mutation.tests)
         output = (folder / "output.txt").read_text(encoding="utf-8")
         shutil.rmtree(folder)
-        if self.stopped:
-            return None
         if outcome.status not in (0, FAILED, INTERRUPTED) and outcome.status >= 0:
             sys.exit(f"{mutation.name}: pytest ends with status {outcome.status}\n{output}")
         by = outcome.failed or ("" if outcome.status == 0 else f"ends by signal {-outcome.status}")
@@ -234,33 +231,31 @@ def read_log(path: Path) -> dict[str, dict[str, object]]:
 
 def try_all(mutations: list[Mutation], workers: int, cpu: int, log: Path) -> None:
     """Try faults by several workers, and write each result into the log."""
-    runner, results = Runner(cpu), SimpleQueue[tuple[Mutation, dict[str, object] | None]]()
+    runner = Runner(cpu)
     with tempfile.TemporaryDirectory(prefix="mutations-") as folder, log.open("a", encoding="utf-8") as file:
-        pristine = copy(ROOT, Path(folder) / "pristine")
+        pristine = copy_repository(ROOT, Path(folder) / "pristine")
         require_copy(pristine)
         tests = list(dict.fromkeys(name for mutation in mutations for name in mutation.tests))
-        try:
-            whole = runner.run(pristine, tests, cpu=20 * cpu)
-            if whole.status != 0:
-                sys.exit(f"without any fault, the tests end with status {whole.status}: {whole.failed}")
-            print(f"without any fault, all tests of these faults pass in {whole.seconds:.0f} s of CPU time", flush=True)
-            with ThreadPoolExecutor(workers) as pool:
-                try:
-                    for number, mutation in enumerate(mutations):
-                        task = pool.submit(runner.try_out, mutation, pristine, number)
-                        task.add_done_callback(lambda done, of=mutation: results.put((of, done)))
-                    for _ in mutations:
-                        mutation, done = results.get()
-                        result = done.result()
-                        if result is not None:
-                            file.write(json.dumps(result) + "\n")
-                            file.flush()
-                            print(f"{mutation.name}: {result['by'] or 'SURVIVES'} ({result['seconds']} s)", flush=True)
-                finally:
-                    runner.stop()
-        except KeyboardInterrupt:
-            runner.stop()
-            print("interrupted; --resume goes on")
+        with ThreadPoolExecutor(workers) as pool:
+            try:
+                whole = runner.run(pristine, tests, cpu=20 * cpu)
+                if whole.status != 0:
+                    sys.exit(f"without any fault, the tests end with status {whole.status}: {whole.failed}")
+                print(f"without any fault, all tests pass in {whole.seconds:.0f} s of CPU time", flush=True)
+                tasks = {
+                    pool.submit(runner.try_out, mutation, pristine, number): mutation
+                    for number, mutation in enumerate(mutations)
+                }
+                for task in as_completed(tasks):
+                    result = task.result()
+                    file.write(json.dumps(result) + "\n")
+                    file.flush()
+                    print(f"{tasks[task].name}: {result['by'] or 'SURVIVES'} ({result['seconds']} s)", flush=True)
+            except KeyboardInterrupt:
+                print("interrupted; --resume goes on")
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+                runner.stop()
 
 
 def table_of(mutations: list[Mutation], results: dict[str, dict[str, object]]) -> tuple[Table, list[Mutation]]:
@@ -286,7 +281,7 @@ def main() -> int:
     options = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # in the background, Python would ignore the first
         signal.signal(number, signal.default_int_handler)
-    mutations = chosen(all_mutations(), options.names)
+    mutations = select_mutations(all_mutations(), options.names)
     options.log.parent.mkdir(parents=True, exist_ok=True)
     if not options.resume:
         options.log.unlink(missing_ok=True)
@@ -296,7 +291,7 @@ def main() -> int:
     results = read_log(options.log)
     tried = [results[mutation.key] for mutation in mutations if mutation.key in results]
     table, unexplained = table_of(mutations, results)
-    Console(width=200).print(table)
+    Console(width=200, markup=False).print(table)
     seconds = sum(float(str(result["seconds"])) for result in tried)
     print(f"{len(tried)} of {len(mutations)} faults tried, {table.row_count} survive; {seconds:.0f} s of CPU time")
     return 1 if unexplained or len(tried) < len(mutations) else 0

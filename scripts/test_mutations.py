@@ -7,7 +7,7 @@ from collections import Counter
 
 import mutations
 import pytest
-from mutations import PACKAGE, ROOT, Mutation, all_mutations, chosen, read_log, table_of
+from mutations import PACKAGE, ROOT, Mutation, all_mutations, read_log, select_mutations, table_of
 
 from lin_freq_ocp.methods.native_code import compiler
 
@@ -102,11 +102,11 @@ def test_a_log_that_was_cut_off_keeps_what_is_whole(tmp_path):
 
 def test_faults_are_chosen_by_name_or_file():
     area = FAULTS[0].area
-    assert chosen(FAULTS, []) == FAULTS
-    assert chosen(FAULTS, [FAULTS[-1].name]) == FAULTS[-1:]
-    assert {one.area for one in chosen(FAULTS, [area])} == {area}
+    assert select_mutations(FAULTS, []) == FAULTS
+    assert select_mutations(FAULTS, [FAULTS[-1].name]) == FAULTS[-1:]
+    assert {one.area for one in select_mutations(FAULTS, [area])} == {area}
     with pytest.raises(SystemExit, match="nothing"):
-        chosen(FAULTS, ["nothing"])
+        select_mutations(FAULTS, ["nothing"])
 
 
 def repository(tmp_path, monkeypatch, **tests):

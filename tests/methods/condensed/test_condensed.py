@@ -245,6 +245,7 @@ def test_other_references_offsets_bounds_and_ends():
         "bounds": dict(bounds={"control_set": lfo.Box(-1.5, 2.0)}),
         "disturbance": dict(disturbance=1e-4 * np.sin(np.arange(120))[:, None] * np.ones(4)),
         "nothing": {},
+        "another end alone": dict(terminal_state=[0.005, 0.0, 0.0, 0.0]),
     }
     for name, change in changes.items():
         arguments = [change.get(key) for key in ("terminal_state", "references", "bounds", "disturbance")]
