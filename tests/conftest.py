@@ -12,6 +12,7 @@ from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
 from helpers.seeds import VARIABLE, choose_seeds
+from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
@@ -55,6 +56,13 @@ def pytest_sessionstart(session):
 def clock():
     """Give all tests a clock by which a look takes two milliseconds: limits are over after as many on any machine."""
     with use_clock(Clock(2e-3)):
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sparse_arrays():
+    """Refuse the older type of sparse matrices on every version of SciPy."""
+    with spmatrix_refused():
         yield
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
@@ -220,9 +220,9 @@ class Direction:
     residual: float
 
     @property
-    def steepest(self) -> int:
-        """Return the time of the largest change of a control, in the units of the problem."""
-        return int(np.argmax(np.abs(self.u).max(1)))
+    def steepest(self) -> tuple[int, ...]:
+        """Return the time and the component of the largest change of a control, in the units of the problem."""
+        return first_largest(np.abs(self.u))
 
 
 def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory) -> Direction | None:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -97,7 +97,7 @@ class SecondOrder:
 
     def __str__(self) -> str:
         if self.direction is not None:
-            t = int(np.argmax(np.abs(self.direction.u).max(1)))
+            (t,) = first_largest(np.abs(self.direction.u).max(1))
             return f"no minimum: the cost falls to second order along a direction, most of u at t = {t}"
         return "no direction lowers the cost to second order" if self.passed else f"not decided: {self.reason}"
 
@@ -261,7 +261,7 @@ class Certificate:
     @property
     def worst(self) -> Condition:
         """Return the condition with the largest residual relative to its scale."""
-        return max(self.conditions, key=lambda condition: condition.relative)
+        return self.conditions[first_largest(np.array([condition.relative for condition in self.conditions]))[0]]
 
     def __str__(self) -> str:
         kind = "" if self.bound is None else f" ({self.bound.kind})"

@@ -42,7 +42,7 @@ def judge_candidate(
             status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
     if status == Status.UNBOUNDED and direction is not None:
-        t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
+        t, j = direction.steepest
         message = (
             f"the cost decreases without bound along a verified direction, most with {problem.control_names[j]} "
             f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"

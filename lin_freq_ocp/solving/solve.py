@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
@@ -122,7 +122,7 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
         return outcome
     # rounding of a state may be the reason that the answer is not optimal
     rounding, motion = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
-    i = int(np.argmax(np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0)))
+    (i,) = first_largest(np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0))
     if rounding[i] <= COARSE * motion[i]:
         return outcome
     message = (

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.schemas import RESULT, faults, printed
 from helpers.seeds import seeds
 from lin_freq_ocp.certificate import between_samples as module
-from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, between_samples
+from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, BetweenSamples, BoundPeak, between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
 from lin_freq_ocp.files.summary import certificate_summary, result_summary
 from lin_freq_ocp.pages.report.findings import finding_of
@@ -260,6 +260,14 @@ def test_a_report_says_where_a_bound_is_exceeded():
         finding_of(lfo.compare(lfo.library.scanner()))
     )
     assert "between them" not in str(finding_of(lfo.compare(lfo.library.pendulum())))
+
+
+def test_of_equal_violations_the_first_is_named():
+    """Rounding, by which the second is larger, depends on the processor."""
+    upper = BoundPeak(0, "speed", "upper", 0.5, 0.5, 0.25, 1.0)
+    lower = replace(upper, side="lower", relative=0.25 * (1 + 1e-12), time=0.5)
+    assert BetweenSamples((upper, lower)).worst is upper
+    assert BetweenSamples((upper, replace(lower, relative=0.26))).worst.side == "lower"
 
 
 def test_results_and_certificates_say_it():

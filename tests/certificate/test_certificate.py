@@ -10,6 +10,7 @@ from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
 from helpers.seeds import examples
+from lin_freq_ocp.base.arrays import first_largest
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
@@ -42,12 +43,12 @@ def moved(trajectory, x=None, u=None):
 def active_state(result):
     """The time and component, strictly inside the horizon, with the largest multiplier of a state bound."""
     inside = np.abs(result.multipliers.mu[1:-1])
-    t, i = np.unravel_index(np.argmax(inside), inside.shape)
-    return int(t) + 1, int(i)
+    t, i = first_largest(inside)
+    return t + 1, i
 
 
 def active_control(result):
-    return int(np.argmax(np.abs(result.multipliers.nu[:, 0])))
+    return first_largest(np.abs(result.multipliers.nu[:, 0]))[0]
 
 
 def failures(certificate, label, name=""):

@@ -19,6 +19,8 @@ from lin_freq_ocp.methods.native_code import compiler
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
 FAR = np.array([1e5, 0.0, 0.0, 0.0])
+# A distribution's compiler adds calls of its own (__memcpy_chk, __stack_chk_fail) and a table of addresses
+PLAIN = ("-U_FORTIFY_SOURCE", "-fno-stack-protector", "-fno-pic")
 APART = {"double": 1e-7, "float": 5e-3}  # of a control, relative to its bound
 
 
@@ -75,13 +77,13 @@ def test_the_code_calls_nothing_but_square_root_and_copies(tmp_path):
     if shutil.which("nm") is None:
         pytest.skip("no nm")
     lfo.generate(controller(LOOPS["low pass"]()), tmp_path)
-    subprocess.run(compile_command("-Os", "-c"), cwd=tmp_path, check=True)
+    subprocess.run(compile_command("-Os", "-c", *PLAIN), cwd=tmp_path, check=True)
     listed = subprocess.run(
         ["nm", "-u", "controller.o", "lfo_kernel.o"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     undefined = {line.split()[-1] for line in listed.stdout.splitlines() if line.split()[:1] == ["U"]}
     own = {"lfo_begin", "lfo_step"}
-    assert undefined - own <= {"sqrt", "memcpy", "memset", "memmove", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"}
+    assert undefined - own <= {"sqrt", "memcpy", "memset", "memmove"}
 
 
 @needs_compiler
