@@ -1,6 +1,7 @@
 """State bounds between the samples: a published table, dense sampling, and integration by another program."""
 
 from dataclasses import asdict, replace
+from fractions import Fraction
 from math import comb
 
 import numpy as np
@@ -283,12 +284,63 @@ def test_results_and_certificates_say_it():
     assert "between " not in str(silent)
 
 
-def test_the_proven_value_covers_the_rest_of_the_series(monkeypatch):
-    """x' = x from 1 over a period of REACH: with four terms, the polynomial is 3e-4 below the exponential."""
-    monkeypatch.setattr(module, "DEGREE", 4)
-    monkeypatch.setattr(module, "BERNSTEIN", np.array([[comb(k, j) / comb(4, j) for j in range(5)] for k in range(5)]))
-    plant = lfo.LinearDynamics.from_continuous([[1.0]], [[1.0]], REACH)
-    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(None, 1.0))
-    (bound,) = between_samples(problem, lfo.simulate(problem, np.zeros((1, 1)), [1.0])).bounds
-    assert bound.violation < np.expm1(REACH) - 1e-4
-    assert bound.at_most >= np.expm1(REACH)
+def use_degree(monkeypatch, degree):
+    """Make the polynomials of another degree than 15, so that the rest of the series is above all rounding."""
+    monkeypatch.setattr(module, "DEGREE", degree)
+    powers = range(degree + 1)
+    monkeypatch.setattr(module, "BERNSTEIN", np.array([[comb(k, j) / comb(degree, j) for j in powers] for k in powers]))
+
+
+def single_bound(A, B, step, x, u, lower=None, upper=None):
+    """Return the peak of the upper bound of a plant over one period."""
+    plant, box = lfo.LinearDynamics.from_continuous(A, B, step), lfo.Box(lower, upper)
+    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(R=1.0), state_set=box)
+    bounds = between_samples(problem, lfo.simulate(problem, [u], x)).bounds
+    return next(bound for bound in bounds if bound.side == "upper")
+
+
+@pytest.mark.parametrize("cells", [1, 8])
+def test_the_proven_value_covers_the_rest_of_the_series(monkeypatch, cells):
+    """x' = x from 1: with four terms a cell, the polynomials are below the exponential, and their errors grow."""
+    use_degree(monkeypatch, 4)
+    bound = single_bound([[1.0]], [[1.0]], cells * REACH, [1.0], [0.0], upper=1.0)
+    assert bound.violation < np.expm1(cells * REACH) - 1e-4
+    assert bound.at_most >= np.expm1(cells * REACH)
+
+
+def test_the_proven_value_covers_errors_before_the_state_comes_to_rest(monkeypatch):
+    """x_1 = t exp(-t) is 1/e at most, at t = 1; 50 s later all errors are small."""
+    use_degree(monkeypatch, 4)
+    bound = single_bound([[-1.0, 1.0], [0.0, -1.0]], np.zeros((2, 1)), 50.0, [0.0, 1.0], [0.0], upper=[0.1, np.inf])
+    assert bound.violation < np.exp(-1) - 0.1
+    assert bound.at_most >= np.exp(-1) - 0.1
+
+
+def test_the_proven_value_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
+    """The largest value of t exp(-t) lies within a cell, whose ends are below it."""
+    monkeypatch.setattr(module, "LATEST_HALVING", 0)
+    bound = single_bound([[-1.0, 1.0], [0.0, -1.0]], np.zeros((2, 1)), 3.1, [0.0, 1.0], [0.0], upper=[0.1, np.inf])
+    assert bound.violation < np.exp(-1) - 0.1 - 1e-4
+    assert bound.at_most >= np.exp(-1) - 0.1
+
+
+@pytest.mark.parametrize(("start", "limit"), [(1e6, 1e6), (1 / 3, -1e6)])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_proven_value_covers_rounding(start, limit, seed):
+    """x' = u: x_0 + u h is the largest value, in exact arithmetic; states and limits are far larger than the motion."""
+    x, u, h = start + np.random.default_rng(seed).uniform(0.0, 1e-6), 1e-6 / 3, 0.1
+    bound = single_bound([[0.0]], [[1.0]], h, [x], [u], lower=limit - 1e-6 if start > 1 else None, upper=limit)
+    assert Fraction(bound.at_most) >= Fraction(x) + Fraction(u) * Fraction(h) - Fraction(limit)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_within_a_period_the_wider_bound_of_both_samples_counts(side):
+    """The state moves along its bounds, from 1 to 0 and back."""
+    plant = lfo.LinearDynamics.from_continuous([[0.0]], [[1.0]], 1.0)
+    limits = [side * value for value in (1.0, 0.0, 1.0)]
+    boxes = [lfo.Box(None, limit) if side > 0 else lfo.Box(limit, None) for limit in limits]
+    problem = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), state_set=boxes)
+    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [side])).bounds
+    assert bound.violation <= 0
+    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [2 * side])).bounds
+    assert bound.violation == pytest.approx(1.0)

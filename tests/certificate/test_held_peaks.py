@@ -86,3 +86,13 @@ def test_the_band_of_a_problem_ends_a_period_after_its_last_point():
     peak = proven_peak(problem.terms[0].semi_infinite, samples)
     assert magnitude(samples, np.linspace(1.6 * np.pi, 60.0, 20_001)).max() <= 2.0 * peak.ratio
     assert peak.frequency == pytest.approx(2.8 * np.pi, rel=1e-2)
+
+
+def test_the_band_of_a_problem_ends_a_period_after_the_points_of_its_limit():
+    """The limit is high up to 1.69 Hz and low from 1.7 Hz on: the image at 2.4 Hz is the worst."""
+    N, points = 40, np.array([[0.8, 100.0], [1.69, 100.0], [1.7, 1.0]])
+    mask = lfo.MagnitudeBound(points, band=lfo.low_pass(cutoff_hz=0.8), every_frequency=True, hold=True)
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]], sampling_time=1.0)
+    problem = lfo.OptimalControlProblem(plant, N, lfo.QuadraticCost(R=1.0), control_spectrum=mask)
+    peak = proven_peak(problem.terms[0].semi_infinite, np.cos(0.8 * np.pi * np.arange(N)))
+    assert peak.frequency == pytest.approx(4.8 * np.pi, rel=1e-2)

@@ -143,3 +143,17 @@ def test_of_several_rows_on_one_variable_the_tightest_bounds_count(order):
     program = Program(sp.csc_array((1, 1)), np.zeros(1), sp.csc_array(rows[:, :1]), rows[:, 1], rows[:, 2])
     bounds = program.single_bounds()
     assert (bounds.below.tolist(), bounds.above.tolist(), bounds.violation) == ([-1.0], [2.0], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "lower", "upper"),
+    [([0.0], [-3.0], [-1.0]), ([0.0], [1.0], [3.0]), ([1.0, 1.0], [2.0, 0.0], [3.0, 1.0])],
+    ids=["0 <= -1", "1 <= 0", "2 <= z <= 1"],
+)
+def test_rows_that_no_point_satisfies_are_violations(coefficients, lower, upper):
+    rows = sp.csc_array(np.array(coefficients)[:, None])
+    rows.eliminate_zeros()
+    program = Program(sp.csc_array((1, 1)), np.zeros(1), rows, np.array(lower), np.array(upper))
+    bounds = program.single_bounds()
+    assert bounds.violation == 1.0
+    assert (bounds.below <= bounds.above).all()
