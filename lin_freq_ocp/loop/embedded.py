@@ -390,7 +390,7 @@ class _StepTables:
                 if np.abs(begin).max() <= farthest and kernel.step(begin) == SOLVED:
                     break
                 nearer, reach = anchor + (begin - anchor) / 4, max(reach / 2, LEAST_REACH)
-                x = np.linalg.lstsq(lti.A, nearer - moved)[0] if self.delay else nearer
+                x = np.asarray(np.linalg.lstsq(lti.A, nearer - moved)[0], dtype=np.float64) if self.delay else nearer
             else:
                 raise UnsupportedError("problem: no state was found with a plan. lfo.solve(problem) says why.")
             anchor = anchor if k else begin

@@ -102,9 +102,8 @@ class ControlLimits:
         inside = u
         if len(self.e):
             inside = np.array(u)
-            beyond = self.C @ x + self.d * u[self.acting] - self.e
-            size = np.abs(self.C) @ np.abs(x) + np.abs(self.d * u[self.acting]) + np.abs(self.e)
-            for i in np.flatnonzero(beyond > -EXACTLY_WITHIN * size):
+            terms = np.column_stack([self.C * x, self.d * u[self.acting], -self.e])  # summed without threads of BLAS
+            for i in np.flatnonzero(terms.sum(axis=1) > -EXACTLY_WITHIN * np.abs(terms).sum(axis=1)).tolist():
                 inside[self.acting[i]] = self._inside(i, x, float(inside[self.acting[i]]))
         return np.minimum(np.maximum(inside, self.lower), self.upper)
 
