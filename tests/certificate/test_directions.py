@@ -15,7 +15,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.convex import random_problem
 from helpers.random.mixed import Model, problem_of, random_model
-from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, descent_direction
+from lin_freq_ocp.certificate.rays import descent_direction
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 
 ALONE = (5, 11)
 """Seeds whose constraints leave a single trajectory, or nearly so: that of least control is the optimum, too."""
@@ -85,7 +86,7 @@ def test_a_feasible_point_that_is_not_optimal_has_a_way_down(seed):
     assert certificate.feasible
     along = certificate.descent
     assert along.slope < 0
-    assert along.residual < DIRECTION_TOLERANCE
+    assert along.residual < CONDITION_TOLERANCE
     step = 1e-6
     fallen = value(problem, moved(point, along, step)) - value(problem, point)
     assert fallen == pytest.approx(step * along.slope, rel=0.05)
