@@ -11,6 +11,8 @@ linear       random linear problems of every shape, in units of 1e-9 to 1e9, aga
 spectral     random time-invariant problems, by the Fourier-domain method and by the sparse program
 structured   random problems of all kinds by every method for linear dynamics: costs and verdicts
 explain      random infeasible problems are explained, and every statement is tried
+rays         weak controls on unstable plants, compact problems and problems without a bound, shifted: never infeasible,
+             never unbounded, always unbounded; costs of compact ones by exact rationals
 mixed        random feasible problems of mixed features, against CVXPY on an independent model
 flips        random continuous piecewise-affine problems: what the judge says of changing a mode is tried
 units        the same problems in other units: verdicts, controls and costs must not change
@@ -51,6 +53,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "spectral": 900,
     "structured": 500,
     "explain": 50,
+    "rays": 900,
     "mixed": 200,
     "flips": 200,
     "units": 2000,

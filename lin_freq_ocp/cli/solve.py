@@ -135,7 +135,7 @@ def solve_command(
     with dumping_errors(outputs.get("dump"), description, options):
         with console.search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
-        if result.status == Status.INFEASIBLE:
+        if result.status == Status.INFEASIBLE or result.ray is not None:
             with console.progress("looking for the smallest relaxation"):
                 result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:

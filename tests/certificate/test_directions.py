@@ -16,7 +16,8 @@ import lin_freq_ocp as lfo
 from helpers.random.convex import random_problem
 from helpers.random.mixed import Model, problem_of, random_model
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, descent_direction
+from lin_freq_ocp.certificate.rays import descent_direction
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 
 ALONE = (5, 11)
 """Seeds whose constraints leave a single trajectory, or nearly so: that of least control is the optimum, too."""
@@ -86,7 +87,7 @@ def test_a_feasible_point_that_is_not_optimal_has_a_way_down(seed):
     assert certificate.feasible
     along = certificate.descent
     assert along.slope < 0
-    assert along.residual < DIRECTION_TOLERANCE
+    assert along.residual < CONDITION_TOLERANCE
     step = 1e-6
     fallen = value(problem, moved(point, along, step)) - value(problem, point)
     assert fallen == pytest.approx(step * along.slope, rel=0.05)
@@ -288,7 +289,7 @@ class TestRefused:
             found = descent_direction(self.problem(**fields), point, there)
             assert not accepted or found is not None
             part = np.zeros(self.T) if found is None else found.u[:, 1]
-            assert np.abs(np.fft.rfft(part))[3] <= DIRECTION_TOLERANCE * np.linalg.norm(part)
+            assert np.abs(np.fft.rfft(part))[3] <= CONDITION_TOLERANCE * np.linalg.norm(part)
 
     def test_out_of_a_state_stop_band(self):
         assert not self.accepted(state_spectrum=lfo.stop_band(bins=[2], component=0))

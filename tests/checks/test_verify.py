@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, smooth, structured
+from helpers.checks import convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
 from helpers.seeds import seeds, whole_sample
@@ -65,6 +65,29 @@ def test_an_infeasible_problem_is_explained(seed):
     outcome = explain.check(seed)
     assert outcome.passed, outcome
     assert outcome.family
+
+
+@pytest.mark.parametrize("seed", [2, 7, 12, 15])
+def test_infeasible_and_unbounded_are_proven_or_not_said(seed):
+    assert rays.check(seed).passed, rays.check(seed)
+
+
+def test_the_exact_cost_of_a_compact_problem_is_that_of_its_best_controls():
+    problem = rays.compact_problem(4)
+    (A, B, _), end = problem.linear.at(0), problem.terminal_box.lower
+    rng, q = np.random.default_rng(0), problem.quadratic.q.ravel()
+
+    def cost(u):
+        states = [end]
+        for value in u[::-1]:
+            states.append(np.linalg.solve(A, states[-1] - B[:, 0] * value))
+        return float(sum(q @ x for x in states[1:]))
+
+    middle = cost(np.zeros(problem.horizon))
+    slopes = [cost(row) - middle for row in np.eye(problem.horizon)]
+    exact = float(rays.exact_cost(problem))
+    assert exact == pytest.approx(middle - 0.5 * np.abs(slopes).sum(), rel=1e-9)
+    assert all(cost(u) >= exact for u in rng.choice([-0.5, 0.5], (20, problem.horizon)))
 
 
 check_mixed = cache(mixed.check)

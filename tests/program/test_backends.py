@@ -20,7 +20,6 @@ from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.attempts import UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -129,7 +128,6 @@ def test_unbounded_programs_have_no_answer(name, label):
         assert np.abs(asked.P @ z).max() < 1e-6
         assert ((asked.A @ z)[np.isfinite(asked.upper)] < 1e-6).all()
         assert ((asked.A @ z)[np.isfinite(asked.lower)] > -1e-6).all()
-        assert asked.descent_ray_residual(solution.z) <= UNBOUNDED_TOLERANCE
 
 
 def enumerated(asked: Program) -> tuple[np.ndarray, np.ndarray]:

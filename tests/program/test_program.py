@@ -99,28 +99,6 @@ def test_the_gap_is_that_of_the_lagrangian_dual():
     assert program.residuals(z, y).gap == pytest.approx((program.objective(z) - dual[0]) / scale, rel=1e-6)
 
 
-def test_a_direction_of_unbounded_descent_is_verified():
-    """Min -z_1 with z_0 in [0, 1], z_1 >= 0, z_0 + z_1 >= 1 and P = diag(1, 0)."""
-    program = Program(
-        sp.csc_array(np.diag([1.0, 0.0])),
-        np.array([0.0, -2.0]),
-        sp.csc_array(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])),
-        np.array([0.0, 0.0, 1.0]),
-        np.array([1.0, np.inf, np.inf]),
-    )
-    assert program.descent_ray_residual(np.array([0.0, 1.0])) == 0
-    assert program.descent_ray_residual(np.array([0.0, 1e-9])) == 0  # its length says nothing
-    assert program.descent_ray_residual(np.array([0.0, -1.0])) == np.inf  # ascends
-    assert program.descent_ray_residual(np.array([0.0, 0.0])) == np.inf
-    assert program.descent_ray_residual(np.array([1e-3, 1.0])) == pytest.approx(0.5e-3)  # curved, leaves z_0 <= 1
-    bounded = dataclasses.replace(program, upper=np.array([1.0, 1e6, np.inf]))
-    assert bounded.descent_ray_residual(np.array([0.0, 1.0])) == pytest.approx(0.5)
-    free = dataclasses.replace(program, lower=np.full(3, -np.inf), upper=np.full(3, np.inf))
-    assert free.descent_ray_residual(np.array([0.25, 1.0])) == pytest.approx(0.125)  # curved, and nothing else
-    reversed_cost = dataclasses.replace(program, q=np.array([0.0, 2.0]))
-    assert reversed_cost.descent_ray_residual(np.array([0.0, -1.0])) == pytest.approx(0.5)  # z_1 >= 0 stops it
-
-
 def test_residuals_refuse_duals_outside_the_polar_of_a_cone():
     """Min 0 with s = (z_0, z_1) in a cone: the duals (0, 1) are stationary, and complementary at 0, but no normal."""
     program = Program(
