@@ -159,6 +159,8 @@ def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> I
         columns = linear.column_units(*_direction_units(problem, along, per_time))
         z = np.zeros(linear.variables)
         z[: linear.signals] = np.concatenate([along.x.ravel(), along.u.ravel()])
+        if not z.any():  # the projection of the solver's direction: there is none nearby
+            return
         try:
             program = linear.sparse.scaled(Scaling(columns, np.ones(len(linear.sparse.lower)), 1.0))
         except UnsupportedError:  # it does not fit into memory
