@@ -162,7 +162,7 @@ def test_findings_outside_the_bounds_fail():
 def test_the_proven_maximum_of_a_signal_is_attained(seed):
     below, above = frequencies.peak_errors(seed)
     assert below == 0
-    assert above < 1e-9
+    assert above < 2e-9  # the frequency is the first of equal ones to 1e-9
 
 
 @pytest.mark.parametrize("seed", seeds(range(12)))
