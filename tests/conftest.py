@@ -11,6 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
+from helpers.drawings import UnmovedPanels
 from helpers.seeds import VARIABLE, choose_seeds
 from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
@@ -73,10 +74,11 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _coarse_images():
-    """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
+def _plain_drawings():
+    """Draw figures with few pixels and where panels are by default: no test counts pixels, and one has the layout."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
+        patch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", UnmovedPanels)
         yield
 
 

@@ -42,24 +42,25 @@ PLANTS = {
 }
 
 
+RECORDED = [("rate limit", "float"), ("two controls", "double"), ("soft bounds", "double"), ("soft bounds", "float")]
+
+
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory) -> dict[tuple[str, str], tuple[lfo.RecedingHorizon, Path]]:
-    """Return the controller and the folder of each plant in both types of numbers, compiled with sanitizers."""
+    """Return the controller and the folder of each plant and type of numbers, compiled with sanitizers."""
     found, running = {}, []
-    for name, make in PLANTS.items():
-        for real in APART:
-            (given, options), folder = make(), tmp_path_factory.mktemp("generated")
-            lfo.generate(given, folder, real, **options)
-            command = compile_command("-O0", *SANITIZERS, "test_controller.c", "-o", "test_controller")
-            running.append(subprocess.Popen([*command, "-lm"], cwd=folder))
-            found[name, real] = given, folder
+    for name, real in RECORDED:
+        (given, options), folder = PLANTS[name](), tmp_path_factory.mktemp("generated")
+        lfo.generate(given, folder, real, **options)
+        command = compile_command("-O0", *SANITIZERS, "test_controller.c", "-o", "test_controller")
+        running.append(subprocess.Popen([*command, "-lm"], cwd=folder))
+        found[name, real] = given, folder
     assert [process.wait() for process in running] == [0] * len(running)
     return found
 
 
 @needs_compiler
-@pytest.mark.parametrize("real", APART)
-@pytest.mark.parametrize("name", PLANTS)
+@pytest.mark.parametrize(("name", "real"), RECORDED)
 def test_recorded_steps_run_clean_and_their_log_is_proven(generated, name, real):
     given, folder = generated[name, real]
     done = subprocess.run(["./test_controller", "log.csv"], cwd=folder, capture_output=True, text=True)
@@ -206,7 +207,7 @@ def test_the_generated_test_passes_where_recorded_steps_have_retreated_or_none_i
 
 
 @needs_compiler
-@pytest.mark.parametrize("changes", [0, 1, 5])
+@pytest.mark.parametrize("changes", [0, 5])
 def test_a_cap_is_met_and_its_controls_stay_in_their_box(free, tmp_path, changes):
     problem, rng = LOOPS["soft bounds"](), np.random.default_rng(0)
     step = compiled(tmp_path / "capped", controller(problem), changes=changes)

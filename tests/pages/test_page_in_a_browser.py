@@ -30,8 +30,8 @@ SAVED = {
         move(8, 0.25, **FROM_REST, **slow(1.5), control_set=lfo.FiniteSet([-1, 0, 1])), ["brickwall"]
     ),
     "periodic": lambda: lfo.compare(move(terminal_state=lfo.Periodic(), **slow(1.5)), ["brickwall"]),
-    "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=100), ["brickwall"]),
-    "vibration": lambda: lfo.compare(lfo.library.printer_move(), ["ZV"]),
+    "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=40), ["brickwall"]),
+    "vibration": lambda: lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]),
     "loop": lambda: lfo.RecedingHorizon(move(terminal_state=[0.0, 0.0])).run([0.2, 0.0], 3),
 }
 

@@ -27,9 +27,9 @@ PROBLEMS = {
     "smooth": lambda: stated(lambda x, u: np.sin(2 * x[0]) ** 2, R=0.2),
     "terminal": lambda: stated("0.1*u_0**2", lambda x: np.cos(3 * x[0]) + 0.2 * x[0] ** 2),
     "time": lambda: stated(weighted, R=0.1),
-    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)", steps=4),
+    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)", steps=3),
     "concave in u": lambda: stated("x_0**2 - 0.3*u_0**2"),
-    "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", steps=3, R=0.1),
+    "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", steps=2, R=0.1),
     "below zero": lambda: stated("-exp(-x_0**2) - 0.2*x_0"),
 }
 
@@ -46,7 +46,7 @@ def least_of_many(problem):
         return problem.value(trajectory.x, trajectory.u)
 
     starts = rng.uniform(-1, 1, (4, steps))
-    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * steps, options={"maxfun": 200}) for u in starts]
+    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * steps, options={"maxfun": 60}) for u in starts]
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
 
