@@ -3,10 +3,10 @@
     python scripts/mutations.py [NAME]... [--workers 2] [--cpu 200] [--log build/mutations.jsonl] [--resume]
 
 With NAMEs, it tries the faults of these files of scripts/mutations/, or of these names. A fault is noticed if a test
-fails, if the process dies, or if it takes more CPU time than the limit. First all tests of the chosen faults run on the
-copy without any fault: they must pass, and they fill the caches of compiled code. The log has a line for each result;
-with --resume, faults of the log are not tried again. All faults take about an hour on two idle cores. Exit status 1 if
-a fault survives for which no reason is stated.
+fails, if the process dies, or if it takes more CPU time than the limit. First the tests of all chosen faults run once,
+shared among the workers, on the copy without any fault: they must pass, and they fill the caches of compiled code. The
+log has a line for each result; with --resume, faults of the log are not tried again. All faults take some 12 minutes
+of CPU time. Exit status 1 if a fault survives for which no reason is stated.
 
 A fault is an entry of a file in scripts/mutations/:
 
@@ -39,6 +39,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import cache_from_source
 from pathlib import Path
 
 from rich.console import Console
@@ -152,7 +153,7 @@ def copy_repository(source: Path, target: Path) -> Path:
 def environment(folder: Path) -> dict[str, str]:
     """Return the environment of tests that import the copy in a folder and keep compiled code in there."""
     paths = {"PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / ".cache")}
-    return {**os.environ, **paths, "OPENBLAS_NUM_THREADS": "1"}
+    return {**os.environ, **paths, "OPENBLAS_NUM_THREADS": "1", "SEEDS_OF_TESTS": "0"}
 
 
 def require_copy(folder: Path) -> None:
@@ -165,11 +166,12 @@ def require_copy(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The exit status of tests, the test that failed, and their CPU time in seconds."""
+    """The exit status of tests, the test that failed, their CPU time in seconds, and what they print."""
 
     status: int
     failed: str
     seconds: float
+    output: str
 
 
 @dataclass
@@ -180,23 +182,23 @@ class Runner:
     running: set[int] = field(default_factory=set)
     stopped: bool = False
 
-    def run(self, folder: Path, tests: Iterable[str], cpu: int | None = None) -> Outcome:
-        """Run tests until the first one fails; every process may use so many seconds of CPU time."""
+    def run(self, folder: Path, tests: Iterable[str], times: int = 1) -> Outcome:
+        """Run tests until the first one fails; every process may use the CPU time of the limit so many times."""
         if self.stopped:
             raise KeyboardInterrupt
-        limit = self.cpu if cpu is None else cpu
         command = [sys.executable, "-m", "pytest", *OPTIONS, *(f"tests/{name}" for name in tests)]
-        with (folder / "output.txt").open("w+", encoding="utf-8") as file:
+        with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
             output = {"stdout": file, "stderr": file}
             process = subprocess.Popen(command, cwd=folder, env=environment(folder), start_new_session=True, **output)
-            resource.prlimit(process.pid, resource.RLIMIT_CPU, (limit, limit + 5))
+            resource.prlimit(process.pid, resource.RLIMIT_CPU, (times * self.cpu, times * self.cpu + 5))
             self.running.add(process.pid)
             _, status, usage = os.wait4(process.pid, 0)
             self.running.discard(process.pid)
             process.returncode = os.waitstatus_to_exitcode(status)
             file.seek(0)
-            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", file.read(), re.MULTILINE)
-        return Outcome(process.returncode, failed[0] if failed else "", usage.ru_utime + usage.ru_stime)
+            text = file.read()
+        failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", text, re.MULTILINE)
+        return Outcome(process.returncode, failed[1] if failed else "", usage.ru_utime + usage.ru_stime, text)
 
     def stop(self) -> None:
         """End the tests that are running, and begin no others."""
@@ -205,16 +207,16 @@ class Runner:
             with suppress(ProcessLookupError):
                 os.killpg(pid, signal.SIGKILL)
 
-    def try_out(self, mutation: Mutation, pristine: Path, number: int) -> dict[str, object]:
-        """Return what came of a fault, as the log keeps it."""
-        folder = copy_repository(pristine, pristine.parent / f"fault-{number}")
-        path, text = mutation.text(pristine / PACKAGE)
-        (folder / PACKAGE / path).write_text(text, encoding="utf-8")
+    def try_out(self, mutation: Mutation, path: Path, text: str, pristine: Path) -> dict[str, object]:
+        """Return what came of a fault, the text of a file of the package, as the log keeps it."""
+        folder = copy_repository(pristine, pristine.parent / mutation.name)
+        faulty = folder / PACKAGE / path
+        faulty.write_text(text, encoding="utf-8")
+        Path(cache_from_source(str(faulty))).unlink(missing_ok=True)  # it may be as old and as long as the text
         outcome = self.run(folder, mutation.tests)
-        output = (folder / "output.txt").read_text(encoding="utf-8")
         shutil.rmtree(folder)
         if outcome.status not in (0, FAILED, INTERRUPTED) and outcome.status >= 0:
-            sys.exit(f"{mutation.name}: pytest ends with status {outcome.status}\n{output}")
+            sys.exit(f"{mutation.name}: pytest ends with status {outcome.status}\n{outcome.output}")
         by = outcome.failed or ("" if outcome.status == 0 else f"ends by signal {-outcome.status}")
         return {"key": mutation.key, "noticed": outcome.status != 0, "by": by, "seconds": round(outcome.seconds, 1)}
 
@@ -235,17 +237,16 @@ def try_all(mutations: list[Mutation], workers: int, cpu: int, log: Path) -> Non
     with tempfile.TemporaryDirectory(prefix="mutations-") as folder, log.open("a", encoding="utf-8") as file:
         pristine = copy_repository(ROOT, Path(folder) / "pristine")
         require_copy(pristine)
+        faults = [(mutation, *mutation.text(pristine / PACKAGE)) for mutation in mutations]
         tests = list(dict.fromkeys(name for mutation in mutations for name in mutation.tests))
         with ThreadPoolExecutor(workers) as pool:
             try:
-                whole = runner.run(pristine, tests, cpu=20 * cpu)
-                if whole.status != 0:
-                    sys.exit(f"without any fault, the tests end with status {whole.status}: {whole.failed}")
-                print(f"without any fault, all tests pass in {whole.seconds:.0f} s of CPU time", flush=True)
-                tasks = {
-                    pool.submit(runner.try_out, mutation, pristine, number): mutation
-                    for number, mutation in enumerate(mutations)
-                }
+                parts = [tests[i::workers] for i in range(min(workers, len(tests)))]
+                for part in pool.map(lambda names: runner.run(pristine, names, times=20), parts):
+                    if part.status != 0:
+                        sys.exit(f"without any fault, the tests end with status {part.status}: {part.failed}")
+                    print(f"without any fault, tests pass in {part.seconds:.0f} s of CPU time", flush=True)
+                tasks = {pool.submit(runner.try_out, *fault, pristine): fault[0] for fault in faults}
                 for task in as_completed(tasks):
                     result = task.result()
                     file.write(json.dumps(result) + "\n")
@@ -262,12 +263,10 @@ def table_of(mutations: list[Mutation], results: dict[str, dict[str, object]]) -
     """Return a table of the survivors, and those without a reason."""
     table = Table("fault", "where", "change", "tests", "why it is no fault", title="Survivors")
     survivors = [mutation for mutation in mutations if results.get(mutation.key, {"noticed": True})["noticed"] is False]
-    for mutation in survivors:
-        change = f"- {mutation.old}\n+ {mutation.new}"
-        table.add_row(
-            mutation.name, mutation.place, change, "\n".join(mutation.tests), mutation.no_fault or "it is one"
-        )
-    return table, [mutation for mutation in survivors if not mutation.no_fault]
+    for fault in survivors:
+        change = f"- {fault.old}\n+ {fault.new}"
+        table.add_row(fault.name, fault.place, change, "\n".join(fault.tests), fault.no_fault or "it is one")
+    return table, [fault for fault in survivors if not fault.no_fault]
 
 
 def main() -> int:

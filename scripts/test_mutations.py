@@ -57,7 +57,7 @@ def package(tmp_path, **files):
 
 
 def fault(place, old="x + 1", new="x - 1"):
-    return Mutation("area", "name", place, old, new, ("test_some.py",))
+    return Mutation("area", f"fault of {place}", place, old, new, ("test_some.py",))
 
 
 @pytest.mark.parametrize(("place", "line"), [("far", "    return x - 1"), ("Near.far", "        return (x - 1)")])
@@ -79,7 +79,7 @@ def test_a_place_is_a_definition_and_spaces_do_not_count(tmp_path, place, line):
     ids=["changed", "two files", "twice in a file", "no such function"],
 )
 def test_a_fault_that_fits_no_longer_is_said_by_name(tmp_path, place, files):
-    with pytest.raises(SystemExit, match=f"pattern of mutation name {MISSING}"):
+    with pytest.raises(SystemExit, match=f"pattern of mutation fault of {place} {MISSING}"):
         fault(place).text(package(tmp_path, **files))
 
 

@@ -260,6 +260,17 @@ def test_a_numerical_bound_and_residuals_of_worth_prove_nothing(solved):
     assert not replace(certificate, worth_of_residuals=1e-4 * certificate.cost_scale).globally_optimal
 
 
+@pytest.mark.parametrize(("below", "proven"), [(0.0, True), (1e-9, False)])
+def test_residuals_that_no_multiplier_prices_prove_nothing(below, proven):
+    """The control must move the end, and pays for it; a residual of the dynamics moves it for nothing."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
+    problem = problem.with_ends([1.0], [1.0 - below])
+    trajectory = lfo.Trajectory(np.array([[1.0], [1.0 - below]]), np.zeros((1, 1)))
+    certificate = judge(problem, trajectory, multipliers_of(problem))
+    assert (certificate.feasible, certificate.gap) == (True, 0.0)
+    assert certificate.globally_optimal is proven
+
+
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 

@@ -121,6 +121,16 @@ def test_a_direction_of_unbounded_descent_is_verified():
     assert reversed_cost.descent_ray_residual(np.array([0.0, -1.0])) == pytest.approx(0.5)  # z_1 >= 0 stops it
 
 
+def test_a_proof_of_infeasibility_rests_on_bounds_that_exist():
+    """z >= 1 and z <= 0 contradict each other; without the upper bound, the same duals prove nothing."""
+    none, ray = np.zeros(1), np.array([-1.0, 1.0])
+    lower, upper = np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+    program = Program(sp.csc_array((1, 1)), none, sp.csc_array([[1.0], [1.0]]), lower, upper)
+    assert program.infeasibility_residual(ray) == 0
+    feasible = dataclasses.replace(program, upper=np.full(2, np.inf))
+    assert feasible.infeasibility_residual(ray) == pytest.approx(1.0)
+
+
 def test_residuals_refuse_duals_outside_the_polar_of_a_cone():
     """Min 0 with s = (z_0, z_1) in a cone: the duals (0, 1) are stationary, and complementary at 0, but no normal."""
     program = Program(

@@ -14,7 +14,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.hybrid.global_bound.bound import terminal_minorants, value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, taylor_bounds
 from lin_freq_ocp.formulas.intervals import multiply, outward
@@ -205,6 +205,21 @@ def test_halved_cells_cover_the_kept_ones_and_know_where_they_come_from():
         x = fine.centres + rng.uniform(-0.5, 0.5, size=fine.centres.shape) * fine.width
         tilted = value.at(x)[:, None] - np.einsum("psn,pn->ps", slopes, x - fine.centres)
         assert (tilted <= most + 1e-12).all()
+
+
+def test_a_terminal_cost_that_is_not_convex_is_above_its_minorants():
+    """cos(3 x) - x^2 with cells that are wide and small."""
+    (x,), _ = signals(1, 1)
+    formula, at = (3 * x).cos() - x**2, np.linspace(-0.5, 0.5, 41)[:, None]
+    for count in (3, 40):
+        lattice = Lattice.full(np.array([-2.0]), np.array([2.0]), np.zeros(1), count)
+        values, slopes = terminal_minorants(formula, lattice)
+        away = at * lattice.width
+        points = (lattice.centres[:, 0] + away).T
+        exact = np.cos(3 * points) - points**2
+        found = values[:, None] + slopes * away.T
+        assert (found <= exact + ROUNDING).all()
+        assert (exact - found).max() <= 10 * lattice.width[0] ** 2
 
 
 # --- bounds -----------------------------------------------------------------------------------------------------------

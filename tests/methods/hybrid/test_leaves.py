@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.modes import brute_force, random_problem
+from helpers.modes import brute_force, random_problem, two_sides
 from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
@@ -107,6 +107,13 @@ def test_the_violation_of_a_trajectory_counts_every_constraint():
     sequence = problem.dynamics.sequence_of(driven.x, driven.u)
     assert relaxation.violation(driven, sequence) > 1e-2
     assert PathRelaxation(free).violation(driven, sequence) < 1e-9
+
+
+def test_the_violation_of_a_trajectory_counts_its_regions():
+    problem = two_sides()
+    relaxation, at_rest = PathRelaxation(problem), lfo.simulate(problem, [[0.0]])
+    assert relaxation.violation(at_rest, np.array([0])) == 0
+    assert relaxation.violation(at_rest, np.array([1])) > 0.1
 
 
 def test_a_leaf_that_is_not_solved_in_time_is_a_limit():

@@ -179,19 +179,20 @@ def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
     assert with_correctors < 0.9 * steps()
 
 
-def test_rays_and_directions_have_no_curvature_and_gaps_no_sign():
+def test_directions_have_no_curvature_and_gaps_no_sign_and_of_rays_the_rows_alone_count():
     problem = soft_stages(3)
     system = System(problem, loops(False))
     embedding = Embedding(system, StepSystem(system, RangeSpaceSolver(CouplingResponse(problem, loops(False)))))
     y = -problem.h / np.vdot(problem.h, problem.h)
     s = {i: -system.rows(y)[i] * cone.present for i, cone in system.cones.items()}
-    for below in (-1.0, 1.0):  # the dual objective, -b'z, below or above the primal one
+    for below in (-1.0, -1e-3, 1.0):  # the dual objective, -b'z, below or above the primal one
         z = [below * b for b in system.b]
+        rows = largest([system.adjoint(z)])
         found = embedding.measure(EmbeddedPoint(y, z, s))
         curved = largest([system.curvature(y)])
         assert found.hy == pytest.approx(-1.0)
         assert found.descent >= curved > 0
-        assert found.ray >= (curved / -found.bz if found.bz < 0 else np.inf)
+        assert found.ray == pytest.approx(rows / -found.bz if found.bz < 0 else np.inf)
         assert found.errors.gap > 0
 
 

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
-from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.program import Block, Program
 
 library = lfo.library
 BACKENDS = ["scip", "daqp"]
@@ -332,6 +332,16 @@ def claiming(monkeypatch, change):
     """Let every mixed-integer backend return what ``change`` makes of DAQP's answer."""
     real = solver_named("daqp", binaries=True)
     monkeypatch.setattr(mixed, "backend", lambda name, binaries: lambda *asked: change(real(*asked)))
+
+
+def test_the_bound_of_daqp_is_one_in_spite_of_its_regularisation():
+    """Min -z / 100 with 0 <= z <= 1 is -1/100; DAQP minimises z^2 / 20 - z / 100, for y has a Hessian of 1e6."""
+    P, q = sp.csc_array(np.diag([0.0, 1e6, 0.0])), np.array([-0.01, 0.0, 0.0])
+    program = Program(P, q, sp.csc_array(np.eye(3)), np.array([0.0, -1.0, 0.0]), np.ones(3), binaries=np.array([2]))
+    answer = solver_named("daqp", binaries=True)(program, 1e-6, None)
+    assert answer.claim == Claim.SOLVED
+    assert answer.z[0] == pytest.approx(0.1)
+    assert -0.1 < answer.bound <= -0.01
 
 
 def test_a_point_that_is_none_is_no_answer(monkeypatch):
