@@ -104,10 +104,10 @@ class ControlLimits:
             inside = np.array(u)
             terms = np.column_stack([self.C * x, self.d * u[self.acting], -self.e])  # summed without threads of BLAS
             for i in np.flatnonzero(terms.sum(axis=1) > -EXACTLY_WITHIN * np.abs(terms).sum(axis=1)).tolist():
-                inside[self.acting[i]] = self._inside(i, x, float(inside[self.acting[i]]))
+                inside[self.acting[i]] = self._move_inside(i, x, float(inside[self.acting[i]]))
         return np.minimum(np.maximum(inside, self.lower), self.upper)
 
-    def _inside(self, i: int, x: Array, u: float) -> float:
+    def _move_inside(self, i: int, x: Array, u: float) -> float:
         """Return the number next to u that satisfies row i, in exact arithmetic."""
         exact = Fraction(self.e[i]) - sum(Fraction(c) * Fraction(value) for c, value in zip(self.C[i], x, strict=True))
         d = Fraction(self.d[i])
