@@ -191,26 +191,26 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
     if proven.value > -np.inf:
         return proven
 
-    def within(multiple: float) -> Bound:
+    def bound_within(multiple: float) -> Bound:
         x, u = at.x, at.u
         pairs = bounds_within(region.x, x, multiple * sizes[0]), bounds_within(region.u, u, multiple * sizes[1])
         return _evaluate(extremal, uncurved, Region(*pairs, np.inf, region.follows_from), 0.0, NUMERICAL)[0]
 
     if multiple is not None:
-        return within(multiple)
+        return bound_within(multiple)
     proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem, at, region), 0.0, RIGOROUS)
-    farthest = farthest_bound(within)
+    farthest = farthest_bound(bound_within)
     return replace(proven, multiple=farthest.multiple) if proven.value > 0 else farthest
 
 
-def farthest_bound(within: Callable[[float], Bound]) -> Bound:
+def farthest_bound(bound_within: Callable[[float], Bound]) -> Bound:
     """Return the bound of a ray for the largest multiple of the sizes that leaves half of D, which is linear in it."""
-    nearest = within(0.0)
+    nearest = bound_within(0.0)
     if nearest.value <= 0:
         return nearest
-    lost = max(nearest.value - within(1.0).value, np.finfo(float).eps * nearest.value)
+    lost = max(nearest.value - bound_within(1.0).value, np.finfo(float).eps * nearest.value)
     multiple = 0.5 * nearest.value / lost
-    return replace(within(multiple), multiple=multiple)
+    return replace(bound_within(multiple), multiple=multiple)
 
 
 def bounds_within(bounds: Pair, signal: Array, distance: Array) -> Pair:

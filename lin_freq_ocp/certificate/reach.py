@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
@@ -60,9 +61,11 @@ class Deviations:
 
 
 def stated_bounds(problem: OptimalControlProblem) -> Region:
-    """Return the problem's own sets."""
+    """Return the problem's own sets; a control without any bin is zero."""
     x, u = problem.state_tube, problem.control_tube
-    return Region((x.lower, x.upper), (u.lower, u.upper), np.inf, "the stated sets")
+    rest, silent = np.clip(0.0, u.lower, u.upper), problem.control_stop.all(axis=0)
+    of_u = np.where(silent, rest, u.lower), np.where(silent, rest, u.upper)
+    return Region((x.lower, x.upper), of_u, np.inf, "the stated sets")
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:
@@ -196,7 +199,10 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
             continue
         for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
-            slack = np.maximum(rows.e[group] - matrix @ signals[t], 0.0)
+            largest = np.abs(matrix).max(axis=1)
+            units = np.where(largest > 0, largest, 1.0)
+            matrix, limits = matrix / units[:, None], rows.e[group] / units
+            slack = np.maximum(limits - matrix @ signals[t], 0.0)
             for i, row in enumerate(matrix):
                 for j in range(i + 1, len(matrix)):
                     distance = max(float(slack[i]), float(slack[j]))
@@ -248,20 +254,36 @@ def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, res
 
 
 def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
-    """Fill in unknown radii, values (2, k), if |columns d| <= residual implies all of them; return whether it does."""
-    unknown = np.isinf(values[0])
-    if unknown.sum() > len(columns):
-        return False
+    """Fill in the unknown radii, values (2, k), that |columns d| <= residual implies; return whether it implies any.
+
+    Rows that share no unknown component with others say what they say without these.
+    """
+    unknown = np.flatnonzero(np.isinf(values[0]))
+    present = (columns[:, unknown] != 0).astype(float)
+    count, block_of = connected_components(present.T @ present, directed=False)
+    filled = False
+    for block in range(count):
+        chosen = block_of == block
+        rows = present[:, chosen].any(axis=1)
+        bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])
+        if bounds is not None:
+            values[:, unknown[chosen]], filled = bounds, True
+    return filled
+
+
+def _radii_of_block(columns: Array, residual: Array, values: Array, unknown: Indices) -> Array | None:
+    """Return the radii of the unknown components of these rows alone; None if the rows do not bound them."""
+    if len(unknown) > len(columns):
+        return None
     Q, R = np.linalg.qr(columns[:, unknown])
     if not np.diag(R).all():
-        return False
+        return None
     inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
     if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
-        return False
-    moved = np.stack([residual, np.zeros_like(residual)])
-    bounds = values[:, ~unknown] @ np.abs(columns[:, ~unknown]).T + moved
-    values[:, unknown] = bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
-    return True
+        return None
+    known = np.setdiff1d(np.flatnonzero(columns.any(axis=0)), unknown)
+    bounds = values[:, known] @ np.abs(columns[:, known]).T + np.stack([residual, np.zeros_like(residual)])
+    return bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
@@ -272,7 +294,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     start, none = problem.initial_box, np.zeros((problem.horizon, problem.state_dim))
     boxes = [(u_lower, u_upper), (start.lower, start.upper)]
     free_u, free_0 = (np.isinf(lower) | np.isinf(upper) for lower, upper in boxes)
-    free = _affected(problem.linear, free_0, free_u)
+    free = _affected_states(problem.linear, free_0, free_u)
     if free[1:].all():
         return None
     boxes = [tuple(np.where(one, 0.0, side) for side in box) for one, box in zip((free_u, free_0), boxes, strict=True)]
@@ -287,7 +309,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     return centre - radius - rounding, centre + radius + rounding
 
 
-def _affected(dynamics: LinearDynamics, start: Mask, controls: Mask) -> Mask:
+def _affected_states(dynamics: LinearDynamics, start: Mask, controls: Mask) -> Mask:
     """Return which states, (T+1, n), depend on these components of the initial state (n,) and controls (T, m)."""
     affected = np.zeros((len(controls) + 1, len(start)), dtype=bool)
     affected[0] = start

@@ -85,11 +85,11 @@ def farkas_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None)
     if proven.value > -np.inf:
         return proven
 
-    def within(multiple: float) -> Bound:
+    def bound_within(multiple: float) -> Bound:
         box = bounds_within(bounds, u, multiple * sizes[1])
         return _evaluate(extremal, response, flat, box, 0.0, NUMERICAL, "the stated bounds")
 
-    return within(multiple) if multiple is not None else farthest_bound(within)
+    return bound_within(multiple) if multiple is not None else farthest_bound(bound_within)
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:
