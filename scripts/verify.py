@@ -13,6 +13,7 @@ structured   random problems of all kinds by every method for linear dynamics: c
 explain      random infeasible problems are explained, and every statement is tried
 rays         weak controls on unstable plants, compact problems and problems without a bound, shifted: never infeasible,
              never unbounded, always unbounded; costs of compact ones by exact rationals
+alone        random problems and those of the library: certify() of a trajectory alone agrees with solve
 mixed        random feasible problems of mixed features, against CVXPY on an independent model
 flips        random continuous piecewise-affine problems: what the judge says of changing a mode is tried
 units        the same problems in other units: verdicts, controls and costs must not change
@@ -54,6 +55,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "structured": 500,
     "explain": 50,
     "rays": 900,
+    "alone": 300,
     "mixed": 200,
     "flips": 200,
     "units": 2000,

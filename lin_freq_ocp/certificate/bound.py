@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import Extremal
@@ -33,8 +32,7 @@ from lin_freq_ocp.certificate.reach import (
     stated_bounds,
 )
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
-from lin_freq_ocp.problem.costs.quadratic import least_rise
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
@@ -76,46 +74,6 @@ class Bound:
     multiple: float = np.inf
 
 
-def diagonal_curvature(hessian: Array) -> Array | None:
-    """Return m with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal where H is diagonal.
-
-    None if H is not positive semidefinite up to rounding. For components that H couples, with D = diag(H) and
-    C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. If H is a rounded product, lambda_min(C) may be about 0; m is then zero
-    only if H is exactly semidefinite, else minus the ``least_rise`` of H times its diagonal.
-    """
-    curvature = hessian.diagonal(axis1=-2, axis2=-1).copy()
-    if (curvature < 0).any():
-        return None
-    if np.count_nonzero(hessian) == np.count_nonzero(curvature):
-        return curvature
-    if hessian[curvature == 0].any():
-        return None
-    pattern = (hessian != 0).any(axis=tuple(range(hessian.ndim - 2)))
-    _, groups = connected_components(pattern, directed=False)
-    for members in (np.flatnonzero(groups == group) for group in np.unique(groups)):
-        share = _diagonal_share(hessian[..., members[:, None], members]) if len(members) > 1 else np.ones(())
-        if share is None:
-            return None
-        curvature[..., members] *= share[..., None]
-    return curvature
-
-
-def _diagonal_share(hessian: Array) -> Array | None:
-    """Return the largest known p with p diag(H) <= H, per time, (...,); None if some p is negative beyond rounding."""
-    root = np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
-    root = np.where(root > 0, root, np.inf)
-    correlation = hessian / (root[..., :, None] * root[..., None, :])
-    identity = np.eye(hessian.shape[-1], dtype=bool)
-    correlation = np.where(identity, 1.0, (correlation + np.swapaxes(correlation, -1, -2)) / 2)
-    error = EIGENVALUE_ERROR * hessian.shape[-1]
-    smallest = np.asarray(np.linalg.eigvalsh(correlation)[..., 0] - error)
-    if (smallest < -2 * error).any():
-        return None
-    for index in map(tuple, np.argwhere(smallest <= 0).tolist()):
-        smallest[index] = max(-least_rise(hessian[index]), smallest[index])
-    return smallest
-
-
 def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -133,10 +91,9 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
 
     Better bounds are computed only as long as the difference from the cost exceeds ``allowed``.
     """
-    curvatures = _stage_curvatures(extremal)
+    curvatures, problem = extremal.curvatures, extremal.problem
     if curvatures is None:
         return None
-    problem = extremal.problem
     cost = extremal.cost
     proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     if cost - proven.value <= allowed:
@@ -161,7 +118,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
 
     If no such box is known, return the reachable set. ``allowed`` must exceed the rounding errors of the cost.
     """
-    problem, curvatures = extremal.problem, _stage_curvatures(extremal)
+    problem, curvatures = extremal.problem, extremal.curvatures
     if curvatures is not None:
         cost = extremal.cost
         _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
@@ -273,17 +230,6 @@ def unit_rounding(problem: OptimalControlProblem) -> float:
     rows = sum(term.map.additions for term in problem.terms)
     operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
     return float(operations * np.finfo(np.longdouble).eps)
-
-
-def _stage_curvatures(extremal: Extremal) -> Pair | None:
-    """Return curvatures for the states (T+1, n) and controls (T, m), or None if the cost is not convex."""
-    problem, n = extremal.problem, extremal.problem.state_dim
-    stage = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.stage_hessians())
-    terminal = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.P)
-    if stage is None or terminal is None:
-        return None
-    stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
-    return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
 def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Region:

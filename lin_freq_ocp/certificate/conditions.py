@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
-from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
-from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm
+from lin_freq_ocp.certificate.bound import box_minimum
+from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, diagonal_curvature
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.sizes import Floors, floors
 from lin_freq_ocp.certificate.tolerances import (
@@ -113,8 +113,7 @@ def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Con
         non_negativity(extremal),
         non_triviality(extremal),
         state_equation(extremal.state_residual, problem.equations.motion_sizes(x, u), least),
-        *adjoint_and_transversality(extremal, least),
-        stationarity_in_u(extremal, least),
+        *stationarity(extremal, least),
         *hamiltonian_maximum(extremal, least),
         frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.x),
         frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
@@ -158,25 +157,45 @@ def _with_rounding(condition: Condition, least: Floors) -> Condition:
     return condition if component is None else replace(condition, rounding=float(least.rounding[component]))
 
 
-def adjoint_and_transversality(extremal: Extremal, least: Floors) -> list[Condition]:
-    """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T."""
-    before, mu = extremal.eta_before, extremal.multipliers.mu
-    residual = np.abs(before - extremal.in_x + mu).astype(np.float64)
-    scales = _scales(extremal.adjoint_terms + np.abs(mu), least.in_x)
-    last = len(residual) - 1
-    conditions = [worst_condition("C-iii", "adjoint equation", residual[1:-1], scales, first=1)] if last > 1 else []
-    conditions.append(worst_condition("C-iv", "transversality at 0", residual[:1], scales))
-    conditions.append(worst_condition("C-iv", "transversality at T", residual[-1:], scales, first=last))
+def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
+    """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T.
+
+    C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u). Where the worth of residuals is a smaller
+    part of S than the worst residual of its scale, it is the residual of the condition.
+    """
+    problem, at, (mu, nu) = extremal.problem, extremal.trajectory, (extremal.multipliers.mu, extremal.multipliers.nu)
+    curvatures = (extremal.curvatures if extremal.multipliers.eta_C == 1 else None) or (None, None)
+    conditions, last = list[Condition](), problem.horizon
+    times = [("C-iii", "adjoint equation", 1, last)] if last > 1 else []
+    times += [("C-iv", "transversality at 0", 0, 1), ("C-iv", "transversality at T", last, last + 1)]
+    in_x = extremal.eta_before - extremal.in_x + mu, _scales(extremal.adjoint_terms + np.abs(mu), least.in_x)
+    in_u = extremal.in_u - nu, _scales(extremal.in_u_terms + np.abs(nu), least.in_u)
+    for (difference, scales), curvature, tube, signal, blocks in (
+        (in_x, curvatures[0], problem.state_tube, at.x, times),
+        (in_u, curvatures[1], problem.control_tube, at.u, [("C-v", "Hamiltonian stationary in u", 0, last)]),
+    ):
+        residual = np.abs(difference).astype(np.float64)
+        worth = None if curvature is None else _worth(residual, scales, curvature, tube, signal)
+        for label, name, first, end in blocks:
+            condition = worst_condition(label, name, residual[first:end], scales, first)
+            total = np.inf if worth is None else float(worth[first:end].sum())
+            by_worth = total < condition.relative * least.level
+            conditions.append(replace(condition, residual=total, scale=least.level) if by_worth else condition)
     return conditions
 
 
-def stationarity_in_u(extremal: Extremal, least: Floors) -> Condition:
-    """C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u)."""
-    nu = extremal.multipliers.nu
-    residual = np.abs(extremal.in_u - nu).astype(np.float64)
-    return worst_condition(
-        "C-v", "Hamiltonian stationary in u", residual, _scales(extremal.in_u_terms + np.abs(nu), least.in_u)
-    )
+def _worth(residual: Array, scales: Array, curvature: Array, tube: Box, signal: Array) -> Array:
+    """Return the cost that residuals s of stationarity explain, entry by entry: min(|s| w, s^2 / (2 m)).
+
+    A trajectory of a convex problem that is stationary up to s is an optimum of the cost J - <s, (x, u)>. So its cost
+    exceeds the optimal one by at most their sum, with the curvatures m and the distances w to the far bounds. A
+    component that is fixed takes any multiplier: its residual is worth nothing if it is small, and is not priced else.
+    """
+    far = np.maximum(tube.upper - signal, signal - tube.lower)
+    over_box = np.where(residual > 0, residual, 0.0) * np.where(residual > 0, far, 0.0)
+    bent = np.divide(residual**2, 2 * curvature, out=np.full(residual.shape, np.inf), where=curvature > 0)
+    fixed = np.where(residual <= CONDITION_TOLERANCE * scales, 0.0, np.inf)
+    return np.where(tube.fixed, fixed, np.minimum(over_box, np.where(residual > 0, bent, 0.0)))
 
 
 def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:

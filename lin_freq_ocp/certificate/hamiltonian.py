@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
+from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
+from lin_freq_ocp.problem.costs.quadratic import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -111,6 +114,17 @@ class Extremal:
     def state_residual(self) -> Array:
         """Return x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
         return state_residual(self.problem, self.trajectory)
+
+    @cached_property
+    def curvatures(self) -> tuple[Array, Array] | None:
+        """Return lower bounds of the curvature in states (T+1, n) and controls (T, m); None if J is not convex."""
+        problem, n, eta_C = self.problem, self.problem.state_dim, self.multipliers.eta_C
+        stage = diagonal_curvature(eta_C * problem.quadratic.stage_hessians())
+        terminal = diagonal_curvature(eta_C * problem.quadratic.P)
+        if stage is None or terminal is None:
+            return None
+        stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
+        return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
     @cached_property
     def terms_gap(self) -> float:
@@ -212,3 +226,43 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
             raise ProblemError(field, f"shape {on_term.shape}", f"shape {term.shape}")
         for t, row in np.argwhere((on_term != 0) & term.penalty.unlimited)[:1]:
             raise ProblemError(f"{field}[{t}, {row}]", f"{on_term[t, row]:g}", "0", "The row has no limit there.")
+
+
+def diagonal_curvature(hessian: Array) -> Array | None:
+    """Return m with diag(m) <= H, per time, (..., k) for H (..., k, k): H's own diagonal where H is diagonal.
+
+    None if H is not positive semidefinite up to rounding. For components that H couples, with D = diag(H) and
+    C = D^-1/2 H D^-1/2: H >= lambda_min(C) D. If H is a rounded product, lambda_min(C) may be about 0; m is then zero
+    only if H is exactly semidefinite, else minus the ``least_rise`` of H times its diagonal.
+    """
+    curvature = hessian.diagonal(axis1=-2, axis2=-1).copy()
+    if (curvature < 0).any():
+        return None
+    if np.count_nonzero(hessian) == np.count_nonzero(curvature):
+        return curvature
+    if hessian[curvature == 0].any():
+        return None
+    pattern = (hessian != 0).any(axis=tuple(range(hessian.ndim - 2)))
+    _, groups = connected_components(pattern, directed=False)
+    for members in (np.flatnonzero(groups == group) for group in np.unique(groups)):
+        share = _diagonal_share(hessian[..., members[:, None], members]) if len(members) > 1 else np.ones(())
+        if share is None:
+            return None
+        curvature[..., members] *= share[..., None]
+    return curvature
+
+
+def _diagonal_share(hessian: Array) -> Array | None:
+    """Return the largest known p with p diag(H) <= H, per time, (...,); None if some p is negative beyond rounding."""
+    root = np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
+    root = np.where(root > 0, root, np.inf)
+    correlation = hessian / (root[..., :, None] * root[..., None, :])
+    identity = np.eye(hessian.shape[-1], dtype=bool)
+    correlation = np.where(identity, 1.0, (correlation + np.swapaxes(correlation, -1, -2)) / 2)
+    error = EIGENVALUE_ERROR * hessian.shape[-1]
+    smallest = np.asarray(np.linalg.eigvalsh(correlation)[..., 0] - error)
+    if (smallest < -2 * error).any():
+        return None
+    for index in map(tuple, np.argwhere(smallest <= 0).tolist()):
+        smallest[index] = max(-least_rise(hessian[index]), smallest[index])
+    return smallest

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask, times_vectors, to_long_double
-from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature, unit_rounding
+from lin_freq_ocp.certificate.bound import box_minimum, unit_rounding
+from lin_freq_ocp.certificate.hamiltonian import diagonal_curvature
 from lin_freq_ocp.certificate.reach import Pair, constant_radii
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE, RADIUS_MARGIN
 from lin_freq_ocp.problem.ocp import OptimalControlProblem

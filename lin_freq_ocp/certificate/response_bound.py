@@ -31,13 +31,12 @@ from lin_freq_ocp.certificate.bound import (
     bounds_within,
     box_minimum,
     cost_is_never_negative,
-    diagonal_curvature,
     farthest_bound,
     lower_bound,
     ray_bound,
     unit_rounding,
 )
-from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
 from lin_freq_ocp.certificate.reach import Pair
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH

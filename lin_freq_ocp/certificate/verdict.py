@@ -125,8 +125,8 @@ class Certificate:
 
     Attributes
     ----------
-    pmp : str
-        "satisfied", "violated" or "not_applicable" (the map jumps across a switching facet: see ``borders``).
+    applicable : bool
+        Whether the theorem applies; it does not where the map jumps across a switching facet (see ``borders``).
     normal : bool or None
         Whether eta_C = 1.
     conditions : tuple of Condition
@@ -160,7 +160,7 @@ class Certificate:
     ('satisfied', True, True)
     """
 
-    pmp: str
+    applicable: bool
     normal: bool | None
     conditions: tuple[Condition, ...]
     cost: float
@@ -228,9 +228,7 @@ class Certificate:
 
     def within(self, tolerance: float) -> Certificate:
         """Return the certificate with another tolerance of its conditions; ``borders`` keeps its own."""
-        conditions = tuple(condition.within(tolerance) for condition in self.conditions)
-        pmp = self.pmp if self.pmp == "not_applicable" else _pmp_status(conditions)
-        return replace(self, conditions=conditions, pmp=pmp)
+        return replace(self, conditions=tuple(condition.within(tolerance) for condition in self.conditions))
 
     def raised(self, constant: float) -> Certificate:
         """Return the certificate of the same trajectory for a cost that is higher by a constant."""
@@ -254,6 +252,11 @@ class Certificate:
         return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
 
     @property
+    def pmp(self) -> str:
+        """Return "satisfied", "violated", or "not_applicable": whether all conditions of the theorem hold."""
+        return "not_applicable" if not self.applicable else "violated" if self.failed else "satisfied"
+
+    @cached_property
     def failed(self) -> tuple[Condition, ...]:
         """Return the conditions that fail."""
         return tuple(condition for condition in self.conditions if not condition.passed)
@@ -333,9 +336,8 @@ def judge(
             costs_nothing &= not problem.cost.has_formulas
             on_feasibility = (condition for condition in judgement.conditions if condition.on_feasibility)
             worth = worth if costs_nothing or all(condition.exact for condition in on_feasibility) else np.inf
-        applicable = judgement.borders is None or judgement.borders.applicable
         certificate = Certificate(
-            pmp=_pmp_status(judgement.conditions) if applicable else "not_applicable",
+            applicable=judgement.borders is None or judgement.borders.applicable,
             normal=normal,
             conditions=judgement.conditions,
             cost=problem.value(trajectory.x, trajectory.u),
@@ -346,10 +348,6 @@ def judge(
             second_order=judgement.second_order,
         )
         return certificate if tolerance == CONDITION_TOLERANCE else certificate.within(tolerance)
-
-
-def _pmp_status(conditions: tuple[Condition, ...]) -> str:
-    return "satisfied" if all(condition.passed for condition in conditions) else "violated"
 
 
 def _number(value: float | None, form: str = ".12g") -> str:

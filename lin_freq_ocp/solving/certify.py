@@ -8,6 +8,7 @@ from dataclasses import replace
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.peaks import peak_points
 from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -22,6 +23,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 from lin_freq_ocp.solving.outcome import Evidence
+from lin_freq_ocp.solving.solve import solve_judged
 
 NEAR_LIMIT = 0.99  # of its limit: a peak of a spectrum above this may have a multiplier
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried if a trajectory of few decimals fails the default one
@@ -43,8 +45,9 @@ def certify(
         A trajectory; or controls alone, (T, m), which are simulated from the initial state; or a result of solve or
         load: its trajectory, its search tree, which is checked again, and its multipliers unless others are given.
     multipliers : Multipliers, optional
-        By default, normal multipliers (eta_C = 1) that fit the trajectory best are computed. If none satisfy the
-        maximum principle, the certificate holds a direction of descent that proves it, and abnormal multipliers
+        By default, those of an optimum of the problem: every optimal trajectory of a convex problem has them. If they
+        do not satisfy the maximum principle, normal multipliers (eta_C = 1) that fit the trajectory best are computed.
+        If these do not, either, the certificate holds a direction of descent that proves it, and abnormal multipliers
         (eta_C = 0) are sought. With piecewise-affine dynamics, those of other mode sequences of the same trajectory are
         tried, too, and ``certificate.borders`` has the conditions where modes meet, and the changes of a mode that
         improve.
@@ -98,7 +101,6 @@ def certify(
     translation, subject = translation_of(problem), (problem, trajectory)
     problem, at = translation.judged_at(trajectory)
     if multipliers is None:
-        problem = at_frequencies(problem, peak_points(problem, at.x, at.u, NEAR_LIMIT))
         certificate = entry_for(CERTIFIERS, problem.dynamics)(problem, at, allowed)
     else:
         certificate = judge(problem, at, multipliers, allowed)
@@ -108,7 +110,14 @@ def certify(
 
 
 def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
-    """Judge a trajectory with the multipliers that fit best, and with abnormal ones if those fail."""
+    """Judge a trajectory with the multipliers of an optimum, else with those that fit best, else with abnormal ones.
+
+    Every optimal trajectory of a convex problem has the multipliers of every other one.
+    """
+    of_optimum = _judge_as_optimum(problem, trajectory, allowed)
+    if of_optimum is not None:
+        return of_optimum
+    problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
     normal = judge(problem, trajectory, fit.multipliers, allowed)
     if normal.pmp == "satisfied":
@@ -125,6 +134,18 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
             least = next(levels, None)
             certificate = normal if least is None else replace(normal, rounded=Rounded(decimals, least))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
+
+
+def _judge_as_optimum(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate | None:
+    """Return the certificate with the multipliers of an optimum if it satisfies the theorem, else None."""
+    try:
+        outcome = solve_judged(problem)
+    except UnsupportedError:  # such as a cost that is not convex
+        return None
+    if outcome.status != Status.OPTIMAL or outcome.multipliers is None:
+        return None
+    certificate = judge(problem, trajectory, outcome.multipliers, allowed)
+    return certificate if certificate.pmp == "satisfied" else None
 
 
 CERTIFIERS: dict[type, Callable[[OptimalControlProblem, Trajectory, float], Certificate]] = {

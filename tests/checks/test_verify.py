@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.checks import convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
+from helpers.checks import alone, convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
 from helpers.seeds import seeds, whole_sample
@@ -27,6 +27,11 @@ def test_the_sample_has_every_kind_and_both_endings():
 
 
 check_structured = cache(structured.check)
+
+
+@pytest.mark.parametrize("seed", seeds(range(9)))
+def test_a_proven_optimum_is_certified_by_its_trajectory_alone(seed):
+    assert alone.check(seed).passed, alone.check(seed)
 
 
 @pytest.mark.parametrize("seed", seeds(range(15)))

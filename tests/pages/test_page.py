@@ -247,7 +247,7 @@ def test_failing_conditions_are_named():
     )
     assert "not every constraint holds (out of time)" in str(findings.finding_of(spoiled))
     assert "✗ fails" in parsed(render_page(spoiled, blanks())).text
-    assert "was not checked" in proof.verdict(replace(certificate, pmp="not_applicable"))[0]
+    assert "was not checked" in proof.verdict(replace(certificate, applicable=False))[0]
     assert "no global lower bound" in proof.verdict(replace(certificate, bound=None))[1]
 
 

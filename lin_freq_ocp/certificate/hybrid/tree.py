@@ -27,15 +27,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.polyhedra import box_minimiser
-from lin_freq_ocp.certificate.bound import (
-    NEVER_NEGATIVE,
-    RIGOROUS,
-    Bound,
-    box_minimum,
-    cost_is_never_negative,
-    diagonal_curvature,
-)
-from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, box_minimum, cost_is_never_negative
+from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
