@@ -22,7 +22,6 @@ from lin_freq_ocp.certificate.tolerances import (
     DATA_ROUNDING,
     ENDS_TOLERANCE,
     MAXIMISATION_REACH,
-    MISFIT_SHARE,
     PEAK_TOLERANCE,
     SCALE_FLOOR,
     TRIVIALITY,
@@ -286,7 +285,7 @@ def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Cond
     if term.semi_infinite is None:
         return [subgradient]
     # a soft mask at every frequency: the sum over its atoms, and the largest violation at all other frequencies
-    gap = np.abs(priced.gap).sum() + MISFIT_SHARE * priced.misfit.sum() + abs(priced.peak_price)
+    gap = np.abs(priced.gap).sum() + abs(priced.peak_price)
     never = np.abs(priced.multipliers - priced.weights) * priced.sizes
     time = _bin_of(priced.peak, term.semi_infinite)
     return [replace(subgradient, residual=float(gap + never.sum()), time=time, peak=priced.peak)]
@@ -329,8 +328,7 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     """
     scales = _scales(priced.sizes, least)
     never = np.abs(priced.multipliers - priced.weights) * scales
-    gap = np.abs(priced.gap) + MISFIT_SHARE * priced.misfit
-    gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
+    gap = np.abs(priced.gap) + (never if priced.gap.shape == never.shape else never.sum(1, keepdims=True))
     scale = max(level, float((np.abs(priced.multipliers) * priced.sizes).sum(1).max(initial=0.0)))
     t, row = first_largest(gap.astype(np.float64)) if len(gap) else (0, 0)
     residual = float(gap[t, row]) if len(gap) else 0.0

@@ -39,8 +39,6 @@ class PricedTerm:
         v = L(x, u) in extended precision, and the sums of the absolute values of its terms.
     gap
         h(v) + h*(lambda+) - <lambda+, v>: zero iff lambda+ is a subgradient of h at v.
-    misfit
-        The difference between the directions of lambda+ and v, which the gap sees to second order only.
     signal
         The windowed samples of a mask at every frequency, else empty.
     peak, peak_price
@@ -54,7 +52,6 @@ class PricedTerm:
     values: Array
     sizes: Array
     gap: Array
-    misfit: Array
     signal: Array
     peak: Peak | None = None
     peak_price: float = 0.0
@@ -190,14 +187,14 @@ def _priced_terms(
         values, weights = term.map.values(x, u), term.penalty.subgradient(to_long_double(on_term), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
-        misfit, everywhere = term.penalty.misfit(values, weights), term.semi_infinite
+        everywhere = term.semi_infinite
         signal = np.zeros(0) if everywhere is None else everywhere.map.signal(trajectory.x, trajectory.u)
         peak, peak_price = None, 0.0
         if everywhere is not None and not term.hard:  # the largest violation may lie between the values
             peak = proven_peak(everywhere, signal)
             price = everywhere.price * max(peak.ratio - 1.0, 0.0)
             peak_price = multipliers.eta_C * (price - float(term.penalty.cost(values).sum()))
-        priced.append(PricedTerm(term, on_term, weights, values, sizes, gap, misfit, signal, peak, peak_price))
+        priced.append(PricedTerm(term, on_term, weights, values, sizes, gap, signal, peak, peak_price))
     return priced
 
 

@@ -8,7 +8,6 @@ PEAK_TOLERANCE = 5e-7  # |V|/l - 1 at every frequency: a violation of 1e-6 fails
 ENDS_TOLERANCE = 4e-7  # of equations on both ends, whose scale adds up both: a difference of 1e-6 of one of them fails
 GAP_TOLERANCE = 1e-6  # (J - D)/S up to which a feasible point is called globally optimal
 TRIVIALITY = 1e-9  # multipliers below this part of the largest of a set or row are rounding
-MISFIT_SHARE = 1e-2  # weight of a wrong direction of a multiplier: at gaps of 1e-10, directions are right to 1e-5
 MAXIMISATION_REACH = 10.0  # sizes of the controls within which the Hamiltonian, which is concave, is maximised
 
 # Sizes and scales

@@ -124,7 +124,6 @@ def test_the_gap_of_the_gradient_is_zero(make, seed):
     changes = np.array([penalty.cost(v + step * e) - penalty.cost(v - step * e) for e in np.eye(DIM)])
     gradient = changes.T / (2 * step)
     np.testing.assert_allclose(penalty.gap(v, gradient, 1.0), 0.0, atol=1e-7)
-    np.testing.assert_allclose(penalty.misfit(v, gradient), 0.0, atol=1e-7)
     np.testing.assert_allclose(penalty.subgradient(gradient, 1.0), gradient, atol=1e-7)
 
 
@@ -159,15 +158,13 @@ def test_the_gap_of_a_normal_is_zero_and_that_of_its_opposite_is_not(make, seed)
     np.testing.assert_allclose(penalty.violation(v), 0.0, atol=1e-12)
     np.testing.assert_allclose(penalty.subgradient(normal, 1.0), normal, atol=1e-12)
     np.testing.assert_allclose(penalty.gap(v, normal, 1.0), 0.0, atol=1e-11)
-    np.testing.assert_allclose(penalty.misfit(v, normal), 0.0, atol=1e-11)
     opposite = penalty.subgradient(-normal, 1.0)
     wrong = (np.abs(normal).max(1) > 0) & (np.abs(v).max(1) > 1e-9)
     refused = np.maximum(penalty.gap(v, opposite, 1.0).max(1), np.abs(opposite + normal).max(1))
     assert (refused[wrong] > 1e-6).all()
 
 
-def test_what_lies_across_a_norm_is_misfit_to_first_order_and_gap_to_second():
+def test_what_lies_across_a_norm_is_gap_to_second_order():
     ball, v, angle = NormBall(2, np.ones(1), np.asarray(np.inf)), np.array([[1.0, 0.0]]), 1e-4
     turned = np.array([[np.cos(angle), np.sin(angle)]])
-    assert ball.misfit(v, turned)[0, 0] == pytest.approx(np.sin(angle))
     assert ball.gap(v, turned, 1.0)[0, 0] == pytest.approx(angle**2 / 2, rel=1e-6)

@@ -126,7 +126,7 @@ def test_what_is_wrong_fails_at_its_label(cheap, what):
         weights *= 1.001
     else:
         u = trajectory.u.copy()
-        u[:, 0] += 1e-4 * np.cos(atoms[heavy] * 1.01 * np.arange(len(u)))
+        u[:, 0] += 1e-2 * np.cos(atoms[heavy] * 1.01 * np.arange(len(u)))
         trajectory = lfo.Trajectory(trajectory.x, u)
     given = replace(multipliers, stage=multipliers.stage | {NAME: weights}, frequencies={NAME: atoms})
     certificate = lfo.certify(cheap.problem, trajectory, given)

@@ -184,9 +184,6 @@ class NormBall(Penalty):
         support = np.where(size > 0, self.radius, 0.0) * size
         return (support - (multipliers * v).sum(1) + eta_C * self.cost(v))[:, None]
 
-    def misfit(self, v: Array, multipliers: Array) -> Array:
-        return perpendicular_part(v, multipliers)[:, None] if self.order == 2 else np.zeros((len(v), 1))
-
     def sizes(self) -> Array:
         return np.where(np.isfinite(self.radius), self.radius, 0.0)[..., None]
 
@@ -271,9 +268,6 @@ class StandardCone(Penalty):
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
         return -(multipliers * v).sum(1)[:, None]
 
-    def misfit(self, v: Array, multipliers: Array) -> Array:
-        return perpendicular_part(v[:, 1:], multipliers[:, 1:])[:, None]
-
     def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
 
@@ -336,9 +330,6 @@ class LargestExcess(Penalty):
         if len(gaps):  # the rest of the weight belongs to the group of the largest violation
             gaps[int(np.argmax(self.excess(v)))] += violation * (eta_C * self.weight - support.sum())
         return gaps[:, None]
-
-    def misfit(self, v: Array, multipliers: Array) -> Array:
-        return perpendicular_part(v, multipliers)[:, None]
 
     def sizes(self) -> Array:
         return np.where(np.isfinite(self.limit), self.limit, 0.0)[:, None]
@@ -413,11 +404,3 @@ def slope_of_norm(v: Array, change: Array, order: float, near: float) -> Array:
         return by_entry.sum(1)
     largest = np.abs(v) >= np.abs(v).max(1, keepdims=True) - near
     return np.where(largest, by_entry, -np.inf).max(1)
-
-
-def perpendicular_part(v: Array, multipliers: Array) -> Array:
-    """Return |v| times the norm of the part of the multipliers perpendicular to v, (groups,)."""
-    square = (v * v).sum(1)
-    along = (multipliers * v).sum(1) / np.where(square > 0, square, 1.0)
-    rest = multipliers - along[:, None] * v
-    return np.sqrt(square * (rest * rest).sum(1))

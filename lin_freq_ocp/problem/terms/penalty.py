@@ -126,10 +126,6 @@ class Penalty(ABC):
         rising = np.maximum(self.recession(change), 0.0)
         return np.where(np.isinf(self.weights), rising, 0.0), float((self._prices * rising).sum())
 
-    def misfit(self, v: Array, multipliers: Array) -> Array:
-        """Return how far the directions of multipliers and values differ; the gap is of second order in it."""
-        return np.zeros((len(v), 1))
-
     def sizes(self) -> Array:
         """Return the absolute values of the limits, 0 for no limit; broadcasts to (groups, dim)."""
         return np.zeros(1)
