@@ -591,7 +591,7 @@ def test_fixed_ends_are_sizes_of_states(end):
     assert trajectory_sizes(replace(problem, **{end: [-50.0]}), at_rest)[0].tolist() == [50.0]
 
 
-@pytest.mark.parametrize(("angle", "passed"), [(1e-7, True), (1e-3, False)])
+@pytest.mark.parametrize(("angle", "passed"), [(0.0, True), (1e-3, False)])
 def test_a_multiplier_of_a_wrong_direction_leaves_a_slope(angle, passed):
     """At u = (1, 0) of the unit ball; the gap is of second order in the angle, 5e-7 at 1e-3, the slope of first."""
     plant, cost = lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]), lfo.QuadraticCost(r=[-1.0, 0.0])
@@ -602,7 +602,7 @@ def test_a_multiplier_of_a_wrong_direction_leaves_a_slope(angle, passed):
     certificate = judge(problem, there, multipliers_of(problem, stage={term.name: weights}))
     (condition,) = [one for one in certificate.conditions if "subgradients" in one.name]
     assert condition.residual == pytest.approx(angle**2 / 2, rel=1e-3, abs=1e-15)
-    assert ("C-v" in {one.label for one in certificate.failed}) is not passed
+    assert ("Hamiltonian stationary in u" in {one.name for one in certificate.failed}) is not passed
 
 
 @pytest.mark.parametrize(("weight", "passed"), [(1e-12, True), (1e-3, False)])
