@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_365,
-    "code lines, linear part": 20_306,
-    "code lines, hybrid": 8_607,
+    "code lines": 41_355,
+    "code lines, linear part": 20_303,
+    "code lines, hybrid": 8_600,
     SHARE_SAID: 19.5,  # at least
     "files": 301,
     "folders": 40,
@@ -54,7 +54,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 11.9,
     "files entered by a solve": 47,
     "functions entered by a solve": 373,
-    "calls of a solve": 769,
+    "calls of a solve": 747,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,
