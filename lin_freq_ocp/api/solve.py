@@ -159,11 +159,10 @@ def raise_for(result: Result) -> None:
         return
     if result.status in (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED):
         message = f"No trajectory of {name} satisfies all constraints ({result.message})."
-        if result.status == Status.INFEASIBLE_CLAIMED:
-            message = (
-                f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "
-                f"({result.message}). Bound all states and controls, try another method, or rescale the data."
-            )
+        if result.status == Status.INFEASIBLE_CLAIMED and result.ray is not None:
+            message = f"{name}: {result.message}. Larger ones are not excluded: bound all states and controls."
+        elif result.status == Status.INFEASIBLE_CLAIMED:
+            message = f"{name}: {result.solver} claims infeasibility without a proof ({result.message})."
         if result.conflict is not None:
             of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
             family = result.explanation.family if result.explanation else of_ray

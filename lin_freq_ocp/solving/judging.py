@@ -59,8 +59,8 @@ def judge_candidate(
     if proof is not None and proof.bound.kind == RIGOROUS:  # there is no feasible point
         status, message, point, direction = Status.INFEASIBLE, "proven by a rigorous ray", NO_POINT, None
     elif claims:
-        proven = "proves nothing" if proof is None else f"only excludes trajectories with {proof.sizes}"
-        status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray {proven}"
+        excluded = None if proof is None else f"no trajectory with {proof.sizes} satisfies all constraints"
+        status, message = Status.INFEASIBLE_CLAIMED, excluded or f"{message}, but its ray proves nothing"
         feasible = _feasible_point(problem)
         if feasible is not None:
             status, point, proof = Status.NUMERICAL_ERROR, feasible, None
