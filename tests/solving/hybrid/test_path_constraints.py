@@ -169,7 +169,7 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
         drag, 8, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-40, 40), initial_state=[0, 0], terminal_state=[0.7, 0],
         stage_rows=rows,
     )  # fmt: skip
-    result = lfo.solve(problem, "nonsmooth")
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
     assert result.certificate.pmp == "satisfied"
     assert result.multipliers.stage["speed"].max() > 1e-2
 
