@@ -163,7 +163,9 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
     assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
 
 
-def test_the_command_prints_both_tables():
+def test_the_command_prints_both_tables(monkeypatch):
+    made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
+    monkeypatch.setattr("lin_freq_ocp.api.compare.compare", lambda *given: made)
     given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
     status, out, _ = run(*given)
     assert status == 0
