@@ -12,6 +12,7 @@ from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
 from helpers.drawings import BLANK, UnmovedPanels
+from helpers.drawings import blank as blank
 from helpers.drawings import images as images
 from helpers.explanations import explain_once
 from helpers.seeds import VARIABLE, choose_seeds

@@ -20,6 +20,16 @@ class UnmovedPanels(ConstrainedLayoutEngine):
 
 
 @pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a test save pages of which only the words matter: figures are made, and not drawn."""
+
+    def undrawn(name: str, title: str, caption: str, figure: Figure) -> Drawing:
+        return Drawing(name, title, caption, "<svg></svg>", figure)
+
+    monkeypatch.setattr("lin_freq_ocp.pages.report.page.drawing_of", undrawn)
+
+
+@pytest.fixture
 def images(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a test save pages with the images of their figures; those of other tests are blank."""
     monkeypatch.setattr(Drawing, "png", DRAWN)

@@ -26,7 +26,7 @@ def test_windows_and_plain_loops_are_silent():
         lfo.RecedingHorizon(replace(pendulum(20, None), control_spectrum=quiet))
 
 
-def test_the_page_says_it_and_what_is_not_judged(tmp_path):
+def test_the_page_says_it_and_what_is_not_judged(blank, tmp_path):
     loop = lfo.RecedingHorizon(pendulum(20), certify="later")
     log = loop.run(np.array([0.02, 0.0, 0.0, 0.0]), 3)
     page = log.save(tmp_path).read_text()
@@ -142,7 +142,7 @@ def test_windows_count_what_has_acted():
     """With a delay the first control is zero; a control that acted in place of a planned one counts."""
     problem = oscillating_mass(control_spectrum=LIMIT)
     loop = lfo.RecedingHorizon(problem, delay=1, soft={"control_spectrum": 100.0})
-    for k in range(45):
+    for k in range(34):
         loop.step([0.1, 0.0], applied=[0.5] if k == 20 else None)
     log = loop.log
     acted = np.concatenate([[0.0], log.controls[:-1, 0]])
@@ -194,7 +194,7 @@ def test_short_loops_have_no_windows_and_other_constraints_are_refused():
         noisy(oscillating_mass(), 3).spectra(control_spectrum=limit)
 
 
-def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(tmp_path):
+def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp_path):
     log = noisy_and_soft()
     (found,) = log.spectra()
     page = log.save(tmp_path).read_text()
