@@ -13,6 +13,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
+from helpers.known_optima import solved
 from helpers.schemas import RESULT
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
@@ -38,15 +39,6 @@ KNOWN = [
 ]
 """Global optima, each found by several methods (dynamic programming, enumeration, a global solver); the long ones are
 in scripts/verify.py."""
-
-RESULTS: dict[str, lfo.results.Result] = {}
-
-
-def solved(build, arguments):
-    key = f"{build.__name__} {arguments}"
-    if key not in RESULTS:
-        RESULTS[key] = lfo.solve(build(**arguments), method="nonsmooth", throw=False)
-    return RESULTS[key]
 
 
 @pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.path_constraints import disc, mass
+from helpers.path_constraints import disc, mass, way_around
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
 
@@ -16,9 +16,9 @@ AROUND = {"initial_state": [-0.6, 0.77, 0.3, 0.9], "terminal_state": [0.6, 0.77,
 BALL = "x_0**2 + x_1**2 - 0.99"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def around():
-    return lfo.solve(mass(), "nonsmooth")
+    return way_around()
 
 
 def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
