@@ -453,6 +453,6 @@ def test_solve_adds_the_bound_and_says_what_is_left():
     assert 0 <= result.gap <= 1e-4
     assert result.certificate.bound.kind == "rigorous"
     with use_clock(Clock(1.0)):
-        quick = lfo.solve(BUCK(3), tolerance=1e-13, time_limit=1300.0)
+        quick = lfo.solve(BUCK(3), tolerance=1e-13, time_limit=1180.0)
     assert "the global bound leaves a gap of" in quick.message
     assert quick.status == "locally_optimal"
