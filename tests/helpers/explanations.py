@@ -13,7 +13,10 @@ Explain = Callable[..., Explanation]
 
 
 def explain_once(explain: Explain) -> Explain:
-    """Return ``explain``, which remembers its answers by problem and limits."""
+    """Return ``explain``, which remembers its answers by problem and limits.
+
+    A test that changes clocks or code below it, and asks ``solve``, takes a problem of its own.
+    """
     known: dict[tuple[object, ...], Explanation] = {}
 
     @wraps(explain)
