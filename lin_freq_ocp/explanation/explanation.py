@@ -146,7 +146,7 @@ class _VariantSolver:
         """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
         shares = {entry.block: entry.share for entry in result.conflict or ()}
         of_ray = [block for block in self.blocks if block.name in shares]
-        family = of_ray if self._infeasible(of_ray) else list(self.blocks)
+        family = of_ray if len(of_ray) < len(self.blocks) and self._infeasible(of_ray) else list(self.blocks)
         for block in sorted(family, key=lambda block: shares.get(block.name, 0.0)):
             rest = [member for member in family if member is not block]
             if self._infeasible(rest):

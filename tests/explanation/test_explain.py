@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -86,11 +87,15 @@ def feasible(problem: lfo.OptimalControlProblem) -> bool:
     return result.status == "optimal"
 
 
+@cache
+def explained(name: str) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation]:
+    problem = carriage(**INFEASIBLE[name][0])
+    return problem, lfo.explain(problem)
+
+
 @pytest.fixture(params=list(INFEASIBLE)[::2])
 def case(request) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation, list[str], dict[str, float]]:
-    changes, family, amounts = INFEASIBLE[request.param]
-    problem = carriage(**changes)
-    return problem, lfo.explain(problem), family, amounts
+    return *explained(request.param), *INFEASIBLE[request.param][1:]
 
 
 def test_the_family_clashes_and_can_spare_no_block(case):
@@ -132,12 +137,12 @@ def test_a_nearest_end_can_be_reached_and_a_nearer_one_cannot():
 
 
 def test_cures_are_told_in_the_units_of_the_problem():
-    said = str(lfo.explain(carriage()))
+    said = str(explained("a control bound")[1])
     assert f"control bound on acceleration [m/s^2]: [-0.7, 0.7] -> [-{NEEDED:g}" in said
     assert "terminal state: [1., 0.] -> [" in said
-    row = lfo.explain(carriage(**INFEASIBLE["a joint row"][0]))
+    row = explained("a joint row")[1]
     assert any("<= 0.3 -> 0.526" in str(cure) for cure in row.cures)
-    varying = lfo.explain(carriage(**INFEASIBLE["bounds per time"][0]))
+    varying = explained("bounds per time")[1]
     assert any("bounds wider by" in cure.words for cure in varying.cures)
 
 

@@ -132,7 +132,7 @@ def test_a_cure_cures_and_less_does_not(name):
         assert not feasible(block.relaxed(problem, 0.95 * amount)), block.name
 
 
-@pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball", "a polyhedron"])
+@pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball"])
 def test_an_end_gives_way_by_the_least_that_cures(name):
     """Its amount is the largest move of a component, relative to the size that the data state of it."""
     problem, _, explanation = explained(name)

@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.random.linear import random_linear
 from helpers.seeds import seeds
+from helpers.sweeps import SHORT
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.polish import polish_point, zero_rounding
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
@@ -169,7 +170,7 @@ def test_with_ends_moves_an_end_out_of_the_state_set_and_back():
 @pytest.mark.parametrize("method", ["auto", "convex"])
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-9])
 def test_a_looser_tolerance_never_makes_a_worse_status(tolerance, method):
-    problem = lfo.library.double_integrator()
+    problem = SHORT()
     strict = lfo.solve(problem, method=method)
     result = lfo.solve(problem, method=method, tolerance=tolerance, throw=False)
     assert result.status == "optimal"
