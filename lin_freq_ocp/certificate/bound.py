@@ -221,10 +221,16 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
 
 
 def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
-    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
-    cost, eta = extremal.problem.quadratic, np.abs(extremal.multipliers.eta)
-    x, u = np.abs(extremal.trajectory.x) + np.abs(cost.x_ref), np.abs(extremal.trajectory.u) + np.abs(cost.u_ref)
-    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(extremal.problem.linear.offset)).sum())
+    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>.
+
+    Those of J are products of deviations from the references, and linear terms.
+    """
+    cost, eta, (x, u) = extremal.problem.quadratic, np.abs(extremal.multipliers.eta), (extremal.x, extremal.u)
+    (of_x, of_u), (a, b) = extremal.cost_terms, cost.deviations(x, u)
+    linear = (np.abs(cost.q * x[:-1]).sum(), np.abs(cost.p * x[-1]).sum(), np.abs(cost.r * u).sum())
+    products = ((in_x - of_x) * np.abs(x) + of_x * np.abs(a)).sum()
+    products += ((in_u - of_u) * np.abs(u) + of_u * np.abs(b)).sum()
+    return float(products + sum(linear) + (eta * np.abs(extremal.problem.linear.offset)).sum())
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:

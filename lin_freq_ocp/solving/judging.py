@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.correction import Correction, correct
+from lin_freq_ocp.methods.repair import repair_trajectory
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
@@ -21,6 +26,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
 DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray, which the judge checks
+CORRECTED = LinearDynamics, FrequencyResponse  # dynamics of problems whose points are corrected
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
 
@@ -37,7 +43,7 @@ def judge_candidate(
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
-        certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
+        candidate, certificate = judge_nearest(problem, candidate, allowed)
         if not candidate.interrupted:
             status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
@@ -73,6 +79,61 @@ def judge_candidate(
         interrupted=candidate.interrupted,
         direction=direction,
     )
+
+
+def judge_nearest(
+    problem: OptimalControlProblem, candidate: Candidate, allowed: float
+) -> tuple[Candidate, Certificate]:
+    """Return the candidate with a feasible trajectory near its own, and the certificate of that.
+
+    An optimum is proven by a bound, and by the cost of a trajectory that satisfies every constraint. The repaired
+    trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
+    multipliers may be wrong, as those of a solver are that takes a small residual for rounding. Where that fails, too,
+    the point is judged as it is, and is no optimum.
+    """
+    trajectory, multipliers = candidate.trajectory, candidate.multipliers
+    assert trajectory is not None
+    assert multipliers is not None
+    if type(problem.dynamics) not in CORRECTED or multipliers.eta_C != 1 or candidate.interrupted:
+        return candidate, judge(problem, trajectory, multipliers, allowed)
+    trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
+    candidate = replace(candidate, trajectory=trajectory)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
+        repaired = repair_trajectory(problem, trajectory)
+    if repaired is not None:
+        certificate = judge(problem, repaired, multipliers, allowed)
+        if certificate.proven_within(allowed):
+            return replace(candidate, trajectory=repaired), certificate
+    own = judge(problem, trajectory, multipliers, allowed)
+    if candidate.status not in (Status.OPTIMAL, Status.NUMERICAL_ERROR) and not own.proven_within(allowed):
+        return candidate, own
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            correction = correct(problem, trajectory, multipliers)
+    except UnsupportedError:  # it does not fit into memory, or would take too long
+        return candidate, own
+    if correction is None or not np.isfinite(correction.price):
+        return candidate, replace(own, worth_of_residuals=np.inf)
+    return _judge_correction(problem, candidate, correction, allowed)
+
+
+def _judge_correction(
+    problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
+) -> tuple[Candidate, Certificate]:
+    """Return the corrected candidate, and its certificate with the multipliers that prove it: its own or the former.
+
+    Where no bound is close enough, rounding of the data may decide.
+    """
+    corrected = replace(candidate, trajectory=correction.trajectory, multipliers=correction.multipliers)
+    judged = list[tuple[Candidate, Certificate]]()
+    for point in (corrected, replace(corrected, multipliers=candidate.multipliers)):
+        assert point.multipliers is not None
+        certificate = judge(problem, correction.trajectory, point.multipliers, allowed)
+        judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
+        if judged[-1][1].proven_within(allowed):
+            return judged[-1]
+    judged = [(point, replace(k, data_rounding=correction.data_rounding)) for point, k in judged]
+    return next((one for one in judged if one[1].proven_within(allowed)), judged[0])
 
 
 def candidate_of(outcome: Outcome) -> Candidate:

@@ -16,13 +16,7 @@ from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import (
-    convex_candidates,
-    solve_convex,
-    structured_first,
-    trajectory_without_cost,
-    trajectory_without_slope,
-)
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -38,9 +32,6 @@ PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness t
 SMALL_MARGIN = 1e-5
 """Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
 point that satisfies every constraint within the judge's tolerance."""
-
-REPLACED_VIOLATION = 1e-8
-"""Violation, relative to its scale, up to which an answer may replace one with less: accurate solvers leave as much."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
@@ -113,21 +104,6 @@ class _Trial:
         outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
 
-    def try_without_cost(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of a trajectory nearby without cost or slope if that is optimal, else the outcome."""
-        problem, near = self.problem, outcome.trajectory
-        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
-            return outcome
-        for candidate in (
-            trajectory_without_cost(problem, near),
-            trajectory_without_slope(problem, near, seconds_left(self.end)),
-        ):
-            if candidate is not None:
-                optimum = self.judge(candidate)
-                if optimum.status == Status.OPTIMAL and not _violates_more(optimum, outcome):
-                    return replace(optimum, seconds=outcome.seconds)
-        return outcome
-
     def seek_proof(self, outcome: Outcome) -> Outcome:
         """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
         try:
@@ -185,7 +161,7 @@ class Convex(_Linear):
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
-        outcome = trial.try_without_cost(trial.judge_point(first))
+        outcome = trial.judge_point(first)
         unproven = outcome.status in UNPROVEN or _is_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
@@ -277,7 +253,7 @@ class Structured(_Linear):
         # the claim may fail by little, as along a direction in which the cost is not exactly flat
         if doubtful and _rank(first) < 2 and not first.interrupted:
             first = trial.seek_proof(first)
-        return trial.try_without_cost(first)
+        return first
 
 
 @dataclass(frozen=True)
@@ -346,14 +322,7 @@ def _is_better(outcome: Outcome, best: Outcome) -> bool:
     if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or refutes):
         return True
     counts = outcome.status != Status.LIMIT and not _is_practical(outcome)
-    return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
-
-
-def _violates_more(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer violates constraints by more than a feasible one before it, rounding aside."""
-    if outcome.certificate is None or best.certificate is None or not best.certificate.feasible:
-        return False
-    return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
+    return counts and _rank(outcome) >= _rank(best)
 
 
 def _is_final(outcome: Outcome) -> bool:

@@ -10,7 +10,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
-from lin_freq_ocp.methods.convex.polish import nearest_recession, polish_point
+from lin_freq_ocp.methods.convex.polish import nearest_recession
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
@@ -129,16 +129,7 @@ class ScaledSolver:
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
-        attempt = self.recover(scaling, program, solution)
-        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
-            return attempt
-        assert solution.z is not None
-        assert solution.y is not None
-        polished = polish_point(program, solution.z, solution.y)
-        if polished is None:
-            return attempt
-        claimed = replace(solution, claim=Claim.SOLVED, z=polished[0], y=polished[1])
-        return better_of(attempt, self.recover(scaling, program, claimed))
+        return self.recover(scaling, program, solution)
 
 
 def better_of(first: Attempt, second: Attempt) -> Attempt:

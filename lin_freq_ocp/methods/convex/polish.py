@@ -1,7 +1,7 @@
-"""Refinement of a solver's answers.
+"""Refinement of a solver's rays.
 
-For a point, the equations of its active rows are solved directly. A ray of descent is projected onto the recession
-cone: the directions along which every constraint holds for ever and the cost has no curvature.
+A ray of descent is projected onto the recession cone: the directions along which every constraint holds for ever and
+the cost has no curvature.
 """
 
 from __future__ import annotations
@@ -10,73 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Program, regularised_kkt
+from lin_freq_ocp.program.program import Program
 from lin_freq_ocp.program.units import stated_scaling
-
-PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
-PROXIMAL_STEPS = 8  # of the proximal method of multipliers
-POLISH_ROUNDS = 4  # of adding violated rows, and of dropping rows whose multiplier has the wrong sign
-POLISHED_ROUNDING = 1e-12  # violations and multipliers, in a program scaled to order 1, that are zero
-
-
-def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return z and y with the active rows exactly at their bounds, or None if that fails; the program has no cones.
-
-    A row is active if its multiplier is larger than its distance from the bound.
-    """
-    values = program.A @ z
-    equal = program.equality
-    above = ~equal & (y > program.upper - values)
-    below = ~equal & ~above & (-y > values - program.lower)
-    for _ in range(POLISH_ROUNDS):
-        solution = _solve_active(program, np.where(equal | above | below, y, 0.0), z, equal, above, below)
-        if solution is None:
-            return None
-        z, y = solution
-        values = program.A @ z
-        kept_above, kept_below = above & (y >= -POLISHED_ROUNDING), below & (y <= POLISHED_ROUNDING)
-        new_above = ~equal & (values > program.upper + POLISHED_ROUNDING)
-        new_below = ~equal & (values < program.lower - POLISHED_ROUNDING)
-        after = kept_above | new_above, (kept_below | new_below) & ~new_above
-        if np.array_equal(after[0], above) and np.array_equal(after[1], below):
-            break
-        above, below = after
-    return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
-
-
-def _solve_active(
-    program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
-) -> tuple[Array, Array] | None:
-    """Return the optimum with the active rows as equations, and its multipliers (proximal method of multipliers)."""
-    rows = np.flatnonzero(equal | above | below)
-    A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
-    variables = len(z)
-    try:
-        factor = splu(regularised_kkt(program.P, A, PROXIMAL_WEIGHT, PROXIMAL_WEIGHT))
-    except RuntimeError:  # exactly singular
-        return None
-    multipliers = y[rows]
-    for _ in range(PROXIMAL_STEPS):
-        residual = np.concatenate([-(program.P @ z + program.q + A.T @ multipliers), target - A @ z])
-        step = factor.solve(residual)
-        if not np.isfinite(step).all():
-            return None
-        z, multipliers = z + step[:variables], multipliers + step[variables:]
-    duals = np.zeros_like(y)
-    duals[rows] = multipliers
-    return z, duals
-
-
-def zero_rounding(values: Array, units: Array, level: float) -> Array:
-    """Return values with exact zeros in place of those below ``level`` times their units."""
-    return np.where(np.abs(values) <= level * units, 0.0, values)
 
 
 def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:

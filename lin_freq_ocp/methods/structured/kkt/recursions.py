@@ -143,7 +143,7 @@ def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array
         entries[:-1, j, n - j : 2 * n - j] = -A[:-1, :, j]
         entries[breaks - 1, j] = 0.0
     matrix, trans = entries.reshape(stages * n, -1).T, "T" if transposed else "N"
-    return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
+    return lapack.dtbtrs(matrix, right.reshape(stages * n, -1), uplo="L", trans=trans, diag="U")[0].reshape(right.shape)
 
 
 class BandedRegulator(Regulator):
