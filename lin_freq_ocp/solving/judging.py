@@ -213,6 +213,8 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
         missing = "there is no bound"
     elif certificate.bound.kind != RIGOROUS:
         missing = "the bound holds near the trajectory only, as something is not bounded"
+    elif certificate.worth_of_residuals == np.inf:
+        missing = "no trajectory that satisfies every constraint is known nearby"
     else:
         worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
         missing = f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"

@@ -46,7 +46,7 @@ def test_it_is_the_optimum_on_the_active_rows_as_dense_matrices_have_it():
 
 @pytest.mark.parametrize("gain", [1e-3, 1e-6, 1e-9])
 def test_a_small_move_far_from_zero_keeps_its_digits(gain):
-    """x+ = x + g u from 1 to 1 + d: a point without controls is corrected to the best ones, which are all d / (20 g)."""
+    """x+ = x + g u from 1 to 1 + d: a point without controls is corrected to the best, all d / (20 g)."""
     end = 1.0 + 20 * gain
     dynamics = lfo.LinearDynamics([[1.0]], [[gain]])
     problem = lfo.OptimalControlProblem(

@@ -1,9 +1,7 @@
 """One sparse convex program in suitable units, solved by a backend, and its answer as trajectory and multipliers.
 
-Further answers follow while the best one is not proven. Small residuals of a program do not suffice if a component that
-should be zero contains rounding errors, which the judge measures by the size of that component, or if a far bound
-disturbs the solver. So answers are polished and rounded, and the program is solved in other units, with and without far
-bounds. Trajectories without cost or slope are computed directly: solvers approach them to the root of their tolerance.
+Further answers follow while the best one is not proven: in other units, with and without far bounds, which may disturb
+the solver.
 """
 
 from __future__ import annotations
