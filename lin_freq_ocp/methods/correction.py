@@ -33,14 +33,16 @@ from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling, regularised_kkt, scale_matrix
 
 PROXIMAL_WEIGHTS = (1e-13, 1e-10, 1e-7)  # on the diagonal, tried in turn: dependent rows and flat directions
-REFINEMENTS = 12  # of a solve
-ROUNDS = 10  # of changes of the active rows, and of the curvature of cones; most problems need one
-ROUNDING = 1e-11  # violations and multipliers, in units of the correction, that count as zero
-CONVERGED = 1e-9  # last refinement, relative to the solution, of a solve that counts
+SOLVE_REFINEMENTS = 12  # of a solve
+ACTIVE_ROUNDS = 10  # of changes of the active rows, and of the curvature of cones; most problems need one
+ZERO_GAP = 1e-11  # violations and multipliers, in units of the correction, that count as zero
+LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve that counts
 CONTRACTION = 1e-3  # part of the residual that the solve which prices it may leave
-LONGEST = 2.0  # seconds of a factorisation, estimated
+LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
-DATA_ROUNDING = 4 * np.finfo(float).eps  # of the terms of a row
+EPSILON = float(np.finfo(float).eps)
+ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
+DATA_ROUNDING = 4 * EPSILON  # of the terms of a row
 SIGN_VECTORS = 3  # random signs of the rounding of rows
 
 
@@ -77,7 +79,7 @@ def correct(problem: OptimalControlProblem, trajectory: Trajectory, multipliers:
     which one more solve finds. UnsupportedError if the program does not fit into memory, or would take too long.
     """
     needed = dense_rows(problem).factorisation_seconds
-    if needed > LONGEST:
+    if needed > LONGEST_FACTOR:
         raise UnsupportedError(f"a correction needs about {needed:.2g} s for one factorisation.")
     problem = at_frequencies(problem, multipliers.frequencies)
     trajectory = _within_bounds(problem, trajectory.x, trajectory.u)
@@ -118,12 +120,13 @@ class _Deviations:
         point = after.point(corrected)
         system = replace(system, program=after.sparse.scaled(scaling))
         sizes = np.abs(np.concatenate([corrected.x.ravel(), corrected.u.ravel(), point[linear.signals :]]))
+        terms = scaling.rows * (abs(linear.sparse.A) @ sizes)
         return Correction(
             corrected,
             replace(linear.multipliers(scaling.dual(y), 1.0), frequencies=self.frequencies),
-            system.repair_price(scaling.scaled_primal(point)) / scaling.cost,
+            system.repair_price(scaling.scaled_primal(point), terms) / scaling.cost,
             system,
-            scaling.rows * (abs(linear.sparse.A) @ sizes),
+            terms,
             scaling.cost,
             DATA_ROUNDING * problem.quadratic.products(corrected.x, corrected.u),
         )
@@ -157,9 +160,9 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     if before is None:
         above, below, edges = y > -over, -y > -under, price > -excess
     else:
-        above = np.where(before.above, y > -ROUNDING, over > ROUNDING)
-        below = np.where(before.below, y < ROUNDING, under > ROUNDING)
-        edges = np.where(before.edges, price > -ROUNDING, excess > ROUNDING)
+        above = np.where(before.above, y > -ZERO_GAP, over > ZERO_GAP)
+        below = np.where(before.below, y < ZERO_GAP, under > ZERO_GAP)
+        edges = np.where(before.edges, price > -ZERO_GAP, excess > ZERO_GAP)
     above = equal | (program.alone & above & np.isfinite(program.upper))
     return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges)
 
@@ -191,7 +194,7 @@ class _System:
         """Return the solution (dz, dy) for a right-hand side, refined, and whether it converges."""
         count, last = len(of_z), np.inf
         solution, size = np.zeros(count + len(of_rows)), np.inf
-        for _ in range(REFINEMENTS):
+        for _ in range(SOLVE_REFINEMENTS):
             z, y = np.split(solution, [count])
             left = np.concatenate([of_z - self.H @ z - self.M.T @ y, of_rows - self.M @ z])
             step = self.factor.solve(left)
@@ -203,7 +206,7 @@ class _System:
                 break
             last = longest
         z, y = np.split(solution, [count])
-        return z, y, size <= CONVERGED * (1.0 + float(np.abs(z).max()))
+        return z, y, size <= LAST_REFINEMENT * (1.0 + float(np.abs(z).max()))
 
     def change(self, of_rows: Array) -> tuple[Array, float]:
         """Return the least costly change of z that changes the rows so, and the part of that which it leaves."""
@@ -214,31 +217,37 @@ class _System:
         """Return by how much a change of z can change the cost."""
         return abs(float(self.program.q @ change)) + 0.5 * float(change @ (self.program.P @ change))
 
-    def repair_price(self, z: Array) -> float:
-        """Return the price of a change that satisfies all rows of the program; inf if the system gives none."""
-        change, left = self.change(self.residual(z))
+    def repair_price(self, z: Array, terms: Array) -> float:
+        """Return the price of a change that satisfies all rows of the program; inf if the system gives none.
+
+        Equations that depend on each other contradict each other by rounding, which is no more than ROW_ULPS rounding
+        errors of the terms of each row.
+        """
+        residual = self.residual(z)
+        change, left = self.change(residual)
+        rounded = bool((np.abs(residual) <= ROW_ULPS * EPSILON * self.gaps(terms)).all())
         program, values = self.program, self.program.A @ (z + change)
-        outside = np.maximum(values - program.upper, program.lower - values)[program.alone & ~self._held]
+        outside = np.maximum(values - program.upper, program.lower - values)[program.alone & ~self._active_mask]
         of_cones = [np.linalg.norm(s[1:]) - s[0] for s in (values[c] - program.lower[c] for c in program.cones)]
-        holds = max(outside.max(initial=0.0), *of_cones, 0.0) <= ROUNDING
-        return self.price(change) if left <= CONTRACTION and holds else np.inf
+        holds = max(outside.max(initial=0.0), *of_cones, 0.0) <= ZERO_GAP
+        return self.price(change) if (left <= CONTRACTION or rounded) and holds else np.inf
 
     @property
-    def _held(self) -> Mask:
+    def _active_mask(self) -> Mask:
         return self.active.above | self.active.below
 
 
 def _newton(program: Program, z: Array, y: Array) -> tuple[Array, Array, _System] | None:
     """Return the point that satisfies the conditions of its active rows, its multipliers, and the last system."""
     active, system = _active_at(program, z, y, None), None
-    for _ in range(ROUNDS):
+    for _ in range(ACTIVE_ROUNDS):
         step = _newton_step(program, z, y, active)
         if step is None:
             return None
         moved = float(np.abs(step[0] - z).max())
         z, y, system = step
         after = _active_at(program, z, y, active)
-        if after.same_as(active) and (not active.edges.any() or moved <= ROUNDING):
+        if after.same_as(active) and (not active.edges.any() or moved <= ZERO_GAP):
             break
         active = after
     assert system is not None
@@ -268,7 +277,7 @@ def _newton_step(program: Program, z: Array, y: Array, active: _Active) -> tuple
     C = sp.csc_array(sp.vstack(curved)) if curved else None
     H = program.P if C is None else sp.csc_array(program.P + C.T @ C)
     slope = program.P @ z + program.q + program.A.T @ held
-    step = None
+    found: tuple[_System, Array, Array] | None = None
     for proximal in PROXIMAL_WEIGHTS:
         try:
             factor = splu(regularised_kkt(H, M, proximal, proximal))
@@ -276,11 +285,12 @@ def _newton_step(program: Program, z: Array, y: Array, active: _Active) -> tuple
             continue
         system = _System(program, active, tuple(normals), M, H, factor)
         *step, converged = system.solve(-slope, system.residual(z))
+        found = system, step[0], step[1]
         if converged:
             break
-    if step is None:
+    if found is None:
         return None
-    dz, dy = step
+    system, dz, dy = found
     z, held[rows] = z + dz, held[rows] + dy[: len(rows)]
     for (cone, normal), change in zip(normals, dy[len(rows) :], strict=True):
         s = program.A[cone] @ z - program.lower[cone]

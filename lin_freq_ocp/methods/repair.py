@@ -19,10 +19,10 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.program_rows import real_rows
 
-NEAR = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
-GROWTH = 1e5  # of states between breaks; the square of the digits that it costs must be left
+HELD_DISTANCE = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
+PIECE_GROWTH = 1e6  # of states between breaks; the square of the digits that it costs must be left
 CONTRACTION = 1e-3  # part of the residuals that a repair may leave
-MOST_ENTRIES = 1e7  # of the rows as signals
+MOST_ROW_ENTRIES = 1e7  # of the rows as signals
 
 
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
@@ -36,7 +36,7 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
         return None
     repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
     size = (problem.horizon + 1) * (problem.state_dim + problem.control_dim)
-    change = repair.solve() if repair.count * size <= MOST_ENTRIES else None
+    change = repair.solve() if repair.count * size <= MOST_ROW_ENTRIES else None
     if change is None:
         return None
     x, u = repair.x + change[0], repair.u + change[1]
@@ -70,7 +70,7 @@ class _Repair:
         T, linear = problem.horizon, problem.linear
         self.A = np.zeros((T + 1, n, n))
         self.A[:-1] = linear.A
-        self.breaks = break_times(linear.A, T, GROWTH)
+        self.breaks = break_times(linear.A, T, PIECE_GROWTH)
         self.starts = len(self.breaks) * n
         self.on_x = self.starts + len(self.states[0]) + sum(len(rows) for _, rows in self.bins)
         self.count = self.on_x + len(self.controls[0])
@@ -81,7 +81,7 @@ class _Repair:
         B, forced, removed = problem.linear.B, np.zeros_like(x), np.zeros_like(u)
         forced[1:] = problem.linear.successors(to_long_double(x), to_long_double(u)) - x[1:]
         if self.banded.any():
-            removed = np.where(self.banded, self._passed(u[..., None])[..., 0] - u, 0.0)
+            removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
         if not self.count:
             forced[1:] += times_vectors(B, removed)
             return self._simulate(forced, False), removed
@@ -95,7 +95,7 @@ class _Repair:
         units = [np.abs(signal).max(0) for signal in (x, u)]
         of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in units)
         flat = responses.reshape(-1, self.count)
-        changes = (of_u[:, None] * self._passed(responses)).reshape(-1, self.count)
+        changes = (of_u[:, None] * self._project_bins(responses)).reshape(-1, self.count)
         starts = np.zeros((self.starts, self.count))
         starts[:, : self.on_x] = np.tile(of_x, len(breaks))[:, None] * of_starts
         missed = np.append(wanted - np.einsum("tik,ti->k", costates, forced), np.zeros(len(self.controls[0])))
@@ -104,7 +104,10 @@ class _Repair:
             gram = flat.T @ changes
             gram[: self.on_x] += of_starts.T @ starts
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
-        _, weights, info = lapack.dposv(gram * scale * scale[:, None], scale * missed)
+        lower, info = lapack.dpotrf(gram * scale * scale[:, None], lower=1)
+        if info:
+            return None
+        weights = lapack.dpotrs(lower, scale * missed, lower=1)[0]
         du = removed + (changes @ (scale * weights)).reshape(u.shape)
         forced[1:] += times_vectors(B, du)
         ends = forced[breaks]
@@ -113,7 +116,7 @@ class _Repair:
         reached = np.einsum("tik,ti->k", rows, dx)
         reached[: self.starts] -= ends.ravel()
         left = np.append(wanted - reached, -du[self.controls])
-        if info or not np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed):
+        if not np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed):
             return None
         return dx, du
 
@@ -136,7 +139,7 @@ class _Repair:
             first = last
         return rows, wanted
 
-    def _passed(self, signals: Array) -> Array:
+    def _project_bins(self, signals: Array) -> Array:
         """Return signals (T, m, k) without stopped bins, and without changes of other held controls."""
         passed = np.where((self.held & ~self.banded)[..., None], 0.0, signals)
         if self.banded.any():
@@ -169,5 +172,5 @@ def break_times(A: Array, horizon: int, growth: float) -> Indices:
 
 def _at_bounds(tube: Box, signal: Array) -> Mask:
     """Return which values are at a bound, or next to it."""
-    near = NEAR * np.abs(signal).max(0)
+    near = HELD_DISTANCE * np.abs(signal).max(0)
     return (tube.upper - signal <= near) | (signal - tube.lower <= near)

@@ -16,7 +16,12 @@ from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
+from lin_freq_ocp.methods.convex.sparse_program import (
+    convex_candidates,
+    solve_convex,
+    structured_first,
+    trajectory_without_cost,
+)
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -104,6 +109,18 @@ class _Trial:
         outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
 
+    def try_without_cost(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
+        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or outcome.trajectory is None:
+            return outcome
+        candidate = trajectory_without_cost(self.problem, outcome.trajectory)
+        optimum = None if candidate is None else self.judge(candidate)
+        return (
+            outcome
+            if optimum is None or optimum.status != Status.OPTIMAL
+            else replace(optimum, seconds=outcome.seconds)
+        )
+
     def seek_proof(self, outcome: Outcome) -> Outcome:
         """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
         try:
@@ -161,7 +178,7 @@ class Convex(_Linear):
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
-        outcome = trial.judge_point(first)
+        outcome = trial.try_without_cost(trial.judge_point(first))
         unproven = outcome.status in UNPROVEN or _is_practical(outcome)
         if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
@@ -253,7 +270,7 @@ class Structured(_Linear):
         # the claim may fail by little, as along a direction in which the cost is not exactly flat
         if doubtful and _rank(first) < 2 and not first.interrupted:
             first = trial.seek_proof(first)
-        return first
+        return trial.try_without_cost(first)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from helpers.checks.units import solved
 from helpers.random.linear import random_linear
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, zero_rounding
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -59,6 +59,11 @@ def test_a_feasible_problem_with_a_numerical_ray_is_solved(method):
     assert lfo.solve(random_linear(3632).problem, method).status == "optimal"
 
 
+def test_rounding_becomes_zero_in_its_units():
+    values, units = np.array([1e-15, -1e-3, 0.0, 2e-9]), np.array([1.0, 1e-3, 1.0, 1e4])
+    np.testing.assert_array_equal(zero_rounding(values, units, 1e-12), [0.0, -1e-3, 0.0, 0.0])
+
+
 def test_further_answers_end_with_the_time_limit():
     candidates = convex_candidates(BRAKING, "clarabel", SolveOptions(time_limit=1e-6))
     assert next(candidates).status == "limit"
@@ -74,10 +79,9 @@ def test_further_answers_to_a_solved_problem_are_the_same_optimum():
 
 
 def test_the_first_answer_that_is_proven_counts_and_no_more_are_asked_for(monkeypatch):
-    """One that a solver gives up is not, unless its repair is optimal; a result of Ctrl-C says so."""
+    """One without multipliers is not; a result of Ctrl-C says so."""
     exact = solve_convex(BRAKING, "clarabel")
-    other = lfo.Trajectory(exact.trajectory.x, 0.0 * exact.trajectory.u)
-    wrong = replace(exact, trajectory=other, status=Status.LIMIT)
+    wrong = replace(exact, multipliers=None, status=Status.NUMERICAL_ERROR)
     asked = []
 
     def given(*candidates):

@@ -108,7 +108,8 @@ class ScaledSolver:
         if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
             units = point_scaling(self.linear, point, scaling.columns)
             scaled, sizes = units.scaled_primal(point), units.scaled_primal(point_sizes(self.linear, point))
-            residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
+            with np.errstate(over="ignore", invalid="ignore"):  # residuals that are not finite are no small ones
+                residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = Status.LIMIT
         else:

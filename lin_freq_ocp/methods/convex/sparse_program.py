@@ -1,7 +1,7 @@
 """One sparse convex program in suitable units, solved by a backend, and its answer as trajectory and multipliers.
 
-Further answers follow while the best one is not proven: in other units, with and without far bounds, which may disturb
-the solver.
+Further answers follow while the best one is not proven: rounded in natural units, and in other units, with and without
+far bounds, which may disturb the solver.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
@@ -30,7 +31,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import (
@@ -43,6 +44,8 @@ from lin_freq_ocp.program.units import (
 )
 
 REDUCTIONS = (ABSORBED_COST,)  # applied to a problem before it becomes a program
+ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
+LARGEST_ERROR = 1e-3  # relative residuals up to which a point is rounded
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point
 REVISIONS = 2  # of the units by the size of the answer, at most
 MOST_PROGRAMS = 32  # in a cache
@@ -168,6 +171,7 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
     """Yield candidates other than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
+    yield from _round_point(solves, natural, best)
     linear = solves.linear
     # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
     best_point = best if best.z is not None else replace(best, error=np.inf)
@@ -193,12 +197,33 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
                 return
             if attempt.z is not None or attempt.candidate.status in (Status.INFEASIBLE, Status.UNBOUNDED):
                 yield attempt.candidate
+            yield from _round_point(solves, natural, attempt)
             best_point = best_point if attempt.z is None else better_of(best_point, attempt)
 
 
 def _units_of_point(solves: ScaledSolver, attempt: Attempt, natural: Scaling, per_time: bool) -> Scaling | None:
     """Return the units in which the point of an attempt is of order 1; None if it has no point."""
     return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
+
+
+def zero_rounding(values: Array, units: Array, level: float) -> Array:
+    """Return values with exact zeros in place of those below ``level`` times their units."""
+    return np.where(np.abs(values) <= level * units, 0.0, values)
+
+
+def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+    """Yield a point with exact zeros in place of rounding errors, judged by the natural units, if that changes it."""
+    if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
+        return
+    program, before = solves.linear.sparse.scaled(natural), (attempt.z, attempt.y)
+    for level in ROUNDING_LEVELS:
+        z = zero_rounding(attempt.z, natural.columns, level)
+        y = zero_rounding(attempt.y, natural.rows / natural.cost, level)
+        if np.array_equal(z, before[0]) and np.array_equal(y, before[1]):
+            continue
+        before = z, y
+        scaled = natural.scaled_primal(z), natural.scaled_dual(y)
+        yield solves.recover(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
 
 
 def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
