@@ -260,7 +260,7 @@ def _newton_step(program: Program, z: Array, y: Array, active: _Active) -> tuple
     rows = active.rows
     held, weights = np.zeros_like(y), np.array([max(-y[cone.start], 0.0) for cone in program.cones])
     held[rows] = y[rows]
-    parts, normals, curved = [program.A[rows]], list[tuple[slice, Array]](), list[sp.csr_array]()
+    parts, normals, curved = [sp.csr_array(program.A[rows])], list[tuple[slice, Array]](), list[sp.csr_array]()
     for cone, weight, at_edge in zip(program.cones, weights, active.edges, strict=True):
         s = program.A[cone] @ z - program.lower[cone]
         size = float(np.linalg.norm(s[1:]))
