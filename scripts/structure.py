@@ -40,11 +40,11 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_264,
-    "code lines, linear part": 20_154,
-    "code lines, hybrid": 8_609,
+    "code lines": 41_215,
+    "code lines, linear part": 20_162,
+    "code lines, hybrid": 8_607,
     SHARE_SAID: 19.5,  # at least
-    "files": 302,
+    "files": 301,
     "folders": 40,
     "folders at the root": 17,
     "modules at the root": 11,
@@ -53,7 +53,7 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.7,
     "files entered by a solve": 46,
-    "functions entered by a solve": 374,
+    "functions entered by a solve": 373,
     "calls of a solve": 769,
     "imports through the door": 0,
     "files in circles": 0,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names of a lone participle": 0,
     "isinstance on dynamics": 3,
     "isinstance on terms": 5,
-    "Any": 24,
+    "Any": 22,
 }
 """At most, but for the share of docstrings and comments."""
 

@@ -11,6 +11,8 @@ linear       random linear problems of every shape, in units of 1e-9 to 1e9, aga
 spectral     random time-invariant problems, by the Fourier-domain method and by the sparse program
 structured   random problems of all kinds by every method for linear dynamics: costs and verdicts
 explain      random infeasible problems are explained, and every statement is tried
+rays         weak controls on unstable plants, compact problems and problems without a bound, shifted: never infeasible,
+             never unbounded, always unbounded; costs of compact ones by exact rationals
 mixed        random feasible problems of mixed features, against CVXPY on an independent model
 flips        random continuous piecewise-affine problems: what the judge says of changing a mode is tried
 units        the same problems in other units: verdicts, controls and costs must not change
@@ -28,9 +30,10 @@ embedded     disturbed steps of ten generated controllers in C, against the spar
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
+suite        the tests with all their random seeds
 
-Seeded samples run with the tests. N is by default the number beside each part below; "frequencies" checks five times as
-many signals; "loop" and "embedded" count steps.
+A run of the tests takes a third of their seeded samples. N is by default the number beside each part below;
+"frequencies" checks five times as many signals; "loop" and "embedded" count steps.
 """
 
 from __future__ import annotations
@@ -51,6 +54,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "spectral": 900,
     "structured": 500,
     "explain": 50,
+    "rays": 900,
     "mixed": 200,
     "flips": 200,
     "units": 2000,
@@ -66,6 +70,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "uncontrollable": 1000,
     "answers": None,
     "limits": None,
+    "suite": None,
 }
 WIDTH = 132  # columns of the tables, also where they are written into a file
 

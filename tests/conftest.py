@@ -8,19 +8,25 @@ from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.browsers import browser as browser
+from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
+from helpers.drawings import UnmovedPanels
+from helpers.seeds import VARIABLE, choose_seeds
+from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
+from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.testing import PENDULUM, reference_problem
 
-COMPILED = ("test_paths.py",)
-"""The tests that wait longest for numba."""
 
+def pytest_configure(config):
+    """Choose the random seeds, and give each process one BLAS thread, children included.
 
-def pytest_configure():
-    """Give each process one BLAS thread, children included: with several, workers wait for threads of one another.
+    With several threads, workers wait for threads of one another. OPENBLAS_NUM_THREADS and OMP_NUM_THREADS in the
+    environment say otherwise.
 
     Bytecode is written even where the environment forbids it: without it, every command and every worker compiles the
     package anew, and every run rewrites the assertions of all tests.
@@ -28,14 +34,23 @@ def pytest_configure():
     A suite that a script starts in the background ignores Ctrl-C, as do the commands that it starts; the tests of
     Ctrl-C need the handler of Python.
     """
+    choose_seeds()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    threadpool_limits(1, user_api="blas")
+    threads = os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
+    threadpool_limits(int(threads), user_api="blas")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
+    config.addinivalue_line("markers", "at_tolerance(reason): verdicts of the test may be close to their tolerance")
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any machine")
+
+
+def pytest_sessionstart(session):
+    """Print the choice of seeds; workers have no reporter."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None:
+        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: this third of the random seeds, or all")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -45,9 +60,11 @@ def clock():
         yield
 
 
-def pytest_collection_modifyitems(items):
-    """Begin with what compiles: one worker does it while the others test, and these find the code in the cache."""
-    items.sort(key=lambda item: item.path.name not in COMPILED)
+@pytest.fixture(scope="session", autouse=True)
+def _sparse_arrays():
+    """Refuse the older type of sparse matrices on every version of SciPy."""
+    with spmatrix_refused():
+        yield
 
 
 def pytest_collection_finish():
@@ -57,11 +74,26 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _coarse_images():
-    """Draw pages with few pixels: no test counts them, and most of the pixels of a page are drawn for nothing."""
+def _plain_drawings():
+    """Draw figures with few pixels and where panels are by default: no test counts pixels, and one has the layout."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
+        patch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", UnmovedPanels)
         yield
+
+
+_verdicts, _closest = Record(), {}
+_verdicts.watch()
+
+
+@pytest.fixture(autouse=True)
+def _verdicts_far_from_tolerances(request):
+    """Fail a test whose verdict is about to flip; the report of a test says how close its verdicts are."""
+    yield
+    (closeness, subject), _verdicts.closest = _verdicts.closest, FAR
+    request.node.user_properties.append((CLOSEST, (closeness, subject)))
+    if closeness > REFUSED and not request.node.get_closest_marker("at_tolerance"):
+        pytest.fail(f"a verdict is at {closeness:.2f} of its tolerance: {subject}")
 
 
 def judged_problem(name):
@@ -82,3 +114,15 @@ def solved():
         return results[name]
 
     return solve
+
+
+def pytest_runtest_logreport(report):
+    """Collect the closest verdicts of tests, also of those in workers."""
+    if report.when == "teardown":
+        _closest[report.nodeid] = dict(report.user_properties).get(CLOSEST, (0.0, ""))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """List the verdicts that are close to their tolerance."""
+    for line in list_close_verdicts(_closest):
+        terminalreporter.write_line(line)

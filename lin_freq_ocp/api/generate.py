@@ -86,8 +86,9 @@ def certify_log(controller: RecedingHorizon, path: str | PathLike[str], toleranc
         A CSV file with a line per step: the states x1, x2, ..., with ``references=True`` the references r1, r2, ...,
         the controls u1, u2, ... as returned, and the status.
     tolerance : float
-        Largest difference from the optimal control that counts as the same, relative to the largest bound of the
-        control. Controllers in double differ by 1e-6 at most, those in float usually by 1e-5, and by 5e-3 at worst.
+        Largest difference from the optimal control that counts as the same, relative to the largest control of the
+        plan, or to the bound on that side if it is smaller. Controllers in double differ by 1e-6 at most, those in
+        float usually by 1e-5, and by 5e-3 at worst.
 
     Returns
     -------

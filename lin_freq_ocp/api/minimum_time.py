@@ -47,8 +47,7 @@ class MinimumTime:
         The optimum of the problem's cost at that horizon. Without a horizon: the result at the largest one solved.
     ray : Multipliers or None
         The verified ray of infeasibility at one step less; without a horizon, the ray at the largest horizon of the
-        range. None if one step less is outside of the range, or has no ray. A numerical ray rules out trajectories of
-        practical size only; ``proof`` says so.
+        range. None if one step less is outside of the range, or has no ray that proves it infeasible.
     monotone : bool
         Whether feasibility at one horizon is proven to imply feasibility at all longer ones.
     reason : str
@@ -224,10 +223,11 @@ def _proof_in_words(search: Search, unproven: list[int], monotone: bool) -> str:
     elif proven:
         each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
         facts.append(f"{each} proven infeasible by a ray of its own")
-    if search.practical:
-        facts.append(f"a numerical ray excludes every trajectory of practical size at {_ranges(search.practical)}")
     if unproven:
-        facts.append(f"nothing {'more ' if search.practical else ''}is proven of {_ranges(unproven)}")
+        claimed = [T for T in unproven if T in search.claimed]
+        if claimed:
+            facts.append(f"a solver claims without a proof that no trajectory exists at {_ranges(claimed)}")
+        facts.append(f"nothing is proven of {_ranges(unproven)}")
     return "; ".join(facts)
 
 

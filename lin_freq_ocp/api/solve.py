@@ -147,7 +147,8 @@ def result_of(outcome: Outcome, throw: bool, seconds_left: float | None = None) 
     """Return an outcome as a result; with ``throw``, raise the error of a status without an answer, explained."""
     result = present_as(Result, outcome)
     if throw:
-        raise_for(with_explanation(result, seconds_left) if result.status == Status.INFEASIBLE else result)
+        excluded = result.status == Status.INFEASIBLE or result.ray is not None
+        raise_for(with_explanation(result, seconds_left) if excluded else result)
     return result
 
 
@@ -156,19 +157,19 @@ def raise_for(result: Result) -> None:
     name = result.problem.name or "the problem"
     if result.status not in ERRORS:
         return
-    if result.status == Status.INFEASIBLE:
+    if result.status in (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED):
         message = f"No trajectory of {name} satisfies all constraints ({result.message})."
+        if result.status == Status.INFEASIBLE_CLAIMED:
+            message = (
+                f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "
+                f"({result.message}). Bound all states and controls, try another method, or rescale the data."
+            )
         if result.conflict is not None:
             of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
             family = result.explanation.family if result.explanation else of_ray
             cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
             advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
             message += f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
-    elif result.status == Status.INFEASIBLE_CLAIMED:
-        message = (
-            f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "
-            f"({result.message}). Try another backend or method, or rescale the data."
-        )
     elif result.status == Status.UNBOUNDED:
         message = f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     elif result.status == Status.LIMIT:

@@ -20,6 +20,7 @@ Entry = TypeVar("Entry", bound=np.generic)
 Instance = TypeVar("Instance")
 Bound = ArrayLike | Sequence[float | None] | None  # from a user: numbers, and None for no bound
 NO_BOUND = 1e20  # larger bounds count as none: other tools write infinity so
+SAME = 1e-9  # part of its size by which a value may differ from one that it equals but for rounding
 LARGEST_HORIZON = 10**8  # its arrays would fill a large machine: a longer horizon is a typing error
 
 
@@ -209,6 +210,17 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
     for matrix, vector in products:
         total = total + to_long_double(matrix) @ to_long_double(vector)
     return freeze(total.astype(np.float64))
+
+
+def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, ...]:
+    """Return the index of the first entry, or of the least ``order``, that is the largest up to ``SAME`` of its size.
+
+    Answers name it: which of equal entries is larger by rounding depends on the processor.
+    """
+    largest = values.max()
+    equal = values >= min((1 - SAME) * largest, (1 + SAME) * largest)
+    first = np.argmax(equal) if order is None else np.argmin(np.where(equal, order, np.inf))
+    return tuple(map(int, np.unravel_index(first, values.shape)))
 
 
 def with_columns(array: Array, columns: int) -> Array:

@@ -23,6 +23,11 @@ def seconds_left(end: float) -> float | None:
     return None if end == math.inf else max(end - now(), LEAST_SECONDS)
 
 
+def seconds_since(date: float) -> float:
+    """Return the seconds from a date of the file system, which a test does not replace, to now."""
+    return time.time() - date
+
+
 def processor_now() -> float:
     """Return the seconds of processor time of this process."""
     return _read_processor()

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
-from functools import cache
+from contextlib import ContextDecorator, suppress
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -54,33 +53,31 @@ def require_horizon(horizon: int, state_dim: int, control_dim: int) -> None:
     )
 
 
-@contextmanager
-def one_blas_thread() -> Generator[None]:
-    """Let linear algebra use one thread while any thread of this process is in this context.
+class _OneBlasThread(ContextDecorator):
+    """A context, also a decorator: linear algebra uses one thread while any thread of this process is in it.
 
     The last thread that leaves restores the numbers that the first one found.
     """
-    global _users, _before
-    with _lock:
-        _users += 1
-        if _users == 1:
-            threads = [(library, library.num_threads) for library in _blas_libraries()]
-            _before = [(library, count) for library, count in threads if count != 1]
-            for library, _ in _before:
-                library.set_num_threads(1)
-    try:
-        yield
-    finally:
-        with _lock:
-            _users -= 1
-            for library, count in () if _users else _before:
-                library.set_num_threads(count)
+
+    def __init__(self):
+        self._lock, self._users = threading.Lock(), 0
+
+    @cached_property
+    def _controller(self) -> ThreadpoolController:
+        import_module("scipy.linalg")  # it loads SciPy's library; NumPy has one of its own
+        return ThreadpoolController().select(user_api="blas")
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._users == 0:
+                self._limits = self._controller.limit(limits=1)
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                self._limits.restore_original_limits()
 
 
-_lock, _users = threading.Lock(), 0  # of one BLAS thread
-_before: list[tuple[Any, int]] = []  # the libraries that had other numbers of threads, and these
-
-
-@cache
-def _blas_libraries() -> list[Any]:
-    return ThreadpoolController().select(user_api="blas").lib_controllers
+one_blas_thread = _OneBlasThread()

@@ -22,10 +22,10 @@ class Status(StrEnum):
         The maximum principle is satisfied with normal multipliers, but a direction of second order lowers the cost: a
         saddle or a maximum. Problems with linear dynamics never have it.
     INFEASIBLE
-        No trajectory satisfies all constraints: proven; ``result.bound`` is "numerical" where the proof excludes
-        trajectories of practical size alone.
+        No trajectory satisfies all constraints: proven by a rigorous ray or by a search tree.
     INFEASIBLE_CLAIMED
-        A solver says that there is no trajectory; no proof of it holds.
+        A solver says that there is no trajectory, without a proof. Where its ray excludes trajectories up to a size,
+        ``result.bound`` is "numerical", and the message says the size.
     UNBOUNDED
         The cost has no lower bound: proven by a direction of descent.
     LIMIT

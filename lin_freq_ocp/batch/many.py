@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, Indices, brief, one_component, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
 from lin_freq_ocp.batch.repeated import Repeated, proven_in_batch
@@ -145,12 +144,11 @@ def _solve_parts(
 ) -> Generator[Mapping[str, Item]]:
     """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
-        with one_blas_thread():
-            for part in _split_parts(changes, PART).values():
-                solved = solve_part(again, part, time_limit)
-                yield solved.items
-                if solved.interrupted:
-                    raise KeyboardInterrupt
+        for part in _split_parts(changes, PART).values():
+            solved = solve_part(again, part, time_limit)
+            yield solved.items
+            if solved.interrupted:
+                raise KeyboardInterrupt
         return
 
     work = Work[Mapping[str, Change], SolvedPart](
@@ -182,8 +180,7 @@ def _solve_in_worker(
     attempt: int,
 ) -> SolvedPart:
     """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    with one_blas_thread():
-        return solve_part(Repeated(problem, method), changes, time_limit)
+    return solve_part(Repeated(problem, method), changes, time_limit)
 
 
 def changes_of(

@@ -22,6 +22,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
 from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
@@ -58,7 +59,8 @@ class Search:
     high: int
     verdicts: dict[int, Verdict] = field(default_factory=dict)
     rays: dict[int, Multipliers] = field(default_factory=dict)
-    bounds: dict[int, str | None] = field(default_factory=dict)  # of rays, recorded ones too: rigorous or numerical
+    excluded: set[int] = field(default_factory=set)  # by rigorous rays, recorded ones too
+    claimed: set[int] = field(default_factory=set)  # infeasible by the word of a solver, which guides the search
     best: Outcome | None = None  # at the least horizon that is feasible
     last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
     interrupted: bool = False
@@ -75,12 +77,7 @@ class Search:
     @property
     def proven(self) -> list[int]:
         """Return the horizons that are infeasible by a rigorous ray, in increasing order."""
-        return sorted(T for T, bound in self.bounds.items() if bound != NUMERICAL)
-
-    @property
-    def practical(self) -> list[int]:
-        """Return the horizons that are infeasible by a numerical ray, which is no proof, in increasing order."""
-        return sorted(T for T, bound in self.bounds.items() if bound == NUMERICAL)
+        return sorted(self.excluded)
 
     @property
     def without_evidence(self) -> list[int]:
@@ -103,19 +100,24 @@ class Search:
         elif self.last is None or horizon >= self.last.problem.horizon:
             self.last = outcome
         if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
-            self.rays[horizon], self.bounds[horizon] = outcome.ray, outcome.bound
+            self.rays[horizon] = outcome.ray
+            self.excluded.add(horizon)
+        if outcome.status == Status.INFEASIBLE_CLAIMED:
+            self.claimed.add(horizon)
         return verdict
 
     def recall(self, horizon: int, row: Row) -> None:
         """Keep the recorded verdict of a horizon, which comes without its evidence."""
         if row["cost"] is not None:
             self.verdicts[horizon] = Verdict.FEASIBLE
-        elif row["status"] == Status.INFEASIBLE:
+        elif row["status"] == Status.INFEASIBLE and row["bound"] != NUMERICAL:  # as earlier versions recorded it
             self.verdicts[horizon] = Verdict.INFEASIBLE
-            if row["bound"] is not None:  # earlier versions recorded none
-                self.bounds[horizon] = row["bound"]
+            if row["bound"] is not None:
+                self.excluded.add(horizon)
         else:
             self.verdicts[horizon] = Verdict.UNDECIDED
+            if row["status"] in (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED):
+                self.claimed.add(horizon)
 
 
 def verdict_of(outcome: Outcome | None) -> Verdict:
@@ -190,7 +192,8 @@ def _next_horizons(search: Search, monotone: bool, count: int) -> list[int]:
     if monotone and not search.verdicts:
         return [search.high]
     above = search.high + 1 if search.horizon is None else search.horizon
-    below = max(search.of(Verdict.INFEASIBLE), default=search.low - 1) if monotone else search.low - 1
+    without = [*search.of(Verdict.INFEASIBLE), *search.claimed]
+    below = max(without, default=search.low - 1) if monotone else search.low - 1
     unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
     if not monotone:
         return unknown[:count]
@@ -245,6 +248,7 @@ def require_source(source: Source) -> None:
         require_problem(source)
 
 
+@one_blas_thread
 def obstacles(at: At, shortest: int, longest: int, same_data: bool) -> list[str]:
     """Return the conditions that fail for the problems of these horizons, in words; none: feasibility is monotone.
 

@@ -10,6 +10,7 @@ from itertools import islice
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
@@ -74,10 +75,12 @@ class PlannedStart:
         return self.plan.control
 
     @property
+    @one_blas_thread
     def trajectory(self) -> Trajectory:
         """Return the plan in the given coordinates."""
         return self.translation.trajectory(self.plan.trajectory)
 
+    @one_blas_thread
     def better_of(self, last: Trajectory | None) -> PlannedStart:
         """Return the better of this plan and the rest of the last one from the same state; see ``Plan.rank``."""
         if last is None:
@@ -85,6 +88,7 @@ class PlannedStart:
         other = self.plan.following(self.translation.translated(last))
         return replace(self, plan=other) if other.rank < self.plan.rank else self
 
+    @one_blas_thread
     def certified(self, tolerance: float | None) -> Outcome:
         """Return the judged outcome."""
         problem = self.translation.problem.with_ends(self.plan.start)
@@ -104,6 +108,7 @@ class ProvenPlan:
     gap: float
 
 
+@one_blas_thread
 def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, ProvenPlan]:
     """Return the plans of one problem, by number, that the batch judge proves optimal."""
     translation, proven = next(iter(planned.values())).translation, dict[int, ProvenPlan]()
@@ -176,13 +181,16 @@ class Repeated:
         far = (np.abs(start - located.origin) > reach) & (reach > 0)
         return bool((far if fixed is True else far & fixed).any())
 
+    @one_blas_thread
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
         located = self._located
-        if self.spectral and (located is None or self._is_far(located, start)):
-            kept = self.located(self.problem.with_ends(start)).kept
-            if kept is not None:
-                kept.prepare()
+        if not self.spectral:
+            return
+        if located is None or self._is_far(located, start):
+            located = self.located(self.problem.with_ends(start))
+        if located.kept is not None:
+            located.kept.prepare()
 
     def plans(self, start: Array) -> bool:
         """Whether the condensed method is set up for states near this one, (n,)."""
@@ -206,6 +214,7 @@ class Repeated:
         plan = located.kept.plan(start - located.origin, budget)
         return plan and PlannedStart(located.translation, plan)
 
+    @one_blas_thread
     def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
         """Return plans from initial states (N, n) by number, without certificates, and whether Ctrl-C came.
 
@@ -239,6 +248,7 @@ class Repeated:
             if ray is not None:
                 located.exclusions.appendleft(ray)
 
+    @one_blas_thread
     def solve(
         self,
         change: Change,

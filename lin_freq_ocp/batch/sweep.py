@@ -18,7 +18,6 @@ from typing import Any, TypedDict, cast, get_type_hints
 
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, suggestion
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import (
     Parameters,
@@ -182,10 +181,9 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     """
     started, bands = now(), list[str]()
     try:
-        with one_blas_thread():  # linear algebra does not depend on how many workers there are
-            with _band_warnings(bands):
-                problem = problem_at(source, parameters)
-            result = solve_judged(problem, **options)
+        with _band_warnings(bands):
+            problem = problem_at(source, parameters)
+        result = solve_judged(problem, **options)
     except LinFreqOCPError as error:
         return failed_point(parameters, str(error), now() - started)
     except Exception as error:  # a function that builds problems may raise anything: the others are solved

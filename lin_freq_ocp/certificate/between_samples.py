@@ -19,7 +19,7 @@ from math import ceil, comb, factorial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, first_largest
 from lin_freq_ocp.base.phrases import number, split_unit
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, RADIUS_MARGIN
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
@@ -109,7 +109,7 @@ class BetweenSamples:
     @property
     def worst(self) -> BoundPeak:
         """Return the bound with the largest relative violation."""
-        return max(self.bounds, key=lambda bound: bound.relative)
+        return self.bounds[first_largest(np.array([bound.relative for bound in self.bounds]))[0]]
 
     @property
     def holds(self) -> bool:
@@ -183,10 +183,7 @@ class _LargestValues:
         growth = RADIUS_MARGIN * float(np.abs(plant.flow(w) * units / units[:, None]).sum(axis=1).max())
         remainder = w * (w * norm) ** DEGREE * np.exp(w * norm) / factorial(DEGREE + 1)
         drive, sizes = u @ plant.B.T + plant.offset, np.abs(u) @ np.abs(plant.B).T + np.abs(plant.offset)
-        periods, used = (
-            w * parts * np.arange(len(x), dtype=np.float64),
-            np.flatnonzero(np.isfinite(self._limits).ravel()),
-        )
+        periods, used = w * parts * np.arange(float(len(x))), np.flatnonzero(np.isfinite(self._limits).ravel())
         b, row, start = np.empty((0, DEGREE + 1)), np.empty(0, dtype=np.intp), np.empty(0)
         y, error, largest_error = x, 0.0, 0.0
         for part in range(parts):
@@ -220,9 +217,7 @@ class _LargestValues:
         """Note the values at both ends of cells of length w, and return the cells with larger coefficients."""
         for values, times in ((b[:, 0], start), (b[:, -1], start + w)):
             for i in np.unique(row):
-                cells = np.flatnonzero(row == i)
-                best = cells[np.argmax(values[cells])]
-                if values[best] > self.values[i]:
-                    self.values[i], self.times[i] = values[best], times[best]
+                seen, at = np.append(self.values[i], values[row == i]), np.append(self.times[i], times[row == i])
+                self.values[i], self.times[i] = seen.max(), at[first_largest(seen, at)]
         wider = b.max(axis=1, initial=-np.inf) > self.values[row] + self._resolution[row]
         return b[wider], row[wider], start[wider]

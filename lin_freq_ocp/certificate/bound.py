@@ -15,6 +15,7 @@ without mu and nu. Its large terms therefore cancel before they enter D.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,13 +23,21 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.hamiltonian import Extremal
-from lin_freq_ocp.certificate.reach import Deviations, Pair, Region, nearby_bounds, reachable_bounds, stated_bounds
+from lin_freq_ocp.certificate.reach import (
+    Deviations,
+    Pair,
+    Region,
+    implied_bounds,
+    nearby_bounds,
+    reachable_bounds,
+    stated_bounds,
+)
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.costs.quadratic import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
-RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those near or of practical size
+RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
 NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
 
@@ -52,6 +61,8 @@ class Bound:
         Bound on the rounding errors, already subtracted from ``value``.
     sets : str
         The origin of the sets over which the minima are taken.
+    multiple : float
+        Of a ray: the multiple of the sizes up to which the bound holds where neither sets nor reach bound a component.
     """
 
     value: float
@@ -62,6 +73,7 @@ class Bound:
     stage_term: float = 0.0
     rounding: float = 0.0
     sets: str = ""
+    multiple: float = np.inf
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:
@@ -162,20 +174,49 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
     return reachable_bounds(problem)
 
 
-def ray_bound(extremal: Extremal, largest: Pair) -> Bound:
+def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) -> Bound:
     """Return D for eta_C = 0 from any trajectory: D > 0 proves that no trajectory satisfies all constraints.
 
-    If neither the stated sets nor the reachable set bound some component, the bound is "numerical": it proves
-    infeasibility only for trajectories whose components stay below ``largest``, (n,) and (m,).
+    If the stated sets prove nothing, the reachable set does or nothing does. Where neither bounds a component, nor the
+    other constraints, the bound is "numerical": it holds for distances from the trajectory up to a ``multiple`` of the
+    sizes, (n,) and (m,), by default the largest that leaves half of D.
     """
+    problem, at = extremal.problem, extremal.trajectory
     uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
-    proven, _ = _evaluate(extremal, uncurved, stated_bounds(extremal.problem), 0.0, RIGOROUS)
-    if proven.value == -np.inf:
-        proven, _ = _evaluate(extremal, uncurved, reachable_bounds(extremal.problem), 0.0, RIGOROUS)
-    if proven.value > 0:
+    region = stated_bounds(problem)
+    proven, _ = _evaluate(extremal, uncurved, region, 0.0, RIGOROUS)
+    if proven.value <= 0:
+        region = reachable_bounds(problem)
+        proven, _ = _evaluate(extremal, uncurved, region, 0.0, RIGOROUS)
+    if proven.value > -np.inf:
         return proven
-    practical = _cut_sets(extremal.problem, uncurved, largest, "trajectories of practical size")
-    return _evaluate(extremal, uncurved, practical, 0.0, NUMERICAL)[0]
+
+    def bound_within(multiple: float) -> Bound:
+        x, u = at.x, at.u
+        pairs = bounds_within(region.x, x, multiple * sizes[0]), bounds_within(region.u, u, multiple * sizes[1])
+        return _evaluate(extremal, uncurved, Region(*pairs, np.inf, region.follows_from), 0.0, NUMERICAL)[0]
+
+    if multiple is not None:
+        return bound_within(multiple)
+    proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem, at, region), 0.0, RIGOROUS)
+    farthest = farthest_bound(bound_within)
+    return replace(proven, multiple=farthest.multiple) if proven.value > 0 else farthest
+
+
+def farthest_bound(bound_within: Callable[[float], Bound]) -> Bound:
+    """Return the bound of a ray for the largest multiple of the sizes that leaves half of D, which is linear in it."""
+    nearest = bound_within(0.0)
+    if nearest.value <= 0:
+        return nearest
+    lost = max(nearest.value - bound_within(1.0).value, np.finfo(float).eps * nearest.value)
+    multiple = 0.5 * nearest.value / lost
+    return replace(bound_within(multiple), multiple=multiple)
+
+
+def bounds_within(bounds: Pair, signal: Array, distance: Array) -> Pair:
+    """Return bounds on a signal, at a distance from it where there are none."""
+    lower, upper = bounds
+    return np.where(np.isinf(lower), signal - distance, lower), np.where(np.isinf(upper), signal + distance, upper)
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
@@ -201,7 +242,7 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
         error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
         minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
         stage_gaps[: len(signal)] -= minimum.sum(1)
-        losses.append(ARITHMETIC_ROUNDING * np.abs(slope * signal) - np.minimum(*pessimistic))
+        losses.append(-np.minimum(*pessimistic))
         steepest.append(np.abs(slope) + error)
     residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
     dynamics_term = float((extremal.multipliers.eta * residual).sum())

@@ -8,12 +8,11 @@ term is a constraint, and its multipliers are subgradients of h there (normals, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
@@ -205,18 +204,16 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
             np.add.at(total, times, np.maximum(priced.gap, 0.0).sum(1))
     terms = (extremal.in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
-    t = int(total.argmax())
-    component = int(rise[t].argmax())
+    (t,) = first_largest(total)
+    (component,) = first_largest(rise[t])
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
 def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
-    if not stopped.any():
-        scale = max(float(np.linalg.norm(signal[:, 0])), float(least[0]))
-        return Condition(label, name, 0.0, scale, CONDITION_TOLERANCE, 0, 0)
     magnitude = np.zeros(stopped.shape)
-    magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
+    if stopped.any():
+        magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
     return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
 
 
@@ -235,7 +232,7 @@ def normal_cone(
     sizes, weights = np.abs(signal), np.abs(normal)
     gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), weights * np.maximum(sizes.max(0), least))
     scale = max(level, float((weights * sizes).sum(1).max()))
-    t, component = _argmax(gap)
+    t, component = first_largest(gap)
     return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
@@ -316,7 +313,7 @@ def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array)
     gap = np.abs(priced.gap) + MISFIT_SHARE * priced.misfit
     gap = gap + (never if gap.shape == never.shape else never.sum(1, keepdims=True))
     scale = max(level, float((np.abs(priced.multipliers) * priced.sizes).sum(1).max(initial=0.0)))
-    t, row = _argmax(gap.astype(np.float64)) if len(gap) else (0, 0)
+    t, row = first_largest(gap.astype(np.float64)) if len(gap) else (0, 0)
     residual = float(gap[t, row]) if len(gap) else 0.0
     what = "row multipliers complementary" if priced.term.kind.is_rows else "multipliers are subgradients"
     name = f"{what}: {priced.term.name}"
@@ -332,7 +329,7 @@ def _locate_condition(term: Term, condition: Condition) -> Condition:
 
 
 def _largest(*parts: Array | ComplexArray) -> float:
-    return max(float(np.abs(part).max(initial=0.0)) for part in parts)
+    return max([float(np.abs(part).max(initial=0.0)) for part in parts])
 
 
 def _scales(terms: Array, least: Array) -> Array:
@@ -343,11 +340,7 @@ def _scales(terms: Array, least: Array) -> Array:
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
     """Return the condition at its worst entry, relative to the scale of the component; residual (times, components)."""
     relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
-    t, component = _argmax(relative)
+    t, component = first_largest(relative)
     return Condition(
         label, name, float(residual[t, component]), float(scales[component]), CONDITION_TOLERANCE, first + t, component
     )
-
-
-def _argmax(values: Array) -> Sequence[int]:
-    return divmod(int(values.argmax()), values.shape[1])

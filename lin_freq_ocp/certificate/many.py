@@ -51,7 +51,8 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
         unit, cost, signals = unit_rounding(problem), problem.quadratic, (extremals.x, extremals.u)
         x, u, dynamics = to_long_double(extremals.x), to_long_double(extremals.u), problem.linear
         moved = _times(x[:, :-1], dynamics.A.T) + _times(u, dynamics.B.T) + dynamics.offset
-        residual = (x[:, 1:] - moved).astype(np.float64)
+        exact_residual = x[:, 1:] - moved
+        residual = exact_residual.astype(np.float64)
         lower, upper = (np.repeat(bound[None], len(starts), axis=0) for bound in problem.state_tube.bounds)
         lower[:, 0] = upper[:, 0] = starts
         tubes = (lower, upper), problem.control_tube.bounds
@@ -69,9 +70,10 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
             error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
             low, high = lower - values, upper - values
             minimum = np.minimum(*box_minimum(np.stack([slope - error, slope + error]), curvature, low, high))
-            certain += (ARITHMETIC_ROUNDING * np.abs(slope * values) - minimum).sum((1, 2))
+            certain -= minimum.sum((1, 2))
             summed += (size * (np.abs(values) + reference)).sum((1, 2))
-        products = [(extremals.eta * residual).sum((1, 2)), (signal * extremals.u).sum((1, 2))]
+        # their terms may cancel
+        products = [part.sum((1, 2)).astype(np.float64) for part in (extremals.eta * exact_residual, signal * u)]
         costs, scale = _costs(problem, extremals)
         summed += (np.abs(extremals.eta) * np.abs(problem.linear.offset)).sum((1, 2))
         worth = sum(map(np.abs, products))
@@ -176,7 +178,10 @@ def _reachable_states(
 def _slopes(
     problem: OptimalControlProblem, extremals: Extremals, terms: list[_PricedTerms]
 ) -> tuple[Pair, Pair, Array]:
-    """Return the slopes of l_t in x and u, the sums of the absolute values of their terms, and rho_u over time."""
+    """Return the slopes of l_t in x and u, the sums of the absolute values of their terms, and rho_u over time.
+
+    The last is in extended precision.
+    """
     cost, dynamics, (count, T, m) = problem.quadratic, problem.linear, extremals.u.shape
     x, u, eta = to_long_double(extremals.x), to_long_double(extremals.u), to_long_double(extremals.eta)
     rho_u = np.where(problem.control_stop, extremals.rho_u, 0.0)  # a free bin has no price
@@ -201,7 +206,7 @@ def _slopes(
         in_u += term.pulled[1]
         terms_x += term.pulled_sizes[0]
         terms_u += term.pulled_sizes[1]
-    return (in_x.astype(np.float64), in_u.astype(np.float64)), (terms_x, terms_u), signal.astype(np.float64)
+    return (in_x.astype(np.float64), in_u.astype(np.float64)), (terms_x, terms_u), signal
 
 
 def _times(signals: Array, matrix: Array) -> Array:

@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, to_long_double
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, first_largest, to_long_double
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.semi_infinite import (
     Limits,
@@ -138,8 +138,8 @@ def bound_peak(cells: Cells) -> Peak:
     for _ in range(HALVINGS):
         values = np.abs(cells.a[:, 0]) / cells.limit
         best = int(np.argmax(values))
-        if values[best] > found:
-            found, frequency = float(values[best]), float(cells.middle[best])
+        seen, at = np.append(found, values), np.append(frequency, cells.middle)
+        found, frequency = float(seen.max()), float(at[first_largest(seen, at)])
         proven = max(proven, found * (1 + RATIO) + 2 * float(cells.error[best] / cells.limit[best]))
         cells = cells.take(_undecided_cells(cells, proven))
         if not len(cells.a) or 2 * len(cells.a) > MOST_CELLS:

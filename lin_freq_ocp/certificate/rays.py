@@ -3,34 +3,35 @@
 A problem is infeasible if multipliers with eta_C = 0 have a bound D above 0; the constraints with these multipliers are
 in conflict. If a direction d = (dx, du) keeps every active constraint to first order and lowers the cost, no normal
 multipliers exist: with g the gradient of J and v any sum of normals, <g + v, d> <= <g, d> < 0, so g + v is not 0. If a
-direction is feasible at every length and the cost falls along it without bound, the problem is unbounded.
+direction is feasible at every length and the cost falls along it without bound, the problem is unbounded, provided
+that it is feasible. Such a direction satisfies every constraint at every time up to rounding of its own terms there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, to_long_double
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import SCALE_FLOOR
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR, STATE_ROUNDING, TRIVIALITY
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 CLEAR_MARGIN = 1e-4  # margin of a proof from which half of its bound is far above the rounding of data
 SHARE_TOLERANCE = 0.1  # share of the heaviest bounds in a proof from which bounds on a component are named
 SMALL_TIME = 1e-2  # fraction of the largest multiplier of a block from which its times and bins are named
-PRACTICAL = 1e4  # sizes in the data up to which unbounded components are covered by a proof
 OVER_BINS = ("stop band", "mask", "energy bound")  # words in the names of blocks that act at bins and not at times
 MOST_RUNS = 4  # of times, after which a conflict shows ...
+Needs = Callable[[Multipliers], bool]  # whether a ray proves nothing without its other multipliers
 
 
 @dataclass(frozen=True)
@@ -71,26 +72,68 @@ class InfeasibilityProof:
     Attributes
     ----------
     bound : Bound
-        Its kind is "numerical" if the proof covers components without bounds only up to a practical size.
+        Its kind is "numerical" if it holds for trajectories of the ``sizes`` only: that proves no infeasibility.
     multipliers : Multipliers
         The verified ray.
     conflict : tuple of Conflict
         The conflicting blocks of constraints.
+    sizes : str
+        Of a numerical bound: the largest absolute values, in words, of components without bounds.
     """
 
     bound: Bound
     multipliers: Multipliers
     conflict: tuple[Conflict, ...]
+    sizes: str = ""
 
 
 def prove_infeasible(problem: OptimalControlProblem, ray: Multipliers) -> InfeasibilityProof | None:
-    """Return the proof of infeasibility by a Farkas ray, whose eta_C is set to 0; None if it proves nothing."""
+    """Return the proof of infeasibility by a Farkas ray, whose eta_C is set to 0; None if it proves nothing.
+
+    A bound that rounding of ends and offsets explains proves nothing: with other last digits, there are trajectories.
+    """
     abnormal, problem = replace(ray, eta_C=0.0, weights=None), at_frequencies(problem, ray.frequencies)
     bound = _bound(problem, abnormal)
-    if bound.value <= 0:
+    if bound.kind != RIGOROUS:  # rounding errors of components that play no part may be all that stands in the way
+        rounded = _without_rounding(problem, abnormal)
+        of_rounded = _bound(problem, rounded)
+        if of_rounded.kind == RIGOROUS and of_rounded.value > 0:
+            abnormal, bound = rounded, of_rounded
+    rest = _point_nearest_zero(problem)
+    given = np.abs(rest.x) + (0.0 if problem.origin is None else np.abs(problem.origin))  # as the user counts states
+    terms = np.abs(abnormal.eta) * (given[1:] + problem.equations.successor_sizes(given, rest.u))
+    if bound.value <= STATE_ROUNDING * float(terms.sum()):
         return None
-    blocks = (_bounds_in_conflict, _bands_in_conflict, _terms_in_conflict)
-    return InfeasibilityProof(bound, abnormal, tuple(block for find in blocks for block in find(problem, abnormal)))
+
+    def needs(rest: Multipliers) -> bool:
+        return _bound(problem, rest, bound.multiple if np.isfinite(bound.multiple) else None).value <= 0
+
+    named = (_bounds_in_conflict(problem, abnormal), *(find(problem, abnormal, needs) for find in NEEDED_BLOCKS))
+    sizes = "" if bound.kind == RIGOROUS else _sizes_in_words(problem, bound.multiple)
+    return InfeasibilityProof(bound, abnormal, tuple(block for found in named for block in found), sizes)
+
+
+def _without_rounding(problem: OptimalControlProblem, ray: Multipliers) -> Multipliers:
+    """Return the ray with zeros in place of multipliers that are negligible in the sizes of the data."""
+    x, u = stated_sizes(problem)
+    sizes = {"eta": x, "mu": x, "nu": u}
+    weighted = {name: np.abs(getattr(ray, name)) * size for name, size in sizes.items()}
+    least = TRIVIALITY * max(float(weights.max()) for weights in weighted.values())
+    return replace(ray, **{name: np.where(part > least, getattr(ray, name), 0.0) for name, part in weighted.items()})
+
+
+def _sizes_in_words(problem: OptimalControlProblem, multiple: float) -> str:
+    """Return the limits of the components without bounds up to which a numerical ray holds."""
+    tubes = (problem.state_tube, problem.state_names), (problem.control_tube, problem.control_names)
+    limits = [
+        f"|{name}| <= {multiple * size:.1e}"
+        for (tube, names), sizes in zip(tubes, stated_sizes(problem), strict=True)
+        for name, size, is_open in zip(
+            names, sizes, np.atleast_1d(np.isinf(np.concatenate(tube.bounds)).any(axis=0)), strict=True
+        )
+        if is_open
+    ]
+    return ", ".join(limits[:MOST_RUNS]) + (", ..." if len(limits) > MOST_RUNS else "")
 
 
 def proof_margin(problem: OptimalControlProblem, ray: Multipliers) -> float:
@@ -138,9 +181,8 @@ def _point_nearest_zero(problem: OptimalControlProblem) -> Trajectory:
     )
 
 
-def _bound(problem: OptimalControlProblem, ray: Multipliers) -> Bound:
-    x, u = stated_sizes(problem)
-    return farkas_bound(extremal_at(problem, _point_nearest_zero(problem), ray), (PRACTICAL * x, PRACTICAL * u))
+def _bound(problem: OptimalControlProblem, ray: Multipliers, multiple: float | None = None) -> Bound:
+    return farkas_bound(extremal_at(problem, _point_nearest_zero(problem), ray), stated_sizes(problem), multiple)
 
 
 def _bounds_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
@@ -164,40 +206,42 @@ def _bounds_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Ite
             yield Conflict(block, float(weights.sum()) / largest, _largest_indices(weights))
 
 
-def _bands_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+def _bands_in_conflict(problem: OptimalControlProblem, ray: Multipliers, needs: Needs) -> Iterator[Conflict]:
     """Name the stop bands without whose multipliers the ray proves nothing."""
     for signal, names, field in (("state", problem.state_names, "rho_x"), ("control", problem.control_names, "rho_u")):
         prices: ComplexArray = getattr(ray, field)
         for i, name in enumerate(names):
             rest = prices.copy()
             rest[:, i] = 0.0
-            if prices[:, i].any() and _bound(problem, replace(ray, **{field: rest})).value <= 0:
+            if prices[:, i].any() and needs(replace(ray, **{field: rest})):
                 yield Conflict(f"{signal} stop band on {name}", 1.0, _largest_indices(np.abs(prices[:, i])))
 
 
-def _terms_in_conflict(problem: OptimalControlProblem, ray: Multipliers) -> Iterator[Conflict]:
+def _terms_in_conflict(problem: OptimalControlProblem, ray: Multipliers, needs: Needs) -> Iterator[Conflict]:
     """Name the terms other than joint rows without whose multipliers the ray proves nothing."""
     for term in problem.terms:
         weights = ray.stage.get(term.name)
         if term.kind.is_rows or weights is None or not weights.any():
             continue
         rest = {name: on_term for name, on_term in ray.stage.items() if name != term.name}
-        if _bound(problem, replace(ray, stage=rest)).value <= 0:
+        if needs(replace(ray, stage=rest)):
             positions = term.map.positions
             grouped = len(weights) == len(positions)
             acting = _largest_indices(np.abs(weights).sum(1)) if grouped else range(len(positions))
             yield Conflict(term.name, 1.0, tuple(sorted({int(positions[i]) for i in acting})))
 
 
+NEEDED_BLOCKS = _bands_in_conflict, _terms_in_conflict
+
+
 def _largest_indices(weights: Array) -> tuple[int, ...]:
     return tuple(int(t) for t in np.flatnonzero(weights > SMALL_TIME * weights.max()))
 
 
-DIRECTION_TOLERANCE = (
-    1e-6  # violation of constraints by a direction, relative to its size; its slope is below minus this
-)
 TOUCHING = 1e-6  # distance, relative to sizes, of active constraints and of kinks: the judge accepts such violations
 LEAVING_MARGIN = 10.0  # least slope of the cost over the one that the violation of constraints can explain
+DIRECTION_ROUNDING = 256 * sys.float_info.epsilon  # of the terms of a constraint at its time, along a direction
+FAR = 2.0**400  # a length of directions at which offsets, references and limits are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +255,8 @@ class Direction:
     slope : float
         Change of the cost per unit of the direction, below zero.
     residual : float
-        Violation of constraints along the direction, relative to its size.
+        Violation of constraints along the direction, relative to its size; of an unbounded one, relative to the terms
+        of the constraint at its time.
     """
 
     x: Array
@@ -220,9 +265,9 @@ class Direction:
     residual: float
 
     @property
-    def steepest(self) -> int:
-        """Return the time of the largest change of a control, in the units of the problem."""
-        return int(np.argmax(np.abs(self.u).max(1)))
+    def steepest(self) -> tuple[int, ...]:
+        """Return the time and the component of the largest change of a control, in the units of the problem."""
+        return first_largest(np.abs(self.u))
 
 
 def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, along: Trajectory) -> Direction | None:
@@ -246,56 +291,70 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     tubes = problem.state_tube, problem.control_tube
     for signal, change, tube, size in zip((x, u), (along.x, along.u), tubes, sizes, strict=True):
         near = TOUCHING * (size + np.abs(signal))
-        residuals.append(_box_residual(change / size, tube.upper - signal <= near, signal - tube.lower <= near))
+        above, below = tube.upper - signal <= near, signal - tube.lower <= near
+        left = np.maximum(np.where(above, change, 0.0), np.where(below, -change, 0.0))
+        residuals.append(float((left / size).max()))
     for term in problem.terms:
-        values, change = term.map.values(x, u), _linear_part(term.map, along)
+        values = term.map.values(x, u)
+        change = term.map.values(along.x, along.u) - term.map.values(0 * along.x, 0 * along.u)
         size = float((term.map.sizes(x, u) + np.abs(change)).max())
         left = term.penalty.leaving(values, change, TOUCHING * size)
         residuals.append(left / (max(float(np.abs(change).max()), size) or 1.0))  # zero: a row that limits nothing
         slopes.append(term.penalty.slope(values, change, TOUCHING * size))
         scales.append(abs(slopes[-1]))
-    steepest = _largest_slope(problem.quadratic.gradient(x, u), sizes)
-    return _verified_direction(along, residuals, slopes, scales, steepest)
-
-
-def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
-    """Return the direction if every multiple of it is feasible and the cost decreases without bound, else None."""
-    sizes, tubes = stated_sizes(problem), (problem.state_tube, problem.control_tube)
-    along = _normalised_direction(problem, along, sizes)
-    residuals = _linear_residuals(problem, along, sizes)
-    at_rest = problem.quadratic.gradient(np.zeros_like(along.x), np.zeros_like(along.u))
-    slopes, scales = _quadratic_slope(along, at_rest)
-    # d'H d for the Hessian of the quadratic cost
-    at_direction = problem.quadratic.gradient(along.x, along.u)
-    changes = zip(at_rest, at_direction, (along.x, along.u), strict=True)
-    curvature = float(sum(((after - before) * change).sum() for before, after, change in changes))
-    residuals.append(curvature / max(curvature, *scales) if curvature > 0 else 0.0)
-    for change, tube, size in zip((along.x, along.u), tubes, sizes, strict=True):
-        residuals.append(_box_residual(change / size, np.isfinite(tube.upper), np.isfinite(tube.lower)))
-    for term in problem.terms:
-        change = _linear_part(term.map, along)
-        left, price = term.penalty.unbounded(change)
-        steady = np.broadcast_to(sizes[0], along.x.shape), np.broadcast_to(sizes[1], along.u.shape)
-        residuals.append(left / float(term.map.sizes(*steady).max()) if left > 0 else 0.0)
-        slopes.append(price)
-        scales.append(price)
-    return _verified_direction(along, residuals, slopes, scales, _largest_slope(at_rest, sizes))
-
-
-def _verified_direction(
-    along: Trajectory, residuals: list[float], slopes: list[float], scales: list[float], steepest: float
-) -> Direction | None:
-    """Return the direction if its residuals are small and the cost falls by more than they can explain, else None."""
+    # the cost falls by more than rounding of a satisfied condition, and than the violation of constraints can explain
     slope, residual = sum(slopes), max(residuals)
-    needed = max(DIRECTION_TOLERANCE * sum(scales), LEAVING_MARGIN * residual * steepest)
-    if residual > DIRECTION_TOLERANCE or not slope < -needed or slope == 0:
+    gradients = zip(problem.quadratic.gradient(x, u), sizes, strict=True)
+    steepest = float(sum((np.abs(part) * size).sum() for part, size in gradients))  # of changes by the sizes
+    needed = max(CONDITION_TOLERANCE * sum(scales), LEAVING_MARGIN * residual * steepest)
+    if residual > CONDITION_TOLERANCE or not slope < -needed or slope == 0:
         return None
     return Direction(along.x, along.u, slope, residual)
 
 
-def _largest_slope(gradient: tuple[Array, Array], sizes: tuple[Array, Array]) -> float:
-    """Return the largest change of the cost, to first order, if every state and control changes by its size."""
-    return float(sum((np.abs(part) * size).sum() for part, size in zip(gradient, sizes, strict=True)))
+def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
+    """Return the direction if every multiple of it is feasible and the cost decreases without bound, else None.
+
+    Signs hold exactly; all else up to DIRECTION_ROUNDING of its own terms at its own time. The direction is taken at a
+    length at which offsets, references and limits are rounding errors, so that the origin does not matter.
+    """
+    along = _normalised_direction(problem, along, stated_sizes(problem))
+    signals = along.x, along.u
+    for signal, tube in zip(signals, (problem.state_tube, problem.control_tube), strict=True):
+        if (np.isfinite(tube.upper) & (signal > 0)).any() or (np.isfinite(tube.lower) & (signal < 0)).any():
+            return None
+    equations, cost = problem.equations, problem.quadratic
+    x, u = (FAR * to_long_double(signal) for signal in signals)
+    rest = np.zeros_like(x), np.zeros_like(u)
+    moved = equations.successors(x, u) - equations.successors(*rest)
+    residuals = [_relative_to(x[1:] - moved, np.abs(x[1:]) + equations.successor_sizes(x, u))]
+    for signal, stop in ((x[: problem.state_samples], problem.state_stop), (u, problem.control_stop)):
+        terms = np.abs(signal).sum(0) * np.ones(stop.shape)
+        residuals.append(_relative_to(np.abs(np.fft.rfft(signal, axis=0)[stop]), terms[stop]))
+    bent, level, terms = cost.gradient(x, u), cost.gradient(*rest), cost.gradient_magnitudes(x, u)
+    residuals += [_relative_to(one - other, size) for one, other, size in zip(bent, level, terms, strict=True)]
+    # where the quadratic cost does not bend, its slope is that at the references
+    linear = cost.gradient(rest[0] + cost.x_ref, rest[1] + cost.u_ref)
+    slopes, scales = _quadratic_slope(Trajectory(x, u), linear)
+    for term in problem.terms:
+        change, everywhere = term.map.values(x, u) - term.map.values(*rest), term.semi_infinite
+        left, price = term.penalty.unbounded(change)
+        sizes = np.broadcast_to(term.map.sizes(x, u), change.shape)
+        residuals.append(_relative_to(left, sizes if left.shape == sizes.shape else sizes.sum(1, keepdims=True)))
+        if everywhere is not None and term.hard and everywhere.map.signal(*signals).any():
+            return None  # the spectrum of a signal that is not zero has isolated zeros
+        slopes.append(price)
+        scales.append(price)
+    slope, residual = float(sum(slopes)), max(residuals)
+    if residual > DIRECTION_ROUNDING or not slope < -DIRECTION_ROUNDING * sum(scales):
+        return None
+    return Direction(along.x, along.u, slope / FAR, residual)
+
+
+def _relative_to(violation: Array, terms: Array) -> float:
+    """Return the largest violation relative to its terms; infinite where there are none."""
+    size = np.abs(violation)
+    return float(np.divide(size, terms, out=np.where(size > 0, np.inf, 0.0), where=terms > 0).max(initial=0.0))
 
 
 def _normalised_direction(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> Trajectory:
@@ -324,13 +383,3 @@ def _quadratic_slope(along: Trajectory, gradient: tuple[Array, Array]) -> tuple[
     """Return the slopes of the quadratic cost in states and controls, and the sums of the absolute values of terms."""
     products = [part * change for part, change in zip(gradient, (along.x, along.u), strict=True)]
     return [float(part.sum()) for part in products], [float(np.abs(part).sum()) for part in products]
-
-
-def _box_residual(change: Array, above: Mask, below: Mask) -> float:
-    """Return the largest violation by a change of the upper bounds ``above`` and the lower bounds ``below``."""
-    return max(float(np.where(above, change, 0.0).max()), float(np.where(below, -change, 0.0).max()), 0.0)
-
-
-def _linear_part(affine: AffineMap, along: Trajectory) -> Array:
-    """Return L(d) - L(0): the linear part of a map applied to a direction d."""
-    return affine.values(along.x, along.u) - affine.values(np.zeros_like(along.x), np.zeros_like(along.u))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
@@ -60,18 +61,36 @@ class Deviations:
 
 
 def stated_bounds(problem: OptimalControlProblem) -> Region:
-    """Return the problem's own sets."""
+    """Return the problem's own sets; a control without any bin is zero."""
     x, u = problem.state_tube, problem.control_tube
-    return Region((x.lower, x.upper), (u.lower, u.upper), np.inf, "the stated sets")
+    rest, silent = np.clip(0.0, u.lower, u.upper), problem.control_stop.all(axis=0)
+    of_u = np.where(silent, rest, u.lower), np.where(silent, rest, u.upper)
+    return Region((x.lower, x.upper), of_u, np.inf, "the stated sets")
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:
-    """Return the intersection of the stated sets with the states that bounded controls reach from the initial set."""
+    """Return the intersection of the stated sets with the states that the controls reach from the initial set.
+
+    States that an unbounded control or initial state affects have no other bounds than the stated ones.
+    """
     stated = stated_bounds(problem)
     reach = _forward_reach(problem, *stated.u)
     if reach is None:
         return stated
     return Region(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
+
+
+def implied_bounds(problem: OptimalControlProblem, trajectory: Trajectory, region: Region) -> Region:
+    """Return a region with the bounds that it, the dynamics and other constraints imply, about any trajectory."""
+    signals, boxes = (trajectory.x, trajectory.u), (region.x, region.u)
+    far = [np.maximum(np.abs(low - z), np.abs(high - z)) for z, (low, high) in zip(signals, boxes, strict=True)]
+    x, u = (np.stack([radius, np.zeros_like(radius)]) for radius in far)
+    _propagate_radii(problem, trajectory, (x, u))
+    pairs = [
+        _intersection(box, (signal - RADIUS_MARGIN * radius[0], signal + RADIUS_MARGIN * radius[0]))
+        for signal, box, radius in zip(signals, boxes, (x, u), strict=True)
+    ]
+    return Region(pairs[0], pairs[1], np.inf, f"{region.follows_from}, constraints and dynamics")
 
 
 def nearby_bounds(
@@ -163,7 +182,7 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     for times in (steps, reversed(steps), steps):
         for t in times:
             _propagate_one_step(problem.linear, residual, rows, t, radii)
-    _solve_all_steps(problem.linear, residual, radii)
+    _solve_all_steps(problem, trajectory, residual, radii)
     return all(bool(np.isfinite(part).all()) for part in radii)
 
 
@@ -180,7 +199,10 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
             continue
         for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
-            slack = np.maximum(rows.e[group] - matrix @ signals[t], 0.0)
+            largest = np.abs(matrix).max(axis=1)
+            units = np.where(largest > 0, largest, 1.0)
+            matrix, limits = matrix / units[:, None], rows.e[group] / units
+            slack = np.maximum(limits - matrix @ signals[t], 0.0)
             for i, row in enumerate(matrix):
                 for j in range(i + 1, len(matrix)):
                     distance = max(float(slack[i]), float(slack[j]))
@@ -205,8 +227,11 @@ def _propagate_one_step(
         x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
 
 
-def _solve_all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> None:
-    """Fill in radii that only the equations of all steps determine, as of a free state with partly fixed ends."""
+def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, residual: Array, radii: Pair) -> None:
+    """Fill in radii that only equations and two-sided constraints of all times determine.
+
+    Such are those of a free state with partly fixed ends, and of a signal whose bins are all limited.
+    """
     x, u = radii
     values = np.concatenate([part.reshape(2, -1) for part in radii], axis=1)
     if not 0 < np.isinf(values[0]).sum() <= MAX_UNKNOWN:
@@ -214,48 +239,85 @@ def _solve_all_steps(dynamics: LinearDynamics, residual: Array, radii: Pair) -> 
     T, n = residual.shape
     columns, of_u = np.zeros((T, n, values.shape[1])), (T + 1) * n + np.arange(u[0].size).reshape(T, -1)
     for t in range(T):
-        A, B, _ = dynamics.at(t)
+        A, B, _ = problem.linear.at(t)
         columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
-    if _determine_radii(columns.reshape(T * n, -1), residual.ravel(), values):
+    rows, distances = [columns.reshape(T * n, -1)], [residual.ravel()]
+    for term in problem.terms:
+        at = term.map.values(trajectory.x, trajectory.u)
+        distance = np.max([np.abs(side - at) for side in term.penalty.hard_bounds(term.shape)], axis=0).ravel()
+        limited = np.flatnonzero(np.isfinite(distance))
+        rows.append(term.map.rows(T, n, problem.control_dim)[0][limited].toarray())
+        distances.append(distance[limited])
+    if _determine_radii(np.vstack(rows), np.concatenate(distances), values):
         x[:], u[:] = values[:, : x[0].size].reshape(x.shape), values[:, x[0].size :].reshape(u.shape)
 
 
 def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
-    """Fill in unknown radii, values (2, k), if |columns d| <= residual implies all of them; return whether it does."""
-    unknown = np.isinf(values[0])
-    if unknown.sum() > len(columns):
-        return False
+    """Fill in the unknown radii, values (2, k), that |columns d| <= residual implies; return whether it implies any.
+
+    Rows that share no unknown component with others say what they say without these.
+    """
+    unknown = np.flatnonzero(np.isinf(values[0]))
+    present = (columns[:, unknown] != 0).astype(float)
+    count, block_of = connected_components(present.T @ present, directed=False)
+    filled = False
+    for block in range(count):
+        chosen = block_of == block
+        rows = present[:, chosen].any(axis=1)
+        bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])
+        if bounds is not None:
+            values[:, unknown[chosen]], filled = bounds, True
+    return filled
+
+
+def _radii_of_block(columns: Array, residual: Array, values: Array, unknown: Indices) -> Array | None:
+    """Return the radii of the unknown components of these rows alone; None if the rows do not bound them."""
+    if len(unknown) > len(columns):
+        return None
     Q, R = np.linalg.qr(columns[:, unknown])
     if not np.diag(R).all():
-        return False
+        return None
     inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
     if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
-        return False
-    moved = np.stack([residual, np.zeros_like(residual)])
-    bounds = values[:, ~unknown] @ np.abs(columns[:, ~unknown]).T + moved
-    values[:, unknown] = bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
-    return True
+        return None
+    known = np.setdiff1d(np.flatnonzero(columns.any(axis=0)), unknown)
+    bounds = values[:, known] @ np.abs(columns[:, known]).T + np.stack([residual, np.zeros_like(residual)])
+    return bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
-    """Return an interval around every state reachable from X_0 with bounded controls; None if none is finite.
+    """Return an interval around every state reachable from X_0; None if the simulation overflows.
 
     x_t lies within sum_s |A_{t-1} .. A_{s+1} B_s| r_s + |A_{t-1} .. A_0| r_0 of the trajectory of the interval centres.
     """
-    start = problem.initial_box
-    if not all(np.isfinite(part).all() for part in (start.lower, start.upper, u_lower, u_upper)):
+    start, none = problem.initial_box, np.zeros((problem.horizon, problem.state_dim))
+    boxes = [(u_lower, u_upper), (start.lower, start.upper)]
+    free_u, free_0 = (np.isinf(lower) | np.isinf(upper) for lower, upper in boxes)
+    free = _affected_states(problem.linear, free_0, free_u)
+    if free[1:].all():
         return None
+    boxes = [tuple(np.where(one, 0.0, side) for side in box) for one, box in zip((free_u, free_0), boxes, strict=True)]
     try:
-        centre = simulate(problem, (u_lower + u_upper) / 2, (start.lower + start.upper) / 2).x
+        centre = simulate(problem, *((lower + upper) / 2 for lower, upper in boxes)).x
     except NumericalError:
         return None
-    none = np.zeros((problem.horizon, problem.state_dim))
-    radius = RADIUS_MARGIN * _radii_of(problem.linear, (start.upper - start.lower) / 2, (u_upper - u_lower) / 2, none)
-    if not np.isfinite(radius).all():
-        return None
+    radius_u, radius_0 = ((upper - lower) / 2 for lower, upper in boxes)
+    radius = RADIUS_MARGIN * _radii_of(problem.linear, radius_0, radius_u, none)
+    radius = np.where(free | ~np.isfinite(radius), np.inf, radius)
     rounding = (RADIUS_MARGIN - 1) * (np.abs(centre) + radius)
     return centre - radius - rounding, centre + radius + rounding
+
+
+def _affected_states(dynamics: LinearDynamics, start: Mask, controls: Mask) -> Mask:
+    """Return which states, (T+1, n), depend on these components of the initial state (n,) and controls (T, m)."""
+    affected = np.zeros((len(controls) + 1, len(start)), dtype=bool)
+    affected[0] = start
+    if start.any() or controls.any():
+        for t, chosen in enumerate(controls):
+            A, B, _ = dynamics.at(t)
+            affected[t + 1] = (A[:, affected[t]] != 0).any(1) | (B[:, chosen] != 0).any(1)
+    return affected
 
 
 def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:

@@ -28,9 +28,11 @@ from lin_freq_ocp.certificate.bound import (
     NUMERICAL,
     RIGOROUS,
     Bound,
+    bounds_within,
     box_minimum,
     cost_is_never_negative,
     diagonal_curvature,
+    farthest_bound,
     lower_bound,
     ray_bound,
     unit_rounding,
@@ -72,18 +74,22 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     return numerical if numerical.value - proven.value > allowed else proven
 
 
-def farkas_bound(extremal: Extremal, largest: Pair) -> Bound:
+def farkas_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) -> Bound:
     """Return D for eta_C = 0 from any trajectory; see ``bound.ray_bound``."""
     problem = extremal.problem
     response = problem.dynamics.response(problem.horizon)
     if response is None:
-        return ray_bound(extremal, largest)
-    flat, tube = np.zeros(problem.control_dim), problem.control_tube
-    proven = _evaluate(extremal, response, flat, (tube.lower, tube.upper), 0.0, RIGOROUS, "the stated bounds")
-    if proven.value > 0:
+        return ray_bound(extremal, sizes, multiple)
+    flat, bounds, u = np.zeros(problem.control_dim), problem.control_tube.bounds, extremal.trajectory.u
+    proven = _evaluate(extremal, response, flat, bounds, 0.0, RIGOROUS, "the stated bounds")
+    if proven.value > -np.inf:
         return proven
-    near = _cut_bounds(tube, largest[1])
-    return _evaluate(extremal, response, flat, near, 0.0, NUMERICAL, "trajectories of practical size")
+
+    def bound_within(multiple: float) -> Bound:
+        box = bounds_within(bounds, u, multiple * sizes[1])
+        return _evaluate(extremal, response, flat, box, 0.0, NUMERICAL, "the stated bounds")
+
+    return bound_within(multiple) if multiple is not None else farthest_bound(bound_within)
 
 
 def control_curvature(problem: OptimalControlProblem, response: Response) -> Array | None:
@@ -140,7 +146,7 @@ def _evaluate(
     error += ARITHMETIC_ROUNDING * np.abs(slope)
     low, high = box[0] - extremal.trajectory.u, box[1] - extremal.trajectory.u
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
-    losses = ARITHMETIC_ROUNDING * np.abs(slope * u) - np.minimum(*pessimistic)
+    losses = -np.minimum(*pessimistic)
     at_bounds = (normal * (x - limits)).sum(1)
     stage_gaps = -at_bounds.astype(np.float64)
     stage_gaps[:-1] -= minimum.sum(1)

@@ -9,9 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, term_rows
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
@@ -96,7 +97,7 @@ class SecondOrder:
 
     def __str__(self) -> str:
         if self.direction is not None:
-            t = int(np.argmax(np.abs(self.direction.u).max(1)))
+            (t,) = first_largest(np.abs(self.direction.u).max(1))
             return f"no minimum: the cost falls to second order along a direction, most of u at t = {t}"
         return "no direction lowers the cost to second order" if self.passed else f"not decided: {self.reason}"
 
@@ -265,7 +266,7 @@ class Certificate:
     @property
     def worst(self) -> Condition:
         """Return the condition with the largest residual relative to its scale."""
-        return max(self.conditions, key=lambda condition: condition.relative)
+        return self.conditions[first_largest(np.array([condition.relative for condition in self.conditions]))[0]]
 
     def __str__(self) -> str:
         kind = "" if self.bound is None else f" ({self.bound.kind})"
@@ -299,6 +300,7 @@ class Certificate:
         return f"cost {self.cost:.12g}, bound {_number(self.lower_bound)}, gap {_number(self.gap, '.2e')}"
 
 
+@one_blas_thread
 def judge(
     problem: OptimalControlProblem,
     trajectory: Trajectory,

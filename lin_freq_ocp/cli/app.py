@@ -8,6 +8,7 @@ a proof, or too little memory; 70 a fault of this program; 130 interrupted.
 from __future__ import annotations
 
 import ast
+import logging
 import sys
 import warnings
 from collections.abc import Sequence
@@ -94,6 +95,7 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     warnings.showwarning = _show_warning
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is missing, or cannot be written: it works
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows a question mark

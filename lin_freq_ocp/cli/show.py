@@ -36,21 +36,17 @@ def list_command() -> int:
 @console.settings_option
 @console.json_option
 @click.option("--toml", "as_toml_file", is_flag=True, help="Print the problem file of the problem, and nothing else.")
-@click.option("--python", "as_python", is_flag=True, help="Print a Python script that builds and solves the problem.")
-def show_command(problem: str, settings: tuple[str, ...], as_json: bool, as_toml_file: bool, as_python: bool) -> int:
+def show_command(problem: str, settings: tuple[str, ...], as_json: bool, as_toml_file: bool) -> int:
     """Describe a library problem or a problem file, with its parameters for --set and their defaults."""
-    if as_json + as_toml_file + as_python > 1:
-        raise click.UsageError("--json, --toml and --python exclude each other.")
+    if as_json and as_toml_file:
+        raise click.UsageError("--json and --toml exclude each other.")
     from lin_freq_ocp.cli.problems import build, is_file, parse_settings  # here: list needs no files
     from lin_freq_ocp.files import problem_file
 
     values = parse_settings(settings)
     description = build(problem, settings)
-    if as_toml_file or as_python:
-        from lin_freq_ocp.files.python_script import problem_script
-
-        text = problem_script(description) if as_python else problem_file.problem_text(description)
-        click.echo(text.removesuffix("\n"))
+    if as_toml_file:
+        click.echo(problem_file.problem_text(description).removesuffix("\n"))
         return console.PROVEN
     if is_file(problem):
         about, parameters = "", problem_file.parameters_of_file(Path(problem), values)

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
@@ -136,7 +135,7 @@ def solve_command(
     with dumping_errors(outputs.get("dump"), description, options):
         with console.search_progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
-        if result.status == Status.INFEASIBLE:
+        if result.status == Status.INFEASIBLE or result.ray is not None:
             with console.progress("looking for the smallest relaxation"):
                 result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     if as_json:
@@ -174,11 +173,11 @@ def certify_command(
     if certificate.borders is not None and str(certificate.borders):
         console.say(f"borders     {certificate.borders}")
     if descent is not None:  # a direction that rules out multipliers
-        control = description.control_names[int(np.argmax(np.abs(descent.u[descent.steepest])))]
+        t, j = descent.steepest
         proven = "no normal multipliers exist" if certificate.borders is None else "no local minimum"
         console.say(
-            f"descent     {proven}: along a verified direction, which changes {control} most at "
-            f"t = {descent.steepest}, the cost falls by {-descent.slope:.3g} per unit"
+            f"descent     {proven}: along a verified direction, which changes {description.control_names[j]} most "
+            f"at t = {t}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
         with suppress(UnsupportedError):  # too many to count quickly

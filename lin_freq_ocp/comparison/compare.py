@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
@@ -161,6 +162,7 @@ def _measures_in_words(measures: Measures | None) -> list[str]:
     return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
 
 
+@one_blas_thread
 def compare_methods(
     problem: OptimalControlProblem,
     solve: Solve,

@@ -50,10 +50,10 @@ CONTROL_PRICE = 1e-6
 LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
-DECIDED = {Status.INFEASIBLE: False} | {status: True for status in Status if status.solved}
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 
+@one_blas_thread
 def explain(
     problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None
 ) -> Explanation:
@@ -81,7 +81,7 @@ def explain(
 
     Examples
     --------
-    >>> explanation = lfo.explain(lfo.library.double_integrator(cutoff_hz=0.3))
+    >>> explanation = lfo.explain(lfo.library.double_integrator(horizon=40, cutoff_hz=0.3))
     >>> print(explanation.cures[0])
     initial state: ...
     """
@@ -103,14 +103,13 @@ def explain(
     ends = [
         (clock, clock() + positive_number(name, limit)) for name, (clock, limit) in limits.items() if limit is not None
     ]
-    with one_blas_thread():  # several would use up the processor time while they wait for each other
-        search = _VariantSolver(problem, ends)
-        result = search.solve_variant(problem)
-        if result.status != Status.INFEASIBLE:
-            got = f"with the status '{result.status}'"
-            raise UnsupportedError(f"explain: got a problem {got}; expected one that is proven infeasible.")
-        family = search.irreducible_family(result)
-        cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
+    search = _VariantSolver(problem, ends)
+    result = search.solve_variant(problem)
+    if _is_feasible(result) is not False:
+        got = f"with the status '{result.status}'"
+        raise UnsupportedError(f"explain: got a problem {got}; expected one with a ray of infeasibility.")
+    family = search.irreducible_family(result)
+    cures = tuple(cure for block in family if (cure := search.cure(block)) is not None)
     return Explanation(tuple(block.name for block in family), search.sure, cures)
 
 
@@ -126,7 +125,7 @@ class _VariantSolver:
         """Solve a variant with a simple cost, or with none: only feasibility matters."""
         result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._seconds_left())
         self.interrupted |= result.interrupted
-        if result.interrupted or result.status in DECIDED or "convex" not in family_of(problem).shorthands:
+        if result.interrupted or _is_feasible(result) is not None or "convex" not in family_of(problem).shorthands:
             return result
         return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._seconds_left())
 
@@ -141,7 +140,7 @@ class _VariantSolver:
         """Whether a variant is feasible; None if it stays undecided or the time is over."""
         if self._time_is_over():
             return None
-        return DECIDED.get(self.solve_variant(problem).status)
+        return _is_feasible(self.solve_variant(problem))
 
     def irreducible_family(self, result: Outcome) -> list[Limit]:
         """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
@@ -166,6 +165,13 @@ class _VariantSolver:
     def cure(self, block: Limit) -> Cure | None:
         """Return the smallest relaxation of a block that restores feasibility; None if there is none, or no time."""
         return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
+
+
+def _is_feasible(result: Outcome) -> bool | None:
+    """Whether there is a trajectory; none if a ray excludes it, at least up to the sizes that it states; else None."""
+    if result.status == Status.INFEASIBLE or result.infeasibility is not None:
+        return False
+    return True if result.status.solved else None
 
 
 def least_cure(

@@ -371,7 +371,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     try:
         _require_modest_mat(str(path), content)
         stream: FileValue = BytesIO(content)
-        variables = loadmat(stream)
+        variables = loadmat(stream, spmatrix=False)
     except ProblemError:
         raise
     except Exception as error:  # loadmat raises errors of many kinds for damaged files

@@ -194,7 +194,7 @@ def _switching_facts(facts: SwitchingFacts | None) -> FileTable | None:
 def _direction(direction: Direction | None) -> FileTable | None:
     if direction is None:
         return None
-    return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest}
+    return {"slope": direction.slope, "residual": direction.residual, "time": direction.steepest[0]}
 
 
 def _trajectory(result: Outcome) -> FileTable | None:

@@ -20,7 +20,7 @@ from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line, suggestion
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
-from lin_freq_ocp.formulas.nodes import Formula, post_order
+from lin_freq_ocp.formulas.nodes import Formula, Value, post_order
 from lin_freq_ocp.formulas.operations import (
     ANGLE,
     LOOK_UP,
@@ -34,6 +34,7 @@ from lin_freq_ocp.formulas.operations import (
 )
 
 LONGEST_FORMULA = 100_000  # characters of one formula
+MOST_LEVELS = 1500  # of operations within one another, as a sum of so many terms has: each version of Python reads more
 # User input for formulas of x and u, such as "x_0 + u_0"; a function is called with signals
 Formulas = Formula | str | Sequence[Formula | str | float] | Callable[..., object]
 ARITHMETIC: dict[type[ast.operator], Callable[..., float]] = {  # of numbers, and of formulas, with a formula as result
@@ -107,18 +108,19 @@ def formula_from_text(
     """
     if len(text) > LONGEST_FORMULA:
         raise ProblemError(field, f"{len(text)} characters", f"at most {LONGEST_FORMULA}")
+    reader = _Reader(text, known_signals(dimensions) if known is None else known)
     try:
-        tree = ast.parse(text.strip(), mode="eval")
+        root = ast.parse(text.strip(), mode="eval").body
+        if reader.evaluate(root, lambda _, levels: 1 + max(levels, default=-1)) > MOST_LEVELS:
+            raise RecursionError
     except (SyntaxError, ValueError):
         raise ProblemError(field, brief(text), _expected_text()) from None
-    except (RecursionError, MemoryError):  # errors of the parser
+    except (RecursionError, MemoryError):  # also of the parser
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
-    if known is None:
-        known = known_signals(dimensions)
     try:
         with np.errstate(all="ignore"):
             zero = Formula(dimensions, SUM, (), (0.0,))
-            formula = nodes.as_formula(zero, "formula", _Reader(text, known).read(tree.body))
+            formula = nodes.as_formula(zero, "formula", reader.evaluate(root, reader.apply_operation))
     except ProblemError as error:
         raise ProblemError(field, error.got, error.expected, error.advice) from None
     if not all(np.isfinite(node.data).all() for node in nodes.nodes_in_order([formula])):
@@ -137,11 +139,11 @@ class _Reader:
     def __init__(self, text: str, known: Mapping[str, Formula]):
         self._text, self._known = text, known
 
-    def read(self, root: ast.expr) -> Formula | float:
-        """Return the formula or number of a syntax tree."""
-        values: dict[ast.expr, Formula | float] = {}
+    def evaluate(self, root: ast.expr, rule: Callable[[ast.expr, list[Value]], Value]) -> Value:
+        """Return the value of a syntax tree by a rule, which takes a node and the values of its operands."""
+        values: dict[ast.expr, Value] = {}
         for node in post_order([root], self._operands):
-            values[node] = self._apply_operation(node, [values[part] for part in self._operands(node)])
+            values[node] = rule(node, [values[part] for part in self._operands(node)])
         return values[root]
 
     def _operands(self, node: ast.expr) -> list[ast.expr]:
@@ -151,7 +153,8 @@ class _Reader:
             return [node.operand]
         return node.args if isinstance(node, ast.Call) else []
 
-    def _apply_operation(self, node: ast.expr, parts: Sequence[Formula | float]) -> Formula | float:
+    def apply_operation(self, node: ast.expr, parts: list[Formula | float]) -> Formula | float:
+        """Return the formula or number of a node."""
         value = node.value if isinstance(node, ast.Constant) else None
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             return self._number(partial(float, value))

@@ -23,6 +23,7 @@ from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
+    ControlLimits,
     checked_penalties,
     depends_on_past,
     excess,
@@ -99,6 +100,7 @@ class Controller:
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.dynamics.stepper(problem.horizon)
+        self._limits = ControlLimits.of(self._problem)
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
 
@@ -119,14 +121,17 @@ class Controller:
         x = self.completed("state", state, acted)
         if acted is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = acted
-        started, plain = now(), preview.empty
+        started, plain, begin = now(), preview.empty, x
+        if self.delay:  # the state to which the last control leads
+            begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
         for repeated in self._trees if plain and not self._remembers else ():
             repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
-        quick = self._plan_uncertified(x, started) if self._later and plain else None
+        quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
         if quick is not None:
-            self._record(replace(quick, solve_seconds=now() - started))
+            control = self._limits.clip(begin, quick.control)
+            self._record(replace(quick, control=control, solve_seconds=now() - started))
             return self._steps[-1], None
-        hard, soft = self._answers(x, preview)
+        hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
         plan = self._plan(outcome)
         if plan is None:
@@ -139,9 +144,10 @@ class Controller:
             source = Source.BEST_POINT
         certified = sum(one.seconds.get("certify", 0.0) for one in (hard, soft) if one is not None)
         certificate, parts = outcome.certificate if own else None, ((self._hard, hard), (self._soft, soft))
+        limits = self._limits if preview.bounds is None else ControlLimits.of(outcome.problem)
         step = Step(
             state=x,
-            control=plan.u[0].copy(),
+            control=limits.clip(begin, plan.u[0].copy()),
             status=hard.status,
             source=source,
             method=outcome.solver,
@@ -164,15 +170,12 @@ class Controller:
         self._steps.append(step)
         self._applied.append(step.control)
 
-    def _plan_uncertified(self, x: Array, started: float) -> Step | None:
-        """Return the step of a plan from a measured state that is not judged; None if only a solve helps.
+    def _plan_uncertified(self, x: Array, begin: Array, started: float) -> Step | None:
+        """Return the step of a plan from ``begin`` that is not judged; None if only a solve helps.
 
         Where changes or time end before the working set has settled, it is the better of the interrupted plan and the
         rest of the last one; the first step, which sets up the method, has no limits.
         """
-        begin = x
-        if self.delay and not self._remembers:
-            begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
         if self._most is not None:
             without = [repeated.no_plans for repeated in self._trees if self._remembers or not repeated.plans(begin)]
             if without:
@@ -197,8 +200,7 @@ class Controller:
             return Step(x, plan.control, None, source, "condensed", changes=changes, pending=plan)
         better = plan.better_of(self._steps[-1].planned)
         source = Source.BEST_POINT if better is plan else Source.PREVIOUS_PLAN
-        control = np.clip(better.control, self.problem.control_tube.lower[0], self.problem.control_tube.upper[0])
-        return Step(x, control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
+        return Step(x, better.control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
 
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
@@ -232,10 +234,8 @@ class Controller:
         plans = [rest] if own is None else [own, rest]  # the first of two equally good ones
         return min(plans, key=lambda plan: rank(outcome.problem, plan, tolerance))
 
-    def _answers(self, x: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
-        """Return the answer for a measured state and, if it is infeasible, the answer with soft constraints."""
-        last_control = self._applied[-1] if self._applied else np.zeros(self.problem.control_dim)
-        begin = self._step(0, x, last_control) if self.delay else x  # with a delay, the state after the last control
+    def _answers(self, x: Array, begin: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
+        """Return the answer for the state where a plan begins and, if it is infeasible, that with soft constraints."""
         bounds = preview.bounds
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))

@@ -22,7 +22,7 @@ from lin_freq_ocp.base.arrays import Array, brief, require_bool
 from lin_freq_ocp.base.atomic import reason, write_each
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.loop.step_problem import free_first_state, soften
+from lin_freq_ocp.loop.step_problem import ControlLimits, free_first_state, soften
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.condensed.native import BOUNDS, INTEGERS, NativeKernel, model_arrays
 from lin_freq_ocp.methods.condensed.plans import CondensedSolver
@@ -46,6 +46,7 @@ TEMPLATES = ("controller.h", "controller.c", "lfo_settings.h", "test_controller.
 TAKEN = "a generated controller takes quadratic costs, bounds, joint rows, rate limits and stop bands of controls"
 
 LARGEST_STATE = 1e12  # in its unit: squares of this and their sums stay finite in float
+HIDDEN = 100  # a control whose terms round by this many tolerances of a row is that of the feedback alone
 
 FLOAT_GROWTH = 1e47
 """Largest growth of the open loop over the horizon in float: a pendulum with a growth of 3e46 agrees with double."""
@@ -55,6 +56,9 @@ PUSH_EVERY, PUSH, NOISE = 25, 0.2, 1e-3  # disturbances of these steps, of state
 RETREATS = 30  # to a quarter of the distance to the first state, until the problem has a plan again
 LOST = 10.0  # units, or times the first state: farther away the plant is lost, although soft rows may have a plan
 LEAST_REACH = 1e-3  # part of the disturbances that remains where larger ones lead to states without a plan
+
+NOT_IN_COMMENTS = re.compile(r"[^A-Za-z0-9 _.,:;()=+-]")  # of C: no other character of a name reaches them
+MARKUP = re.compile(r"[\\`*\[\]<>&]")  # of Markdown and HTML
 
 STRUCT_BYTES = 88  # of lfo_memory without its number: 16 pointers of 4 bytes, 6 integers
 STACK_BYTES = 512  # of the frames of controller_step, lfo_step and sweep without their arrays
@@ -72,6 +76,16 @@ class Real:
     tolerance: float
     dependence: float
     allowed: float
+
+    @property
+    def epsilon(self) -> float:
+        """Return the relative rounding of a number, twice the largest rounding error."""
+        return float(np.finfo(self.dtype).eps)
+
+    def below(self, values: Array) -> Array:
+        """Return the numbers rounded down to this type."""
+        rounded = values.astype(self.dtype)
+        return np.where(rounded > values, np.nextafter(rounded, self.dtype.type(-np.inf)), rounded).astype(np.float64)
 
     def literal(self, value: float) -> str:
         """Return a constant of C; numbers below the least normal one are zero, as they are slow to compute with."""
@@ -243,6 +257,7 @@ class _StepTables:
     """The problem of a step in units of order 1, with its tables and its options."""
 
     problem: OptimalControlProblem  # reduced, with its states counted from the origin
+    limits: ControlLimits  # of the problem as it was stated
     origin: Array
     units: LtiUnits
     solver: CondensedSolver
@@ -269,19 +284,30 @@ class _StepTables:
         solver = CondensedSolver(lti_problem(problem, units), units)
         tables = solver.kernel.tables
         cap = tables.most_changes if changes is None else changes
-        return cls(problem, origin, units, solver, tables, delay, references, real, cap)
+        return cls(problem, ControlLimits.of(given), origin, units, solver, tables, delay, references, real, cap)
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[np.floating | np.integer]]:
         """Return the arrays of lfo_model, where times with the same bounds share a column, and the units."""
-        found, n = model_arrays(self.tables), self.tables.loop.shape[1]
+        found, (_, n, m) = model_arrays(self.tables), self.tables.loop.shape
         if self.references:
             found["W"] = np.insert(found["W"], n, self._reference_columns().T, axis=0)
         over_time = np.vstack([found["d"].T, *(found[name] for name in BOUNDS)])
         shared, column = np.unique(over_time, axis=1, return_inverse=True)
         d, *bounds = np.split(shared, n + len(self.tables.families) * np.arange(len(BOUNDS)))
+        found |= {"d": d.T, **dict(zip(BOUNDS, bounds, strict=True)), "column": column.astype(np.int16)}
+        if self.delay:
+            found |= {"plant": self.tables.loop.lti.A}
         units = {"origin": self.origin, "state_unit": self.units.x, "control_unit": self.units.u}
-        return {**found, "d": d.T, **dict(zip(BOUNDS, bounds, strict=True)), "column": column.astype(np.int16), **units}
+        rows, bounds = self.limits, np.append(self.limits.upper, -self.limits.lower)
+        given, signs = np.isfinite(bounds), np.repeat([1.0, -1.0], m)
+        limits = {
+            "limit_acting": np.append(rows.acting, np.tile(np.arange(m), 2)[given]).astype(np.int16),
+            "limit_C": np.vstack([rows.C, np.zeros((given.sum(), n))]),
+            "limit_D": np.append(rows.d, signs[given]),
+            "limit_e": self.real.below(np.append(rows.e, bounds[given])),
+        }
+        return {**found, **units, **limits}
 
     def _reference_columns(self) -> Array:
         """Return v of a unit of each state's reference, (T m, n), where the problem has references of zero."""
@@ -316,8 +342,11 @@ class _StepTables:
     @property
     def flash(self) -> int:
         """Return the bytes of all tables."""
-        column, size = self.arrays["column"], self.real.dtype.itemsize
-        return column.nbytes + size * sum(array.size for array in self.arrays.values() if array is not column)
+        sizes = (
+            (array, array.itemsize if array.dtype.kind == "i" else self.real.dtype.itemsize)
+            for array in self.arrays.values()
+        )
+        return sum(array.size * size for array, size in sizes)
 
     @property
     def ram(self) -> int:
@@ -347,6 +376,7 @@ class _StepTables:
         x, acting, reference, anchor = lti.start, np.zeros(m), np.zeros(n), np.zeros(n)
         farthest, steps = LOST * max(1.0, float(np.abs(x).max())), list[_RecordedStep]()
         for k in range(MEASURED if isinstance(kernel, NativeKernel) else RECORDED):  # NumPy is some 100 times slower
+            moved = lti.B @ acting + drift  # by the control that acts, until a delayed plan begins
             if k % PUSH_EVERY == 0 and k:
                 x = x + reach * PUSH * rng.uniform(-1, 1, n)
             if k % PUSH_EVERY == 0 and self.references:
@@ -356,13 +386,14 @@ class _StepTables:
                 assert changed is not None  # the same rows are bounded
                 kernel.take(changed)
             for _ in range(RETREATS):
-                begin = lti.A @ x + lti.B @ acting + drift if self.delay else x
+                begin = lti.A @ x + moved if self.delay else x
                 if np.abs(begin).max() <= farthest and kernel.step(begin) == SOLVED:
                     break
-                x, acting, reach = anchor + (x - anchor) / 4, acting / 4, max(reach / 2, LEAST_REACH)
+                nearer, reach = anchor + (begin - anchor) / 4, max(reach / 2, LEAST_REACH)
+                x = np.asarray(np.linalg.lstsq(lti.A, nearer - moved)[0], dtype=np.float64) if self.delay else nearer
             else:
                 raise UnsupportedError("problem: no state was found with a plan. lfo.solve(problem) says why.")
-            anchor = anchor if k else x
+            anchor = anchor if k else begin
             steps.append(_RecordedStep(x, reference, kernel.control, kernel.changes))
             control = acting if self.delay else steps[-1].control
             x = lti.A @ x + lti.B @ control + drift + reach * NOISE * rng.standard_normal(n)
@@ -382,22 +413,28 @@ def _files(
         recorded[f"{name}s"] = np.array([getattr(step, name) for step in steps]) * units.x + tables.origin
     name = problem.name or "A controller"
     values = {
-        "heading": name,
-        "title": " ".join(name.replace("*/", "* /").replace("\\", "/").encode("ascii", "replace").decode().split()),
+        "heading": markdown(name),
+        "title": NOT_IN_COMMENTS.sub("_", name),
         "version": version("lin-freq-ocp"),
-        "facts": problem_facts(problem),
+        "facts": [(markdown(term), markdown(text)) for term, text in problem_facts(problem)],
+        "states": [markdown(state) for state in problem.state_names],
+        "controls": [markdown(control) for control in problem.control_names],
         "real": real,
         "integers": integers,
         "numbers": {"tolerance": real.tolerance, "dependent": real.dependence},
         "reals": tables.reals,
         "rows": tables.rows,
         "largest": LARGEST_STATE,
+        "largest_term": HIDDEN * real.tolerance / real.epsilon,
+        "limits": len(tables.arrays["limit_e"]),
         "delay": tables.delay,
         "references": tables.references,
         "header": log_header(integers["n"], integers["m"], tables.references),
         "summary": summary,
         "steps": len(steps),
+        "capped": tables.cap < tables.tables.most_changes,
         "tables": [(name, *_lines(array, real)) for name, array in tables.arrays.items()],
+        "fields": [*model_arrays(tables.tables), "column"],
         "recorded": [(name, *_lines(array, real)) for name, array in recorded.items()],
     }
     environment = Environment(
@@ -411,6 +448,11 @@ def _files(
     kernel = {f"lfo_{name}": source.joinpath(name).read_text() for name in ("kernel.h", "kernel.c")}
     kernel["lfo_kernel.c"] = kernel["lfo_kernel.c"].replace('"kernel.h"', '"lfo_settings.h"')
     return kernel | {name: environment.get_template(name).render(values) for name in TEMPLATES}
+
+
+def markdown(text: str) -> str:
+    """Return a text on one line for a file in Markdown, which shows each of its characters."""
+    return MARKUP.sub(r"\\\g<0>", " ".join(text.split()))
 
 
 def _lines(array: NDArray[np.floating | np.integer], real: Real) -> tuple[str, list[str]]:

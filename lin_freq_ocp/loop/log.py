@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from pathlib import Path
 
@@ -15,11 +16,15 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
-from lin_freq_ocp.loop.embedded import log_header, step_problem
+from lin_freq_ocp.loop.embedded import REALS, log_header, step_problem
+from lin_freq_ocp.loop.step_problem import ControlLimits, excess
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reformulations import Translation, translation_of
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import Change
 
+MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
@@ -49,7 +54,7 @@ class LogFinding(StrEnum):
 class ControllerLog:
     """The lines of a log: states (N, n), references (N, n) or None, controls (N, m), and statuses.
 
-    ``cut_off`` says that its last line was incomplete.
+    ``cut_off`` says that its last line was incomplete, and ``rounding`` is that of its numbers, relative.
     """
 
     states: Array
@@ -57,6 +62,7 @@ class ControllerLog:
     controls: Array
     statuses: tuple[StepStatus, ...]
     cut_off: bool
+    rounding: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +79,8 @@ class CertifiedLog(ControllerLog):
         As logged.
     cut_off : bool
         Whether the last line of the log was incomplete, and left out.
+    rounding : float
+        Relative rounding of its numbers: that of float if none of them has more digits, else that of double.
     problem : OptimalControlProblem
         That of a step, with its soft constraints.
     findings : tuple of LogFinding
@@ -82,8 +90,8 @@ class CertifiedLog(ControllerLog):
     costs, gaps : (N,)
         Of these plans; the gap to a rigorous lower bound is relative to the terms of the cost.
     differences : (N,)
-        Largest difference of a control from the planned one, relative to the largest bound of that control, or without
-        one to the largest logged value.
+        Largest difference of a control from the planned one, relative to the largest control of the plan, or to the
+        bound on the side of the planned control if that is smaller. 0 if it moves a state by no more than rounding.
 
     Examples
     --------
@@ -149,7 +157,8 @@ def read_log(path: Path, problem: OptimalControlProblem) -> ControllerLog:
         raise ProblemError(str(path), "no steps", "a line for each step, after the header")
     values, references = np.array(rows), np.array(rows)[:, n : 2 * n] if header == headers[1] else None
     statuses = tuple(StepStatus(int(status)) for status in values[:, -1])
-    return ControllerLog(values[:, :n], references, values[:, -1 - m : -1], statuses, cut_off)
+    real = REALS["double" if any(map(MORE_DIGITS.search, lines)) else "float"]
+    return ControllerLog(values[:, :n], references, values[:, -1 - m : -1], statuses, cut_off, real.epsilon)
 
 
 def _log_row(line: str, columns: int) -> list[float]:
@@ -173,11 +182,12 @@ def certify_log(
     log = read_log(path, stated)
     valid = np.array([status is not StepStatus.NO_STATE for status in log.statuses], dtype=bool)
     starts = log.states
-    if delay:  # the control before leads to the state from which a plan begins
-        acting, step = np.vstack([np.zeros_like(log.controls[:1]), log.controls[:-1]]), stated.dynamics.stepper(1)
-        starts = np.array([step(0, x, u) if ok else x for x, u, ok in zip(log.states, acting, valid, strict=True)])
+    if delay:  # the control that was returned last leads to the state from which a plan begins
+        starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.dynamics.stepper(1)
+        for k in np.flatnonzero(valid):
+            starts[k], acting = step(0, log.states[k], acting), log.controls[k]
     repeated, verdicts = Repeated(stated), dict[int, _Verdict]()
-    steps, planned = np.flatnonzero(valid).tolist(), np.full(log.controls.shape, np.nan)
+    steps = np.flatnonzero(valid).tolist()
     for first in range(0, len(steps), STEPS_AT_ONCE):
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
@@ -188,61 +198,101 @@ def certify_log(
                 references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
             change = Change(starts[k], references=references)
             if plan is not None:
-                groups.setdefault(id(plan.translation), {})[k], planned[k] = plan, plan.control
+                groups.setdefault(id(plan.translation), {})[k] = plan
             elif repeated.excluded(change):
                 verdicts[k] = _Verdict(Status.INFEASIBLE)
             else:
                 outcome = repeated.solve(change)
                 repeated.keep(outcome)
-                verdicts[k] = _Verdict.of(outcome)
-                if outcome.status.solved and outcome.trajectory is not None:
-                    planned[k] = outcome.trajectory.u[0]
+                verdicts[k] = _Verdict.of(outcome, tolerance)
         for group in groups.values():
-            proven = proven_in_batch(group)
-            verdicts |= {k: _Verdict(Status.OPTIMAL, one.cost, one.gap) for k, one in proven.items()}
-            verdicts |= {k: _Verdict.of(plan.certified(None)) for k, plan in group.items() if k not in verdicts}
-    each = [verdicts.get(k, _Verdict(None)) for k in range(len(starts))]
-    limits = np.abs(stated.control_tube.bounds).max(axis=(0, 1))
-    sizes = np.where(np.isfinite(limits), limits, np.abs(log.controls[valid]).max(axis=0, initial=0.0))
-    differences = (np.abs(log.controls - planned) / np.where(sizes > 0, sizes, 1.0)).max(axis=1)
+            for k, one in proven_in_batch(group).items():
+                plan = Trajectory(one.x, one.u)
+                verdicts[k] = _Verdict(Status.OPTIMAL, one.cost, one.gap).with_plan(
+                    group[k].translation, plan, tolerance
+                )
+            verdicts |= {
+                k: _Verdict.of(plan.certified(None), tolerance) for k, plan in group.items() if k not in verdicts
+            }
+    each, limits = [verdicts.get(k, _Verdict(None)) for k in range(len(starts))], ControlLimits.of(stated)
+    differences = np.full(len(starts), np.nan)
+    for k, one in verdicts.items():
+        if one.plan is not None:
+            differences[k] = _difference(stated, log.rounding, starts[k], log.controls[k], one.plan)
+    agrees = [
+        difference <= tolerance and not limits.violated(x, u, log.rounding)
+        for difference, x, u in zip(differences, starts, log.controls, strict=True)
+    ]
+    none = np.full(stated.control_dim, np.nan)
     return CertifiedLog(
         **vars(log),
         problem=stated,
-        findings=tuple(map(_finding_of_step, log.statuses, (one.status for one in each), differences <= tolerance)),
-        planned=planned,
+        findings=tuple(map(_finding_of_step, log.statuses, each, agrees)),
+        planned=np.array([none if one.plan is None else one.plan.u[0] for one in each]),
         costs=np.array([one.cost for one in each]),
         gaps=np.array([one.gap for one in each]),
         differences=differences,
     )
 
 
+def _difference(problem: OptimalControlProblem, rounding: float, x: Array, u: Array, plan: Trajectory) -> float:
+    """Return the largest difference of a control from the first one of a plan from x, relative to its size.
+
+    A difference that moves a state by no more than the rounding of its terms is none: a controller that removes this
+    rounding in one step differs by as much.
+    """
+    planned, (A, B, d) = plan.u[0], problem.linear.gains()
+    bounds = np.where(planned > 0, problem.control_tube.upper[0], -problem.control_tube.lower[0])
+    sizes = np.abs(plan.u).max(axis=0)
+    sizes = np.where(bounds > 0, np.minimum(sizes, bounds), sizes)
+    rounded = rounding * (A @ np.abs(x) + B @ np.abs(planned) + d)
+    apart = np.abs(u - planned)
+    apart = np.where(((B * apart <= rounded[:, None]) & (B > 0)).any(axis=0), 0.0, apart)
+    return float(np.divide(apart, sizes, out=np.where(apart > 0, np.inf, 0.0), where=sizes > 0).max())
+
+
 @dataclass(frozen=True)
 class _Verdict:
-    """A status that is proven, or None, with the cost and the gap of the plan."""
+    """A status that is proven, or None, with the plan and its cost and gap.
+
+    ``satisfied`` says that the plan violates no soft constraint by more than the tolerance, and ``exceeded`` that it
+    violates one at all.
+    """
 
     status: Status | None
     cost: float = float("nan")
     gap: float = float("nan")
+    plan: Trajectory | None = None
+    satisfied: bool = True
+    exceeded: bool = False
 
     @classmethod
-    def of(cls, outcome: Outcome) -> _Verdict:
-        """Return the proven status of an outcome."""
-        certificate = outcome.certificate
-        if outcome.status is Status.INFEASIBLE or certificate is None:
+    def of(cls, outcome: Outcome, tolerance: float) -> _Verdict:
+        """Return the proven status of an outcome, and its plan."""
+        certificate, plan = outcome.certificate, outcome.trajectory
+        if outcome.status is Status.INFEASIBLE or certificate is None or plan is None:
             return cls(Status.INFEASIBLE if outcome.status is Status.INFEASIBLE else None)
         proven = outcome.status.solved and (certificate.pmp == "satisfied" or certificate.globally_optimal)
         gap = float("nan") if certificate.gap is None else certificate.gap
-        return cls(Status.OPTIMAL if proven else None, certificate.cost, gap)
+        verdict = cls(Status.OPTIMAL if proven else None, certificate.cost, gap)
+        return verdict.with_plan(translation_of(outcome.problem), plan, tolerance) if outcome.status.solved else verdict
+
+    def with_plan(self, translation: Translation, plan: Trajectory, tolerance: float) -> _Verdict:
+        """Return the verdict with its plan, compared with the soft constraints."""
+        satisfied, exceeded = not excess(translation, plan, tolerance), bool(excess(translation, plan, 0.0))
+        return replace(self, plan=plan, satisfied=satisfied, exceeded=exceeded)
 
 
-def _finding_of_step(status: StepStatus, verdict: Status | None, agrees: bool) -> LogFinding:
-    """Return the finding about a step from its status, the proven status of its problem, and whether controls agree."""
+def _finding_of_step(status: StepStatus, verdict: _Verdict, agrees: bool) -> LogFinding:
+    """Return the finding about a step from its status, the verdict on its problem, and whether controls agree."""
     if status is StepStatus.NO_STATE:
         return LogFinding.NO_STATE
     if status is StepStatus.CAPPED:
         return LogFinding.FALLBACK
-    if verdict is None:
+    if verdict.status is None:
         return LogFinding.UNPROVEN
     if status is StepStatus.INFEASIBLE:
-        return LogFinding.INFEASIBLE if verdict is Status.INFEASIBLE else LogFinding.REFUTED
-    return LogFinding.PROVEN if verdict is Status.OPTIMAL and agrees else LogFinding.DEVIATES
+        return LogFinding.INFEASIBLE if verdict.status is Status.INFEASIBLE else LogFinding.REFUTED
+    as_stated = verdict.satisfied if status is StepStatus.PLANNED else verdict.exceeded
+    proven = verdict.status is Status.OPTIMAL and agrees and as_stated
+    return LogFinding.PROVEN if proven else LogFinding.DEVIATES

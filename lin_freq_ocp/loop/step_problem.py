@@ -10,12 +10,13 @@ multipliers of the constraints is exact: where they can be satisfied, they are.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, brief, positive_number
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
@@ -29,6 +30,7 @@ from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
+EXACTLY_WITHIN = 1e-12  # a row this close to its limit, relative to its terms, is compared in exact arithmetic
 FIELDS = ("state_set", "terminal_state", "stage_rows", *SPECTRA)  # that can be soft
 
 
@@ -62,6 +64,57 @@ def known_states(dynamics: LinearDynamics) -> Mask:
     for _ in range(dynamics.state_dim):
         known = ~(A[:, ~known] != 0).any(axis=1)
     return known
+
+
+@dataclass(frozen=True, eq=False)
+class ControlLimits:
+    """The hard limits of a problem on its first control: bounds, and rows c'x_0 + d u_j <= e on one control each.
+
+    ``clip`` moves a control inside all of them exactly, not up to rounding. Bounds prevail over rows.
+    """
+
+    lower: Array  # (m,)
+    upper: Array  # (m,)
+    acting: Indices  # the control of each row, (rows,)
+    C: Array  # (rows, n)
+    d: Array  # (rows,), not zero
+    e: Array  # (rows,)
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem) -> ControlLimits:
+        """Return the limits of a problem at time 0."""
+        stage, n = problem.stage_sets.at(0), problem.state_dim
+        of_u = stage.matrix[:, n:]
+        on_one = (np.count_nonzero(of_u, axis=1) == 1) & np.isfinite(stage.limits)
+        acting = of_u[on_one].astype(bool).argmax(axis=1)
+        d = of_u[on_one, acting]
+        return cls(stage.lower[n:], stage.upper[n:], acting, stage.matrix[on_one, :n], d, stage.limits[on_one])
+
+    def violated(self, x: Array, u: Array, rounding: float) -> bool:
+        """Whether a control exceeds a limit at the state x by more than a part of the terms of the limit."""
+        on_rows = self.C @ x + self.d * u[self.acting] - self.e
+        size = np.abs(self.C) @ np.abs(x) + np.abs(self.e)
+        outside = (u < self.lower - rounding * np.abs(self.lower)) | (u > self.upper + rounding * np.abs(self.upper))
+        return bool(outside.any() or (on_rows > rounding * size).any())
+
+    def clip(self, x: Array, u: Array) -> Array:
+        """Return the control, (m,), moved inside the rows at the state x, (n,), and then inside the bounds."""
+        inside = u
+        if len(self.e):
+            inside = np.array(u)
+            terms = np.column_stack([self.C * x, self.d * u[self.acting], -self.e])  # summed without threads of BLAS
+            for i in np.flatnonzero(terms.sum(axis=1) > -EXACTLY_WITHIN * np.abs(terms).sum(axis=1)).tolist():
+                inside[self.acting[i]] = self._move_inside(i, x, float(inside[self.acting[i]]))
+        return np.minimum(np.maximum(inside, self.lower), self.upper)
+
+    def _move_inside(self, i: int, x: Array, u: float) -> float:
+        """Return the number next to u that satisfies row i, in exact arithmetic."""
+        exact = Fraction(self.e[i]) - sum(Fraction(c) * Fraction(value) for c, value in zip(self.C[i], x, strict=True))
+        d = Fraction(self.d[i])
+        if d * Fraction(u) <= exact:
+            return u
+        bound = float(exact / d)
+        return bound if d * Fraction(bound) <= exact else float(np.nextafter(bound, -np.inf if d > 0 else np.inf))
 
 
 def depends_on_past(problem: OptimalControlProblem) -> bool:
@@ -121,12 +174,15 @@ def _sets_at(given: ConvexSet) -> list[ConvexSet]:
     return found
 
 
-def excess(translation: Translation, trajectory: Trajectory) -> dict[str, float]:
-    """Return the violation of each soft constraint by its name, in the unit of its limit and summed over time."""
+def excess(translation: Translation, trajectory: Trajectory, least: float = ROUNDING) -> dict[str, float]:
+    """Return the violation of each soft constraint by its name, in the unit of its limit and summed over time.
+
+    Constraints that are violated by at most ``least`` times their terms are left out.
+    """
     violations, moved = dict[str, float](), translation.translated(trajectory)
     for term in translation.problem.terms:
         if not term.hard and not term.kind.is_cost:
             by = float((term.cost(moved.x, moved.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
             size = float(np.max(term.map.sizes(moved.x, moved.u), initial=0.0))
-            violations |= {term.name: by} if by > ROUNDING * size else {}
+            violations |= {term.name: by} if by > least * size else {}
     return violations

@@ -159,7 +159,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
         raise UnsupportedError(f"uniqueness: got {got}.")
     gradients = (program.A.T @ cone.basis[:, active]).toarray()
     norms = np.linalg.norm(gradients, axis=0)
-    with one_blas_thread():
+    with one_blas_thread:
         values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
     return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 

@@ -8,15 +8,23 @@ import os
 import platform
 import shutil
 import subprocess
+import sys
 import sysconfig
 import tempfile
 import warnings
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
+from lin_freq_ocp.base.atomic import lock_file, write_bytes
+from lin_freq_ocp.base.clock import seconds_since
+from lin_freq_ocp.base.errors import ProblemError
+
 FLAGS = ("-std=c99", "-O3", "-march=native", "-fno-math-errno", "-fopenmp-simd", "-DLFO_SIMD", "-fPIC", "-shared")
-SECONDS_TO_COMPILE = 60.0
+PROCESSOR_SECONDS = 60  # of each process of the compiler, however busy the machine; Windows knows no such limit
+SECONDS_TO_WAIT = 600.0  # seconds until a compiler is stopped that waits for something and uses no processor time
+FAILED, DAY = ".failed", 86_400.0  # ending of the record of a failure, and the seconds for which it holds
 # Lines of /proc/cpuinfo that name a processor and its instructions: of x86, ARM, POWER and RISC-V
 PROCESSOR_LINES = ("vendor_id", "cpu family", "model", "flags", "CPU", "Features", "cpu\t", "isa")
 
@@ -36,41 +44,88 @@ def processor() -> str:
     return "\n".join(line for line in lines if line.startswith(PROCESSOR_LINES))
 
 
-@cache
-def compiled_library(package: str, names: tuple[str, ...], purpose: str) -> ctypes.CDLL | None:
-    """Return the library of files of a package, the last of which is compiled; None without a compiler.
+@contextmanager
+def compile_once(subject: str, lock: Path | None) -> Generator[None]:
+    """Say in the terminal that something is compiled, and wait while another process compiles it.
 
-    If the compilation fails: None, with a warning that names the ``purpose`` and what happens instead.
+    If the file cannot be locked, both compile.
+    """
+    if sys.stderr.isatty():
+        print(f"lin_freq_ocp: compiling {subject}, once ...", file=sys.stderr, flush=True)
+    with ExitStack() as stack:
+        if lock is not None:
+            with suppress(OSError):  # a folder may be unwritable
+                lock.parent.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(lock_file(stack.enter_context(lock.open("w"))))
+        yield
+
+
+@cache
+def compiled_library(module: str, names: tuple[str, ...], purpose: str) -> ctypes.CDLL | None:
+    """Return the library of files next to a module, the last of which is compiled; None without a compiler.
+
+    If the compilation fails: None, with a warning that names the ``purpose``, what happens instead and what to do. The
+    failure is remembered for a day, or until compiler, source or processor change: others get None without a warning.
     """
     found = compiler()
     if found is None:
         return None
-    source = resources.files(package)
-    texts = {name: source.joinpath(name).read_text(encoding="utf-8") for name in names}
+    *_, source = sources = [Path(module).with_name(name) for name in names]
     machine = sysconfig.get_platform(), platform.node(), processor()
-    key = "\n".join([*texts.values(), found, *FLAGS, *machine])
-    stem = Path(names[-1]).stem
+    key = repr(([file.read_bytes() for file in sources], found, os.stat(found).st_mtime_ns, FLAGS, machine))
     try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lin_freq_ocp"
-        target = (folder / f"{stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so").absolute()
-        try:
-            return ctypes.CDLL(str(target))
-        except OSError:  # not compiled yet, or damaged
-            _compile_library(found, texts, stem, target)
-        return ctypes.CDLL(str(target))
-    except (OSError, RuntimeError, subprocess.SubprocessError) as error:  # RuntimeError: no home folder
+        target = _library_path(f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so")
+        library, missing = _find_library(target)
+        if missing:
+            with compile_once(source.name, target.with_suffix(".lock")):
+                library, missing = _find_library(target)  # another process may have compiled it meanwhile
+                if missing:
+                    library = _compile_library(found, source, target)
+        return library
+    except OSError as error:
         warnings.warn(f"{purpose}: {error}", RuntimeWarning, stacklevel=2)
         return None
 
 
-def _compile_library(found: str, texts: dict[str, str], stem: str, target: Path) -> None:
-    """Compile a source to a file that is replaced as a whole, if another process writes it meanwhile."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as work:
-        for name, text in texts.items():
-            (Path(work) / name).write_text(text, encoding="utf-8")
-        command, compiled = [found, *FLAGS, f"{stem}.c", "-o", f"{stem}.so", "-lm"], Path(work) / f"{stem}.so"
-        subprocess.run(command, cwd=work, check=True, capture_output=True, timeout=SECONDS_TO_COMPILE)
-        with compiled.open("rb+") as file:
-            os.fsync(file.fileno())  # a power failure after the replacement would leave half of it
-        os.replace(compiled, target)
+def _library_path(name: str) -> Path:
+    """Return the path of a library in the user's cache or, if that cannot be written, in the cache of this folder."""
+    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "lin_freq_ocp"
+    for folder in (user, Path(__file__).parent / "__pycache__"):
+        if folder.is_absolute():  # without a home folder, "~" stays in the path
+            with suppress(OSError):
+                folder.mkdir(parents=True, exist_ok=True)
+            if os.path.exists(folder / name) or os.access(folder, os.W_OK):
+                return folder / name
+    raise OSError(f"{user} cannot be written. Set XDG_CACHE_HOME to a folder that can be written")
+
+
+def _find_library(target: Path) -> tuple[ctypes.CDLL | None, bool]:
+    """Return a library, and whether to compile it: it is missing or damaged, and no attempt failed within a day."""
+    try:
+        return ctypes.CDLL(str(target)), False
+    except OSError:
+        record = target.with_suffix(FAILED)
+        return None, not (record.exists() and seconds_since(record.stat().st_mtime) < DAY)
+
+
+def _compile_library(found: str, source: Path, target: Path) -> ctypes.CDLL:
+    """Compile a library, which appears when it is complete, and load it; a failure is recorded next to it.
+
+    The compiler has a group of its own: Ctrl-C ends this process, and is no failure of the compiler.
+    """
+    # Messages go to a file: a pipe would stay open while any process of the compiler lives
+    with tempfile.TemporaryDirectory() as folder, (Path(folder) / "messages").open("wb") as messages:
+        compiled = Path(folder) / target.name
+        command = [found, *FLAGS, str(source), "-o", str(compiled), "-lm"]
+        if os.name == "posix":
+            command = ["sh", "-c", f'ulimit -S -t {PROCESSOR_SECONDS}; exec "$@"', "sh", *command]
+        try:
+            subprocess.run(
+                command, stdout=messages, stderr=messages, check=True, timeout=SECONDS_TO_WAIT, process_group=0
+            )
+            write_bytes(target, compiled.read_bytes())
+            return ctypes.CDLL(str(target))
+        except (OSError, ProblemError, subprocess.SubprocessError) as error:
+            record = target.with_suffix(FAILED)
+            record.write_text(f"{error}\n{Path(messages.name).read_text(errors='replace')}", encoding="utf-8")
+            raise OSError(f"{record} says why. To try again before tomorrow, remove this file") from None

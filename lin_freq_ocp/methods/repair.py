@@ -12,7 +12,6 @@ from scipy import fft
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors, to_long_double
-from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.structured.kkt.recursions import simulate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -100,9 +99,8 @@ class _Repair:
         starts[:, : self.on_x] = np.tile(of_x, len(breaks))[:, None] * of_starts
         missed = np.append(wanted - np.einsum("tik,ti->k", costates, forced), np.zeros(len(self.controls[0])))
         missed -= removed.ravel() @ flat
-        with one_blas_thread():
-            gram = flat.T @ changes
-            gram[: self.on_x] += of_starts.T @ starts
+        gram = flat.T @ changes
+        gram[: self.on_x] += of_starts.T @ starts
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
         lower, info = lapack.dpotrf(gram * scale * scale[:, None], lower=1)
         if info:

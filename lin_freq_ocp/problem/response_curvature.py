@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, first_largest
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import first_few
 from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE
@@ -85,7 +85,7 @@ def require_convex_bins(problem: OptimalControlProblem, response: Response) -> N
     unit = "Hz" if step is not None else "cycles/sample"
     frequencies = k / (response.record * (step or 1.0))
     listed = first_few([f"{i} ({f:.6g} {unit})" for i, f in zip(k, frequencies, strict=True)], 8)
-    worst = int(np.argmin(curvature.smallest))
+    (worst,) = first_largest(-curvature.smallest)
     noun = "bin" if len(k) == 1 else "bins"
     stopped = "remove these bins by a stop band of the controls, " if response.closed else ""
     raise UnsupportedError(

@@ -258,18 +258,6 @@ class Program:
         lost = np.abs(y[~carried]).max(initial=0.0)
         return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
 
-    def descent_ray_residual(self, z: Array) -> float:
-        """Return the residual of z as a ray of descent: P z = 0, A z recedes, scaled to q'z = -1; inf if q'z >= 0."""
-        slope = float(self.q @ z)
-        if slope >= 0:
-            return np.inf
-        z = z / -slope
-        Az = self.A @ z
-        has_lower = np.isfinite(self.lower) & self.alone
-        leaving = np.maximum(np.where(np.isfinite(self.upper), Az, 0.0), np.where(has_lower, -Az, 0.0))
-        outside = max((_outside_cone(Az[cone]) for cone in self.cones), default=0.0)
-        return float(max(np.abs(self.P @ z).max(initial=0), leaving.max(initial=0.0), outside))
-
 
 @dataclass(frozen=True, eq=False)
 class Scaling:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.certificate.peaks import peak_points
 from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -26,6 +27,7 @@ NEAR_LIMIT = 0.99  # of its limit: a peak of a spectrum above this may have a mu
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried if a trajectory of few decimals fails the default one
 
 
+@one_blas_thread
 def certify(
     problem: OptimalControlProblem,
     trajectory: object,

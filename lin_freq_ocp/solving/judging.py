@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
+from lin_freq_ocp.certificate.rays import Direction, InfeasibilityProof, prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.methods.candidate import Candidate
+from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
+from lin_freq_ocp.methods.convex.polish import recession_directions
 from lin_freq_ocp.methods.correction import Correction, correct
 from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -21,11 +22,10 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
+from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
-ONLY_PRACTICAL = "a numerical ray excludes every trajectory of practical size"
-DIVERGED = 1e6  # larger multipliers of a failed solve may be a Farkas ray, which the judge checks
 CORRECTED = LinearDynamics, FrequencyResponse  # dynamics of problems whose points are corrected
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
@@ -38,7 +38,10 @@ def allowed_residual(tolerance: float | None) -> float:
 def judge_candidate(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:
-    """Judge the point, ray or direction of a candidate; the status follows from the proof."""
+    """Judge the point, ray or direction of a candidate; the status follows from the proof.
+
+    Only a rigorous ray is a proof of infeasibility. Any other claim is refuted by a feasible trajectory.
+    """
     clock = now()
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
@@ -46,27 +49,30 @@ def judge_candidate(
         candidate, certificate = judge_nearest(problem, candidate, allowed)
         if not candidate.interrupted:
             status, message = _verified_status(status, message, certificate, allowed)
-    direction = None if candidate.descent is None else unbounded_direction(problem, candidate.descent)
+    direction = None if candidate.descent is None else verified_direction(problem, candidate.descent)
     if status == Status.UNBOUNDED and direction is not None:
-        t, j = direction.steepest, int(np.argmax(np.abs(direction.u).max(0)))
+        t, j = direction.steepest
         message = (
             f"the cost decreases without bound along a verified direction, most with {problem.control_names[j]} "
             f"{'up' if direction.u[t, j] > 0 else 'down'} at t = {t}"
         )
     elif status == Status.UNBOUNDED:
         status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
-    ray = candidate.ray if status == Status.INFEASIBLE else _diverged_ray(candidate)
-    proof = None if ray is None else prove_infeasible(problem, ray)
-    seconds = {**candidate.seconds, "certify": now() - clock}
     point = candidate.trajectory, candidate.multipliers, certificate
-    if proof is not None:  # there is no feasible point
-        status = Status.INFEASIBLE
-        message = "proven by a rigorous ray" if proof.bound.kind == RIGOROUS else ONLY_PRACTICAL
-        point, direction = (None, None, None), None
-    elif status == Status.INFEASIBLE:
-        status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray proves nothing"
+    claims = status == Status.INFEASIBLE
+    proof = _proof_of(problem, candidate, claims)
+    if proof is not None and proof.bound.kind == RIGOROUS:  # there is no feasible point
+        status, message, point, direction = Status.INFEASIBLE, "proven by a rigorous ray", NO_POINT, None
+    elif claims:
+        proven = "proves nothing" if proof is None else f"only excludes trajectories with {proof.sizes}"
+        status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray {proven}"
+        feasible = _feasible_point(problem)
+        if feasible is not None:
+            status, point, proof = Status.NUMERICAL_ERROR, feasible, None
+            message = f"{candidate.message}, but the controls nearest to zero satisfy all constraints"
     elif status == Status.OPTIMAL:
         message = ""
+    seconds = {**candidate.seconds, "certify": now() - clock}
     return Outcome(
         problem,
         status,
@@ -223,14 +229,33 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
     return confirmed, f"the maximum principle is satisfied; {missing}"
 
 
-def _diverged_ray(candidate: Candidate) -> Multipliers | None:
-    """Return the multipliers of a failed solve divided by their size: near infeasibility they grow into a ray."""
-    multipliers, failed = candidate.multipliers, candidate.status in (Status.NUMERICAL_ERROR, Status.LIMIT)
-    if not failed or multipliers is None or candidate.interrupted:
+Point = tuple[Trajectory | None, Multipliers | None, Certificate | None]
+NO_POINT: Point = (None, None, None)
+
+
+def verified_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
+    """Return a direction without bound near a solver's, which satisfies the constraints only nearly, or None."""
+    return next(filter(None, (unbounded_direction(problem, one) for one in recession_directions(problem, along))), None)
+
+
+def _proof_of(problem: OptimalControlProblem, candidate: Candidate, claims: bool) -> InfeasibilityProof | None:
+    """Return what the ray of a candidate proves; near infeasibility, the multipliers of a failed solve become one."""
+    if claims or candidate.interrupted or candidate.status not in (Status.NUMERICAL_ERROR, Status.LIMIT):
+        ray = candidate.ray if claims else None
+    else:
+        ray = candidate.multipliers
+    proof = None if ray is None else prove_infeasible(problem, ray)
+    return proof if claims or (proof is not None and proof.bound.kind == RIGOROUS) else None
+
+
+def _feasible_point(problem: OptimalControlProblem) -> Point | None:
+    """Return the trajectory of the controls and the initial state nearest to zero, if it satisfies all constraints."""
+    rest = np.zeros((problem.horizon, problem.control_dim)), np.zeros(problem.state_dim)
+    start = None if problem.dynamics.response(problem.horizon) is not None else problem.initial_box.project(rest[1])
+    try:
+        trajectory = simulate(problem, problem.control_tube.project(rest[0]), start)
+    except NumericalError:
         return None
-    fields = {name: getattr(multipliers, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
-    size = max(float(np.abs(part).max(initial=0.0)) for part in (*fields.values(), *multipliers.stage.values()))
-    if size < DIVERGED:
-        return None
-    scaled = {name: part / size for name, part in fields.items()}
-    return Multipliers(0.0, **scaled, stage={name: part / size for name, part in multipliers.stage.items()})
+    multipliers = zero_multipliers(problem, 1.0)
+    certificate = judge(problem, trajectory, multipliers)
+    return (trajectory, multipliers, certificate) if certificate.feasible else None

@@ -7,27 +7,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
-from lin_freq_ocp.certificate.rays import DIRECTION_TOLERANCE, proof_margin, prove_infeasible, unbounded_direction
+from lin_freq_ocp.certificate.bound import RIGOROUS
+from lin_freq_ocp.certificate.rays import proof_margin, prove_infeasible
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import (
-    convex_candidates,
-    solve_convex,
-    structured_first,
-    trajectory_without_cost,
-)
+from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.judging import judge_candidate
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.judging import judge_candidate, verified_direction
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import solve_spectral
@@ -42,6 +34,9 @@ PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
 # statuses of a first candidate after which further candidates are judged
 UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
+
+# statuses of a point that may lie on the way along a direction without bound
+SEEKS_DIRECTION = (Status.NUMERICAL_ERROR, Status.LOCALLY_OPTIMAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,26 +65,26 @@ class _Trial:
         return judge_candidate(self.problem, candidate, self.method, self.backend, self.tolerance)
 
     def judge_point(self, candidate: Candidate) -> Outcome:
-        """Judge a candidate, or a direction of descent instead if its trajectory is far larger than the data.
+        """Judge a candidate, or a direction of descent instead if nothing bounds the cost from below.
 
-        The conditions at such a point hold relative to its own size, and its bound proves nothing: without a finite
-        optimum, it is the point where the solver stopped.
+        Without a finite optimum, a point where the solver stopped may satisfy the conditions relative to its own size.
         """
         if candidate.status == Status.UNBOUNDED:
             candidate = self._contradiction() or candidate
         outcome = self.judge(candidate)
-        unbounded = candidate.status == Status.UNBOUNDED
-        if _rank(outcome) == 2 or outcome.interrupted or not (unbounded or _is_far(outcome)):
+        if outcome.status not in SEEKS_DIRECTION or outcome.interrupted or _is_bounded(outcome):
             return outcome
         try:
-            direction = steepest_recession(self.problem)
-            if direction is None or unbounded_direction(self.problem, direction) is None:
+            along = steepest_recession(self.problem)
+            direction = None if along is None else verified_direction(self.problem, along)
+            if direction is None:
                 return outcome
-            claim = self._contradiction() or replace(candidate, status=Status.UNBOUNDED, descent=direction)
+            descent = Trajectory(direction.x, direction.u)
+            claim = self._contradiction() or replace(candidate, status=Status.UNBOUNDED, descent=descent)
         except UnsupportedError:  # the program does not fit into memory
             return outcome
         proof = self.judge(replace(claim, trajectory=None, multipliers=None))
-        return proof if _rank(proof) == 2 else outcome
+        return proof if _rank(proof) == 2 or proof.infeasibility is not None else outcome
 
     def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
         """Return the prover's claim that a problem is infeasible or unbounded, or None, at the default tolerance."""
@@ -108,27 +103,6 @@ class _Trial:
         claim = Candidate(Status.INFEASIBLE, ray=ray, message="an end lies outside the state set")
         outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
-
-    def try_without_cost(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
-        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or outcome.trajectory is None:
-            return outcome
-        candidate = trajectory_without_cost(self.problem, outcome.trajectory)
-        optimum = None if candidate is None else self.judge(candidate)
-        return (
-            outcome
-            if optimum is None or optimum.status != Status.OPTIMAL
-            else replace(optimum, seconds=outcome.seconds)
-        )
-
-    def seek_proof(self, outcome: Outcome) -> Outcome:
-        """Return Clarabel's proof of infeasibility or unboundedness, if it has one, else the outcome."""
-        try:
-            claim = self.diagnose(self.problem)
-        except UnsupportedError:  # it does not fit into memory
-            return outcome
-        proof = outcome if claim is None else self.judge(claim)
-        return proof if _rank(proof) == 2 else outcome
 
 
 class _Linear(ABC):
@@ -178,13 +152,12 @@ class Convex(_Linear):
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
-        outcome = trial.try_without_cost(trial.judge_point(first))
-        unproven = outcome.status in UNPROVEN or _is_practical(outcome)
+        outcome = trial.judge_point(first)
+        unproven = outcome.status in UNPROVEN
         if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
         for further in map(trial.judge_point, candidates):
-            accepted = further.interrupted or (_rank(further) > 0 and not _fails_conditions(further))
-            if accepted and not _is_practical(further):
+            if further.interrupted or (_rank(further) > 0 and not _fails_conditions(further)):
                 return further
         return outcome
 
@@ -242,7 +215,7 @@ class Structured(_Linear):
     shorthand: ClassVar[str] = "structured"
 
     def _run(self, trial: _Trial, request: Request) -> Outcome:
-        problem, first, doubtful, certified = trial.problem, None, False, 0.0
+        problem, first, certified = trial.problem, None, 0.0
         stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
         candidate = solve_from_warm_start(problem, stage_cache, trial.options)
         if candidate is not None:
@@ -251,12 +224,11 @@ class Structured(_Linear):
                 stage_cache.warm_start = outcome.trajectory
                 return outcome
 
-        def accept_ray(ray: Multipliers) -> bool:  # only a rigorous proof whose margin exceeds rounding
+        def accept_ray(ray: Multipliers) -> bool:
             proof = prove_infeasible(problem, ray)
             return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
         for candidate in solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache):
-            doubtful = candidate.status in (Status.UNBOUNDED, Status.NUMERICAL_ERROR)
             outcome = trial.judge_point(candidate)
             certified += outcome.seconds["certify"]
             if first is None or _rank(outcome) > _rank(first):
@@ -266,11 +238,7 @@ class Structured(_Linear):
         assert first is not None  # the method yields an answer, or raises
         if first.status == Status.OPTIMAL:
             stage_cache.warm_start = first.trajectory
-        first = replace(first, seconds=first.seconds | {"certify": certified})
-        # the claim may fail by little, as along a direction in which the cost is not exactly flat
-        if doubtful and _rank(first) < 2 and not first.interrupted:
-            first = trial.seek_proof(first)
-        return trial.try_without_cost(first)
+        return replace(first, seconds=first.seconds | {"certify": certified})
 
 
 @dataclass(frozen=True)
@@ -334,11 +302,11 @@ class LinearAuto:
 
 def _is_better(outcome: Outcome, best: Outcome) -> bool:
     """Whether an answer replaces that of the method before."""
-    # it satisfies all constraints, although a numerical ray excludes every trajectory of practical size
-    refutes = _is_practical(best) and outcome.status == Status.LOCALLY_OPTIMAL and outcome.primal
-    if best.status == Status.INFEASIBLE and (outcome.status == Status.OPTIMAL or refutes):
+    if best.status == Status.INFEASIBLE and outcome.status == Status.OPTIMAL:
         return True
-    counts = outcome.status != Status.LIMIT and not _is_practical(outcome)
+    # a claim with a ray says how far it holds; a failed solve refutes it by a feasible point only
+    fails = best.infeasibility is not None and outcome.status in UNPROVEN and not outcome.primal
+    counts = outcome.status != Status.LIMIT and not fails
     return counts and _rank(outcome) >= _rank(best)
 
 
@@ -352,11 +320,6 @@ def _is_final(outcome: Outcome) -> bool:
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 
-def _is_practical(outcome: Outcome) -> bool:
-    """Whether infeasibility is proven for trajectories of practical size only."""
-    return outcome.status == Status.INFEASIBLE and outcome.bound == NUMERICAL
-
-
 def _rank(outcome: Outcome) -> int:
     """Return 2 for proven outcomes, 1 for local optima, 0 for others."""
     return 2 if outcome.status in PROVEN else int(outcome.status == Status.LOCALLY_OPTIMAL)
@@ -368,13 +331,7 @@ def _fails_conditions(outcome: Outcome) -> bool:
     return outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp != "satisfied"
 
 
-def _is_far(outcome: Outcome) -> bool:
-    """Whether a trajectory is so large that, taken as a direction, it satisfies all constraints within tolerance.
-
-    A solve that ends without finite numbers counts as such.
-    """
-    trajectory = outcome.trajectory
-    if trajectory is None or outcome.status == Status.LIMIT:
-        return outcome.status == Status.NUMERICAL_ERROR
-    sizes = zip((trajectory.x, trajectory.u), stated_sizes(outcome.problem), strict=True)
-    return max(float((np.abs(signal).max(0) / size).max()) for signal, size in sizes) > 1 / DIRECTION_TOLERANCE
+def _is_bounded(outcome: Outcome) -> bool:
+    """Whether a rigorous bound excludes that the cost decreases without bound."""
+    bound = None if outcome.certificate is None else outcome.certificate.bound
+    return bound is not None and bound.kind == RIGOROUS and bound.value > -float("inf")

@@ -117,7 +117,7 @@ class Outcome:
     trajectory, multipliers, certificate : or None
         The best point, whatever the status, its multipliers and its certificate.
     infeasibility : InfeasibilityProof or None
-        If infeasible by a ray: the verified multipliers with eta_C = 0, their bound, and the constraints in conflict.
+        If infeasible, or claimed so, by a ray: multipliers with eta_C = 0, their bound, the constraints in conflict.
     message : str
         Why it ended so.
     interrupted : bool
@@ -182,8 +182,8 @@ class Outcome:
     def bound(self) -> str | None:
         """Return the scope of the bound on the cost or of the proof of infeasibility; None if there is neither.
 
-        "rigorous": every trajectory; "numerical": trajectories near the best one, or, of infeasibility, those of
-        practical size.
+        "rigorous": every trajectory; "numerical": trajectories near the best one, or, of a claim of infeasibility,
+        those up to the sizes that the message says.
         """
         if self.infeasibility is not None:
             return self.infeasibility.bound.kind
@@ -194,7 +194,7 @@ class Outcome:
 
     @property
     def ray(self) -> Multipliers | None:
-        """Return the verified multipliers with eta_C = 0 of an infeasible problem; None if no ray proves it."""
+        """Return the multipliers with eta_C = 0 that exclude trajectories; with the bound "numerical", not all."""
         return None if self.infeasibility is None else self.infeasibility.multipliers
 
     @property

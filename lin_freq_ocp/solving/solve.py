@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.methods.progress import Progress
@@ -45,6 +46,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as much as the allowed gap
 
 
+@one_blas_thread
 def solve_judged(
     problem: OptimalControlProblem,
     method: str | Method = "auto",
@@ -120,7 +122,7 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
         return outcome
     # rounding of a state may be the reason that the answer is not optimal
     rounding, motion = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
-    i = int(np.argmax(np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0)))
+    (i,) = first_largest(np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0))
     if rounding[i] <= COARSE * motion[i]:
         return outcome
     message = (

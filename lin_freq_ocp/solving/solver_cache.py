@@ -131,7 +131,7 @@ class SolverCache:
         return reduced.recover(replace(answer.candidate(changed), seconds=seconds))
 
     def prepare(self) -> None:
-        """Set up the condensed method now, to be tried from the first solve on."""
+        """Set up the condensed method now, if it is not, to be tried from the first solve on."""
         self._solves = CONDENSED_SOLVES
         self._condensed_solver()
 

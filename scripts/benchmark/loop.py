@@ -115,11 +115,12 @@ def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
         piqp = import_module("piqp")
         solve = piqp.SparseSolver()
         solve.settings.eps_abs, solve.settings.eps_rel = 1e-8, 1e-9
-        A, G = sp.csc_matrix(program.A[equal]), sp.csc_matrix(program.A[~equal])
-        solve.setup(sp.csc_matrix(program.P), program.q, A, upper[equal], G, lower[~equal], upper[~equal])
+        A, G = sp.csc_array(program.A[equal]), sp.csc_array(program.A[~equal])
+        solve.setup(program.P, program.q, A, upper[equal], G, lower[~equal], upper[~equal])
     else:
         solve = osqp.OSQP()
         options = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
+        # it warns of sparse arrays
         solve.setup(sp.csc_matrix(sp.triu(program.P)), program.q, sp.csc_matrix(program.A), lower, upper, **options)
 
     def step(state: np.ndarray) -> np.ndarray:

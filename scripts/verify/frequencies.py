@@ -4,7 +4,7 @@ Part of scripts/verify.py. CVXPY solves every problem with the mask at 64 points
 bound. With a limit that is lowered until the spectrum, sampled at 1024 points for each sample, stays below the true
 limit, it is an upper bound. Then the largest |V|/l of random signals of 10 to 100 000 samples, with masks 0 to 100 dB
 below their peak, is compared with an FFT in extended precision and a search around its peaks: no proven value may be
-below it, or above the value at its own frequency by more than 1e-9.
+below it, or above the value at its own frequency by more than 2e-9, of which 1e-9 is that of the first of equal peaks.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rich.table import Table
 from helpers.checks.frequencies import KINDS, check, peak_errors
 from verify.seeded import check_all
 
-ABOVE = 1e-9  # of a proven maximum over the value at its own frequency
+ABOVE = 2e-9  # of a proven maximum over the value at its own frequency
 
 
 def verify(console: Console, seeds: range, processes: int) -> bool:

@@ -22,6 +22,8 @@ CLASSES = {name: value for name, value in PUBLIC.items() if inspect.isclass(valu
 ERRORS = {name for name, value in CLASSES.items() if issubclass(value, (Exception, lfo.results.Status))}
 LITERATURE = ("certify", "solve", "SpectralSolver", "library.crane", "library.switched_rotation")
 """Some of what rests on the paper or on literature."""
+EXTRAS = {"from_casadi": "casadi", "results.Enclosure": "flint", "results.Result": "pandas"}
+"""The modules of optional extras that examples need."""
 
 
 def sections(value):
@@ -49,6 +51,8 @@ def test_what_rests_on_literature_cites_it(name):
 
 @pytest.mark.parametrize("name", PUBLIC)
 def test_public_names_have_an_example_that_runs(name, tmp_path, monkeypatch):
+    if name in EXTRAS:
+        pytest.importorskip(EXTRAS[name])
     monkeypatch.chdir(tmp_path)
     value = PUBLIC[name]
     found = doctest.DocTestFinder(recurse=False).find(value, name, globs={"lfo": lfo})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -15,6 +14,7 @@ import pytest
 from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
+from helpers.patience import wait_until
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
 from lin_freq_ocp.batch import sweep as sweep_point
 from lin_freq_ocp.batch import tasks as sweep_tasks
@@ -180,15 +180,14 @@ def test_a_worker_killed_on_the_way_loses_nothing(client, tmp_path):
     assert found.proven
     assert_same(found, lfo.sweep(SHORT, FORTY))
     assert len(path.read_text().splitlines()) == 41  # no point was written twice
-    while killed[0] in client.run(os.getpid, on_error="ignore").values():  # the scheduler has not noticed yet
-        time.sleep(0.05)
+    # the scheduler notices it later
+    wait_until(lambda: killed[0] not in client.run(os.getpid, on_error="ignore").values())
     client.wait_for_workers(2)
 
 
 def held(folder: str, cutoff_hz: float | None, control_bound: float) -> lfo.OptimalControlProblem:
     """Return a point of the grid; all but those of the first cut-off wait until there is a file."""
-    while cutoff_hz is not None and not Path(folder, "go on").exists():
-        time.sleep(0.01)
+    wait_until(lambda: cutoff_hz is None or Path(folder, "go on").exists())
     return SHORT(cutoff_hz=cutoff_hz, control_bound=control_bound)
 
 

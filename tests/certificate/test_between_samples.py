@@ -2,6 +2,8 @@
 
 import re
 from dataclasses import asdict, replace
+from fractions import Fraction
+from math import comb
 
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from scipy.integrate import solve_ivp
 
 import lin_freq_ocp as lfo
 from helpers.schemas import RESULT, faults, printed
-from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, between_samples
+from helpers.seeds import seeds
+from lin_freq_ocp.certificate import between_samples as module
+from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, BetweenSamples, BoundPeak, between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
 from lin_freq_ocp.files.summary import certificate_summary, result_summary
 from lin_freq_ocp.pages.report.findings import finding_of
@@ -132,7 +136,7 @@ def test_a_bound_on_one_side_is_relative_to_the_range_of_the_state():
     assert worst.relative == pytest.approx(2 * worst.violation / np.ptp(trajectory.x[:, 0]), rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_random_plants_against_dense_sampling(seed):
     rng = np.random.default_rng(seed)
     n, m, T = rng.integers(1, 6), rng.integers(1, 3), 12
@@ -260,6 +264,14 @@ def test_a_report_says_where_a_bound_is_exceeded():
     assert "between them" not in str(finding_of(lfo.compare(lfo.library.pendulum())))
 
 
+def test_of_equal_violations_the_first_is_named():
+    """Rounding, by which the second is larger, depends on the processor."""
+    upper = BoundPeak(0, "speed", "upper", 0.5, 0.5, 0.25, 1.0)
+    lower = replace(upper, side="lower", relative=0.25 * (1 + 1e-12), time=0.5)
+    assert BetweenSamples((upper, lower)).worst is upper
+    assert BetweenSamples((upper, replace(lower, relative=0.26))).worst.side == "lower"
+
+
 def test_results_and_certificates_say_it():
     result = solved("scanner", {})
     line = f"between   {result.between_samples}"
@@ -271,3 +283,65 @@ def test_results_and_certificates_say_it():
     silent = lfo.solve(lfo.library.quadcopter(horizon=20))
     assert silent.between_samples is None
     assert "between " not in str(silent)
+
+
+def use_degree(monkeypatch, degree):
+    """Make the polynomials of another degree than 15, so that the rest of the series is above all rounding."""
+    monkeypatch.setattr(module, "DEGREE", degree)
+    powers = range(degree + 1)
+    monkeypatch.setattr(module, "BERNSTEIN", np.array([[comb(k, j) / comb(degree, j) for j in powers] for k in powers]))
+
+
+def single_bound(A, B, step, x, u, lower=None, upper=None):
+    """Return the peak of the upper bound of a plant over one period."""
+    plant, box = lfo.LinearDynamics.from_continuous(A, B, step), lfo.Box(lower, upper)
+    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(R=1.0), state_set=box)
+    bounds = between_samples(problem, lfo.simulate(problem, [u], x)).bounds
+    return next(bound for bound in bounds if bound.side == "upper")
+
+
+@pytest.mark.parametrize("cells", [1, 8])
+def test_the_proven_value_covers_the_rest_of_the_series(monkeypatch, cells):
+    """x' = x from 1: with four terms a cell, the polynomials are below the exponential, and their errors grow."""
+    use_degree(monkeypatch, 4)
+    bound = single_bound([[1.0]], [[1.0]], cells * REACH, [1.0], [0.0], upper=1.0)
+    assert bound.violation < np.expm1(cells * REACH) - 1e-4
+    assert bound.at_most >= np.expm1(cells * REACH)
+
+
+def test_the_proven_value_covers_errors_before_the_state_comes_to_rest(monkeypatch):
+    """x_1 = t exp(-t) is 1/e at most, at t = 1; 50 s later all errors are small."""
+    use_degree(monkeypatch, 4)
+    bound = single_bound([[-1.0, 1.0], [0.0, -1.0]], np.zeros((2, 1)), 50.0, [0.0, 1.0], [0.0], upper=[0.1, np.inf])
+    assert bound.violation < np.exp(-1) - 0.1
+    assert bound.at_most >= np.exp(-1) - 0.1
+
+
+def test_the_proven_value_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
+    """The largest value of t exp(-t) lies within a cell, whose ends are below it."""
+    monkeypatch.setattr(module, "LATEST_HALVING", 0)
+    bound = single_bound([[-1.0, 1.0], [0.0, -1.0]], np.zeros((2, 1)), 3.1, [0.0, 1.0], [0.0], upper=[0.1, np.inf])
+    assert bound.violation < np.exp(-1) - 0.1 - 1e-4
+    assert bound.at_most >= np.exp(-1) - 0.1
+
+
+@pytest.mark.parametrize(("start", "limit"), [(1e6, 1e6), (1 / 3, -1e6)])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_proven_value_covers_rounding(start, limit, seed):
+    """x' = u: x_0 + u h is the largest value, in exact arithmetic; states and limits are far larger than the motion."""
+    x, u, h = start + np.random.default_rng(seed).uniform(0.0, 1e-6), 1e-6 / 3, 0.1
+    bound = single_bound([[0.0]], [[1.0]], h, [x], [u], lower=limit - 1e-6 if start > 1 else None, upper=limit)
+    assert Fraction(bound.at_most) >= Fraction(x) + Fraction(u) * Fraction(h) - Fraction(limit)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_within_a_period_the_wider_bound_of_both_samples_counts(side):
+    """The state moves along its bounds, from 1 to 0 and back."""
+    plant = lfo.LinearDynamics.from_continuous([[0.0]], [[1.0]], 1.0)
+    limits = [side * value for value in (1.0, 0.0, 1.0)]
+    boxes = [lfo.Box(None, limit) if side > 0 else lfo.Box(limit, None) for limit in limits]
+    problem = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), state_set=boxes)
+    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [side])).bounds
+    assert bound.violation <= 0
+    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [2 * side])).bounds
+    assert bound.violation == pytest.approx(1.0)

@@ -1,6 +1,7 @@
 """The judge: it accepts optima, and each of its conditions rejects the error that it is there for."""
 
 from dataclasses import replace
+from fractions import Fraction
 
 import hypothesis.strategies as st
 import numpy as np
@@ -8,9 +9,14 @@ import pytest
 from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
+from helpers.seeds import examples
+from lin_freq_ocp.base.arrays import first_largest
 from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.certificate.bound import box_minimum, diagonal_curvature
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.certificate.sizes import trajectory_sizes
+from lin_freq_ocp.certificate.tolerances import DATA_ROUNDING
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
@@ -37,12 +43,12 @@ def moved(trajectory, x=None, u=None):
 def active_state(result):
     """The time and component, strictly inside the horizon, with the largest multiplier of a state bound."""
     inside = np.abs(result.multipliers.mu[1:-1])
-    t, i = np.unravel_index(np.argmax(inside), inside.shape)
-    return int(t) + 1, int(i)
+    t, i = first_largest(inside)
+    return t + 1, i
 
 
 def active_control(result):
-    return int(np.argmax(np.abs(result.multipliers.nu[:, 0])))
+    return first_largest(np.abs(result.multipliers.nu[:, 0]))[0]
 
 
 def failures(certificate, label, name=""):
@@ -254,10 +260,21 @@ def test_a_numerical_bound_and_residuals_of_worth_prove_nothing(solved):
     assert not replace(certificate, worth_of_residuals=1e-4 * certificate.cost_scale).globally_optimal
 
 
+@pytest.mark.parametrize(("below", "proven"), [(0.0, True), (1e-9, False)])
+def test_residuals_that_no_multiplier_prices_prove_nothing(below, proven):
+    """The control must move the end, and pays for it; a residual of the dynamics moves it for nothing."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
+    problem = problem.with_ends([1.0], [1.0 - below])
+    trajectory = lfo.Trajectory(np.array([[1.0], [1.0 - below]]), np.zeros((1, 1)))
+    certificate = judge(problem, trajectory, multipliers_of(problem))
+    assert (certificate.feasible, certificate.gap) == (True, 0.0)
+    assert certificate.globally_optimal is proven
+
+
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=examples(60), deadline=None)
 @given(rng=matrices, size=st.integers(1, 5), rank=st.integers(0, 5))
 def test_curvature_is_below_the_hessian(rng, size, rank):
     factor = rng.standard_normal((min(rank, size), size)) * 10.0 ** rng.integers(-4, 5, size)
@@ -269,6 +286,33 @@ def test_curvature_is_below_the_hessian(rng, size, rank):
     assert np.all(curvature >= -RISES[-1] * np.diag(hessian))
     assert np.all(curvature >= 0) or not is_semidefinite(hessian)
     assert is_semidefinite(hessian, RISES[-1])
+
+
+def is_exactly_semidefinite(matrix):
+    """Whether a symmetric matrix of fractions is positive semidefinite, by elimination."""
+    rows = [list(row) for row in matrix]
+    while rows:
+        pivot, *rest = rows[0]
+        if pivot < 0 or (pivot == 0 and any(rest)):
+            return False
+        factors = [row[0] / pivot if pivot else 0 for row in rows[1:]]
+        rows = [
+            [a - f * b for a, b in zip(row[1:], rest, strict=True)] for row, f in zip(rows[1:], factors, strict=True)
+        ]
+    return True
+
+
+@pytest.mark.parametrize("rank", [1, 2, 3])
+def test_curvature_is_below_the_hessian_in_exact_arithmetic(rank):
+    """Products of rounded factors: of full rank, and singular up to rounding."""
+    rng = np.random.default_rng(rank)
+    for factor in rng.standard_normal((12, rank, 3)):
+        hessian = factor.T @ factor
+        hessian = (hessian + hessian.T) / 2
+        rest = [[Fraction(value) for value in row] for row in hessian.tolist()]
+        for k, value in enumerate(diagonal_curvature(hessian).tolist()):
+            rest[k][k] -= Fraction(value)
+        assert is_exactly_semidefinite(rest)
 
 
 def test_curvature_of_components_that_are_not_coupled_is_their_own():
@@ -285,7 +329,7 @@ def test_curvature_of_a_diagonal_hessian_is_exact_and_of_an_indefinite_one_does_
     assert diagonal_curvature(np.array([[1.0, 2.0], [2.0, 1.0]])) is None
 
 
-@settings(derandomize=True, max_examples=100, deadline=None)
+@settings(derandomize=True, max_examples=examples(100), deadline=None)
 @given(rng=matrices)
 def test_box_minimum_against_a_grid(rng):
     slope, curvature = rng.standard_normal(), rng.choice([0.0, 1.0, 1e-3, -1e-3])
@@ -328,6 +372,168 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
     assert after.value < before.value
+
+
+def multipliers_of(problem, **fields):
+    """Return normal multipliers that are zero but for some fields."""
+    (T, n, m), given = (problem.horizon, problem.state_dim, problem.control_dim), {}
+    given |= {"eta_C": 1.0, "eta": np.zeros((T, n)), "mu": np.zeros((T + 1, n)), "nu": np.zeros((T, m))}
+    given |= {"rho_u": np.zeros(problem.control_stop.shape, complex), "stage": {}}
+    given |= {"rho_x": np.zeros(problem.state_stop.shape, complex)}
+    return lfo.results.Multipliers(**(given | fields))
+
+
+def test_a_slope_that_rounding_hides_leaves_no_rigorous_bound():
+    """J is the first component of x_0, which nothing bounds: its slope 1 is 1 + 2^120 - 2^120, rounded to 0."""
+    large = 2.0**120
+    cost = lfo.QuadraticCost(q=[-large, 0.0], p=[large, 1.0])
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0, 0.0], [1.0, 0.0]], np.zeros((2, 1))), 1, cost)
+    problem = replace(problem, control_set=lfo.Box(-1, 1))
+    multipliers = multipliers_of(problem, eta=np.array([[-large, -1.0]]))
+    bound = judge(problem, lfo.simulate(problem, np.zeros((1, 1)), np.zeros(2)), multipliers).bound
+    assert bound.kind == "numerical"
+    assert bound.value < -10.0  # the cost at its own box
+
+
+@pytest.mark.parametrize(("wrong_by", "lower", "upper"), [(-1e-3, -1.0, 10.0), (1e-3, -10.0, 1.0)])
+def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wrong_by, lower, upper):
+    """J = r u - x_1 and x_1 = u: with a rounding of 1e-3, r = 1 is not told from 1 + wrong_by."""
+    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: abs(wrong_by))
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]),
+        1,
+        lfo.QuadraticCost(r=[1.0], p=[-1.0]),
+        control_set=lfo.Box(lower, upper),
+        state_set=lfo.Box(lower, upper),
+        initial_state=[0.0],
+    )
+    at_rest = lfo.simulate(problem, np.zeros((1, 1)))
+    bound = judge(problem, at_rest, multipliers_of(problem, eta=np.ones((1, 1)))).bound
+    assert bound.kind == "rigorous"
+    assert bound.value <= min(wrong_by * lower, wrong_by * upper)
+
+
+@pytest.mark.parametrize("kind", ["offset", "row"])
+def test_the_bound_holds_for_all_data_that_rounding_may_hide(monkeypatch, kind):
+    """D = -1 is the offset times eta, or the limit of a row times its multiplier: with a rounding of 1e-3, -1.001."""
+    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: 1e-3)
+    rows = [lfo.StageRows(None, [[1.0]], [1.0], name="row")] if kind == "row" else ()
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0 if kind == "offset" else 0.0]),
+        1,
+        lfo.QuadraticCost(),
+        control_set=lfo.Box(0, 0),
+        state_set=lfo.Box(0, 0),
+        stage_rows=rows,
+    )
+    eta, stage = np.full((1, 1), 1.0 if kind == "offset" else 0.0), {"row": np.ones((1, 1))} if rows else {}
+    at_rest = lfo.Trajectory(np.zeros((2, 1)), np.zeros((1, 1)))
+    extremal = extremal_at(problem, at_rest, multipliers_of(problem, eta=eta, stage=stage))
+    assert bound_module.ray_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+
+
+def test_the_rounding_of_rows_grows_with_their_terms():
+    """A sum of k terms is wrong by up to k - 1 roundings of the sum of their absolute values."""
+    T = 500
+    total = lfo.spectrum.LinearConstraint(np.ones((T, 1, 1)), [1.0])
+    plain = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), T, lfo.QuadraticCost(R=1.0))
+    assert bound_module.unit_rounding(replace(plain, control_spectrum=total)) >= T * np.finfo(np.longdouble).eps
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_numerical_bound_covers_curved_components_everywhere(side):
+    """J = x_0 - x_1 + u^2/2 - 100 side u: nothing holds x_0 = x_1, but u is best at 100, far from the trajectory."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[0.0]]), 1, lfo.QuadraticCost(q=[1.0], p=[-1.0], R=1.0, r=[-100.0 * side])
+    )
+    there, best = (lfo.simulate(problem, [[side * u]], [1.0]) for u in (1.0, 100.0))
+    bound = judge(problem, there, multipliers_of(problem, eta=np.ones((1, 1)))).bound
+    assert bound.kind == "numerical"
+    assert -np.inf < bound.value <= problem.value(best.x, best.u)
+
+
+@pytest.mark.parametrize("part", ["Q", "P"])
+def test_a_cost_that_is_semidefinite_up_to_rounding_may_be_negative(part):
+    square = np.ones((2, 2))
+    for weight, never in ((square, True), (square + 2.0**-52 * (1 - np.eye(2)), False)):
+        cost = lfo.QuadraticCost(**{part: weight})
+        problem = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))), 1, cost)
+        moved = lfo.simulate(problem, [[0.0]], [1.0, -1.0])
+        assert (problem.value(moved.x, moved.u) >= 0) is never
+        assert bound_module.cost_is_never_negative(problem) is never
+
+
+def test_the_box_of_near_optima_holds_all_of_them():
+    """J = u^2/2 up to 1/50 has |u| <= 1/5; nothing bounds u."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
+    problem = problem.with_ends([0.0])
+    extremal = extremal_at(problem, lfo.simulate(problem, [[0.0]]), multipliers_of(problem))
+    lower, upper = bound_module.optimum_box(extremal, 0.02).u
+    assert (lower[0, 0] <= -0.2, upper[0, 0] >= 0.2) == (True, True)
+    assert upper[0, 0] < 1.0
+
+
+def test_the_scale_of_the_cost_is_that_of_rounding_of_the_hessian():
+    """(x_1 - x_2)^2 is 0 at x_1 = x_2 = 1e6; with one entry of Q rounded otherwise, it is not."""
+    Q = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    problems = [
+        lfo.OptimalControlProblem(
+            lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))), 1, lfo.QuadraticCost(Q=weight), initial_state=[1e6, 1e6]
+        )
+        for weight in (Q, Q + np.diag([2.0**-52, 0.0]))
+    ]
+    still = lfo.simulate(problems[0], [[0.0]])
+    first, second = (problem.value(still.x, still.u) for problem in problems)
+    certificate = judge(problems[0], still, multipliers_of(problems[0]))
+    assert (first, second > 0) == (0.0, True)
+    assert certificate.allowed_gap >= second
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_scale_of_the_cost_is_that_of_rounding_on_either_side_of_a_kink(side):
+    """At a soft bound, the cost is zero and grows on one side only: S is at least what rounding costs there."""
+    price = 0.5
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(), lfo.sets.Soft(lfo.Box(-1, 1), price)
+    )
+    problem = problem.with_ends([0.0])
+    certificate = judge(problem, lfo.simulate(problem, [[side]]), multipliers_of(problem))
+    assert certificate.cost == 0
+    moved = lfo.simulate(problem, [[side * (1 + DATA_ROUNDING)]])
+    assert certificate.allowed_gap >= problem.value(moved.x, moved.u) > 0
+
+
+TIGHTER = {
+    "state band": {"state_spectrum": lfo.stop_band(bins=[2], component=0)},
+    "control band": {"control_spectrum": lfo.stop_band(bins=[1])},
+    "offset": {"dynamics": lfo.LinearDynamics([[0.9]], [[1.0]], offset=[0.1])},
+    "control bound": {"control_set": lfo.Box(-0.08, 0.08)},
+    "joint row": {"stage_rows": lfo.StageRows([[0.0]], [[-1.0]], [0.08])},
+}
+
+
+@pytest.mark.parametrize("name", TIGHTER)
+def test_the_worth_of_residuals_covers_what_a_constraint_costs(name):
+    """The optimal cost is convex in right-hand sides: without a constraint, it falls by no more than the worth."""
+    free = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.9]], [[1.0]]), 8, lfo.QuadraticCost(R=1.0), initial_state=[1.0], terminal_state=[0.0]
+    )
+    looser, tighter = lfo.solve(free), lfo.solve(replace(free, **TIGHTER[name]))
+    certificate = judge(tighter.problem, looser.trajectory, tighter.multipliers)
+    assert certificate.worth_of_residuals >= tighter.cost - looser.cost > 1e-4
+
+
+def test_a_small_control_in_its_stop_band_fails():
+    """Its size counts, not that of the larger control."""
+    waves = np.cos(2 * np.pi * np.arange(8) / 8)[:, None] * [1.0, 1e-7]
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]),
+        8,
+        lfo.QuadraticCost(R=1.0),
+        initial_state=[0.0],
+        control_spectrum=lfo.stop_band(bins=[1], component=1),
+    )
+    assert failures(judge(problem, lfo.simulate(problem, waves), multipliers_of(problem)), "C-vii")
 
 
 def test_a_nonconvex_cost_has_no_bound_but_is_judged():
@@ -375,3 +581,35 @@ def test_a_stop_band_in_conflict_is_named():
 def test_the_optimum_of_a_feasible_problem_is_no_proof_of_infeasibility(solved):
     result = solved("paper, constrained")
     assert prove_infeasible(result.problem, result.multipliers) is None
+
+
+@pytest.mark.parametrize("end", ["initial_state", "terminal_state"])
+def test_fixed_ends_are_sizes_of_states(end):
+    """A trajectory at rest misses its end by all of its size, whatever else it does."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
+    at_rest = lfo.Trajectory(np.zeros((2, 1)), np.ones((1, 1)))
+    assert trajectory_sizes(replace(problem, **{end: [-50.0]}), at_rest)[0].tolist() == [50.0]
+
+
+@pytest.mark.parametrize(("angle", "passed"), [(1e-6, True), (1e-3, False)])
+def test_a_multiplier_of_a_wrong_direction_is_no_subgradient(angle, passed):
+    """At u = (1, 0) of the unit ball; the gap is of second order in the angle, 5e-7 at 1e-3."""
+    plant, cost = lfo.LinearDynamics([[0.0]], [[0.0, 0.0]]), lfo.QuadraticCost(r=[-1.0, 0.0])
+    problem = lfo.OptimalControlProblem(plant, 1, cost, lfo.sets.Ball(1.0))
+    (term,) = problem.terms
+    weights = np.array([[np.cos(angle), np.sin(angle)]])
+    there = lfo.simulate(problem, [[1.0, 0.0]], [0.0])
+    certificate = judge(problem, there, multipliers_of(problem, stage={term.name: weights}))
+    (condition,) = [one for one in certificate.conditions if "subgradients" in one.name]
+    assert condition.passed is passed
+
+
+@pytest.mark.parametrize(("weight", "passed"), [(1e-12, True), (1e-3, False)])
+def test_a_multiplier_of_an_absent_bound_counts_with_the_size_of_its_component(weight, passed):
+    """Rounding of a multiplier is none of its own, though the bound is infinitely far away."""
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.0]]), 1, lfo.QuadraticCost(Q=1.0))
+    certificate = judge(
+        problem, lfo.simulate(problem, [[0.0]], [1.0]), multipliers_of(problem, mu=np.array([[weight], [0.0]]))
+    )
+    (condition,) = [one for one in certificate.conditions if one.label == "N-x"]
+    assert condition.passed is passed

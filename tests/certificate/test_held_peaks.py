@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.terms.semi_infinite import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
 
@@ -20,7 +22,7 @@ def magnitude(samples, w):
     return np.abs(factor * np.polyval(samples[::-1], np.exp(-1j * w)))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_nothing_is_above_the_proven_value(seed):
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 120))
@@ -72,3 +74,25 @@ def test_zeros_and_what_is_not_finite():
     everywhere = held(5, [(1.0, 9.0)])
     assert proven_peak(everywhere, np.zeros(5)).ratio == 0
     assert proven_peak(everywhere, np.array([1.0, np.inf, 0, 0, 0])).ratio == np.inf
+
+
+def test_the_band_of_a_problem_ends_a_period_after_its_last_point():
+    """A tone at 0.8 pi has its next image above 1.6 pi at 2.8 pi: that is the largest value of the band."""
+    N = 40
+    mask = lfo.MagnitudeBound(2.0, band=lfo.low_pass(cutoff_hz=0.8), every_frequency=True, hold=True)
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]], sampling_time=1.0)
+    problem = lfo.OptimalControlProblem(plant, N, lfo.QuadraticCost(R=1.0), control_spectrum=mask)
+    samples = np.cos(0.8 * np.pi * np.arange(N))
+    peak = proven_peak(problem.terms[0].semi_infinite, samples)
+    assert magnitude(samples, np.linspace(1.6 * np.pi, 60.0, 20_001)).max() <= 2.0 * peak.ratio
+    assert peak.frequency == pytest.approx(2.8 * np.pi, rel=1e-2)
+
+
+def test_the_band_of_a_problem_ends_a_period_after_the_points_of_its_limit():
+    """The limit is high up to 1.69 Hz and low from 1.7 Hz on: the image at 2.4 Hz is the worst."""
+    N, points = 40, np.array([[0.8, 100.0], [1.69, 100.0], [1.7, 1.0]])
+    mask = lfo.MagnitudeBound(points, band=lfo.low_pass(cutoff_hz=0.8), every_frequency=True, hold=True)
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]], sampling_time=1.0)
+    problem = lfo.OptimalControlProblem(plant, N, lfo.QuadraticCost(R=1.0), control_spectrum=mask)
+    peak = proven_peak(problem.terms[0].semi_infinite, np.cos(0.8 * np.pi * np.arange(N)))
+    assert peak.frequency == pytest.approx(4.8 * np.pi, rel=1e-2)

@@ -74,6 +74,18 @@ def test_points_between_bins_are_priced_at_the_nearest():
     assert prices.sum() == pytest.approx(np.linalg.norm(weights, axis=1).sum())
 
 
+def test_prices_of_a_mask_that_holds_between_its_points_are_those_of_its_own_limit():
+    """The points have a lower limit than the mask: all prices together are the difference of costs by the mask's."""
+
+    def between(limit):
+        band = lfo.stop_band(bins=[2, 3])
+        return problem(control_spectrum=lfo.MagnitudeBound(limit, band=band, oversampling=2, between=True))
+
+    prices, _ = bin_prices(between(0.3), lfo.solve(between(0.3), tolerance=1e-11).multipliers)
+    higher, lower = (lfo.solve(between(0.3 + by), tolerance=1e-11).cost for by in (STEP, -STEP))
+    assert prices.sum() == pytest.approx((lower - higher) / (2 * STEP), rel=1e-4)
+
+
 def test_costs_have_no_limits():
     priced = lfo.OptimalControlProblem(
         PLANT, T, lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(u=0.1), initial_state=[0, 0], terminal_state=[1, 0]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
+from lin_freq_ocp.certificate import many
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -82,7 +85,7 @@ def test_figures_are_those_of_the_judge(solved):
 
 
 @pytest.mark.parametrize("units", UNITS)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_verdicts_on_soft_and_joint_rows_are_those_of_the_judge(seed, units):
     """The solutions, and the same with one part wrong by more and by less than the judge allows."""
     problem = plant_with_rows(seed, *UNITS[units])
@@ -181,8 +184,8 @@ def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there(
     ]:
         value = proven.value + proven.slope @ (state - proven.start)
         proof = prove_infeasible(problem.with_ends(state), ray)
-        assert (proof is not None) == (value > 0)
-        if proof is not None:
+        assert proof is not None or value <= 0  # over the reach, a ray may prove more
+        if value > 0:
             assert proof.bound.value == pytest.approx(value, rel=1e-9)
         seen.add(proven.applies_to(state))
         assert proof is not None or not proven.applies_to(state)
@@ -201,3 +204,106 @@ def test_other_kinds_of_problems_are_for_the_judge_alone():
         lfo.library.elliptic_rendezvous(),
     ]
     assert not any(map(batch_judge_takes, others))
+
+
+def test_costs_are_those_of_the_problem():
+    """With a linear term of each kind, at any trajectory."""
+    cost = replace(COST, q=[0.1, -0.3], r=[0.7], p=[0.4, -0.2], u_ref=[0.3])
+    problem = replace(PROBLEMS["states, references and linear terms"](), cost=cost)
+    rng, (T, n, m) = np.random.default_rng(5), (problem.horizon, problem.state_dim, problem.control_dim)
+    x, u = rng.standard_normal((3, T + 1, n)), rng.standard_normal((3, T, m))
+    zeros = (
+        np.zeros((3, T, n)),
+        np.zeros((3, T + 1, n)),
+        np.zeros((3, T, m)),
+        np.zeros((3, *problem.control_stop.shape)),
+    )
+    found = judge_batch(problem, x[:, 0], Extremals(x, u, *zeros, {}))
+    assert found.costs == pytest.approx([problem.value(*signals) for signals in zip(x, u, strict=True)], rel=1e-12)
+
+
+def integrator(controls: lfo.Box, side: float, gain: float = 1.0, offset: float = 0.0) -> lfo.OptimalControlProblem:
+    """Return x_{t+1} = gain x_t + u_t + offset from 0 with the cost -side (x_0 + .. + x_4), and nothing on states."""
+    cost, plant = lfo.QuadraticCost(q=[-side], p=[-side]), lfo.LinearDynamics([[gain]], [[1.0]], offset=[offset])
+    return lfo.OptimalControlProblem(plant, 4, cost, controls, initial_state=[0.0])
+
+
+def bound_without_multipliers(problem: lfo.OptimalControlProblem, x: np.ndarray, start: float = 0.0) -> float:
+    """Return D of states x (T+1,) and of controls that are 0: the cost at the edge of the reachable states."""
+    zero = [np.zeros((1, *shape)) for shape in ((4, 1), (4, 1), (5, 1), (4, 1), (3, 1))]
+    return float(judge_batch(problem, np.full((1, 1), start), Extremals(x.reshape(1, 5, 1), *zero, {})).bounds[0])
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_controls_reach_on_the_farther_side_count(side):
+    """Controls are between -1 and 3, or -3 and 1."""
+    problem = integrator(lfo.Box(*np.sort([-side, 3 * side])), side)
+    farthest = lfo.simulate(problem, np.full((4, 1), 3 * side))
+    assert -np.inf < bound_without_multipliers(problem, np.zeros(5)) <= problem.value(farthest.x, farthest.u)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_residuals_and_other_starts_reach_count(side):
+    """The states are 0, but the only feasible ones are t and 1, or -t and -1."""
+    still = np.zeros((4, 1))
+    driven, plain = (integrator(lfo.Box(0, 0), side, offset=offset) for offset in (side, 0.0))
+    feasible = lfo.simulate(driven, still)
+    assert bound_without_multipliers(driven, np.zeros(5)) <= driven.value(feasible.x, feasible.u)
+    feasible = lfo.simulate(plain, still, [side])
+    assert bound_without_multipliers(plain, np.zeros(5), side) <= plain.value(feasible.x, feasible.u)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_states_that_rounding_of_residuals_reaches_count(monkeypatch, side):
+    """With a rounding of 1e-3, unstable dynamics may have an offset of 1e-3 of the largest state."""
+    monkeypatch.setattr(many, "RADIUS_MARGIN", 1 + 1e-3)
+    x = 10.0 ** np.arange(5)
+    problem = replace(integrator(lfo.Box(0, 0), side, 10.0), dynamics=lfo.LinearDynamics([[10.0]], [[0.0]]))
+    hidden = replace(problem, dynamics=lfo.LinearDynamics([[10.0]], [[0.0]], offset=[side * 1e-3 * x.max()]))
+    apart = lfo.simulate(hidden, np.zeros((4, 1))).x
+    expected = problem.value(x[:, None] + apart, np.zeros((4, 1)))
+    assert bound_without_multipliers(problem, x, 1.0) <= expected
+
+
+def test_starts_outside_of_the_bounds_of_states_are_not_proven():
+    """x_1 = u_0 = 0 is best from any start, but x_0 = 2 is none."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(Q=1.0, R=1.0), state_set=lfo.Box(-1, 1)
+    )
+    problem, starts = problem.with_ends([1.0]), np.array([[1.0], [2.0]])
+    x = np.concatenate([starts[:, :, None], np.zeros((2, 1, 1))], axis=1)
+    mu = -x  # of the fixed start
+    zero = np.zeros((2, 1, 1))
+    given = Extremals(x, zero, zero, mu, zero, np.zeros((2, 1, 1), dtype=complex), {})
+    assert judge_batch(problem, starts, given).proven.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_bound_is_below_the_exact_one_where_its_terms_cancel(seed):
+    """Everything is fixed, and x_{t+1} = 0 is violated by x_{t+1}: D = sum eta_t x_{t+1}, about 0, in exact numbers."""
+    rng, T = np.random.default_rng(seed), 64
+    x, u, eta = rng.standard_normal((T + 1, 1)), np.zeros((T, 1)), rng.standard_normal((T, 1))
+    eta[-1] = -(eta[:-1] * x[1:-1]).sum() / x[-1]
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.0]], [[0.0]]),
+        T,
+        lfo.QuadraticCost(r=[1.0]),
+        control_set=lfo.Box(0, 0),
+        state_set=[lfo.Box(value, value) for value in x],
+        initial_state=x[0],
+    )
+    exact = sum(Fraction(a) * Fraction(b) for a, b in zip(eta[:, 0].tolist(), x[1:, 0].tolist(), strict=True))
+    zero = np.zeros((1, T + 1, 1)), np.zeros((1, T, 1)), np.zeros((1, T // 2 + 1, 1), dtype=complex)
+    given = Extremals(x[None], u[None], eta[None], *zero, {})
+    assert Fraction(judge_batch(problem, x[:1], given).bounds[0]) <= exact
+    assert Fraction(judge_single(problem, x[0], given, 0).bound.value) <= exact
+
+
+def test_the_bound_holds_for_all_offsets_that_rounding_may_hide(monkeypatch):
+    """D = -1 is the offset times eta: with a rounding of 1e-3, it may be -1.001."""
+    monkeypatch.setattr(many, "unit_rounding", lambda problem: 1e-3)
+    plant, fixed = lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0]), lfo.Box(0, 0)
+    problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(), fixed, state_set=fixed, initial_state=[0.0])
+    zero, one = np.zeros((1, 1, 1)), np.ones((1, 1, 1))
+    given = Extremals(np.zeros((1, 2, 1)), zero, one, np.zeros((1, 2, 1)), zero, zero.astype(complex), {})
+    assert judge_batch(problem, np.zeros((1, 1)), given).bounds[0] <= -1.001

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scipy.signal.windows import chebwin
 
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate import peaks as cells
-from lin_freq_ocp.certificate.peaks import certified_peak
+from lin_freq_ocp.certificate.peaks import TERMS, Cells, certified_peak
 from lin_freq_ocp.problem.terms.semi_infinite import limits_on
 
 WHOLE = [(0.0, np.pi)]
@@ -24,7 +27,7 @@ def sampled(samples, limits, count=4000):
     return found
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", seeds(range(60)))
 def test_no_sampled_value_is_above_it_and_it_is_attained(seed):
     rng = np.random.default_rng(seed)
     N, ends = int(rng.integers(1, 200)), np.sort(rng.uniform(0, np.pi, 4))
@@ -75,3 +78,41 @@ def test_it_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
     whole = certified_peak(samples, limits)
     monkeypatch.setattr(cells, "HALVINGS", 1)
     assert whole.ratio <= certified_peak(samples, limits).ratio < 2 * whole.ratio
+
+
+def test_halved_polynomials_differ_by_no_more_than_their_error():
+    """Forty halvings, to the left and right in turns, against exact arithmetic."""
+    rng = np.random.default_rng(0)
+    a = rng.standard_normal((1, TERMS)) + 0j
+    one = np.ones(1)
+    part = Cells(a, 0 * one, one, one, 0 * one, 0 * one)
+    exact = [Fraction(value) for value in a[0].real.tolist()]
+    for halving in range(40):
+        ends = (-one, 0 * one) if halving % 3 else (0 * one, one)
+        part = part.part(*ends)
+        middle = Fraction(float(part.middle[0]))
+        value = sum(factor * middle**power for power, factor in enumerate(exact))
+        assert abs(Fraction(float(part.a[0, 0].real)) - value) <= Fraction(float(part.error[0]))
+
+
+def single_cell(a, limit, error=0.0):
+    coefficients = np.zeros((1, TERMS), dtype=complex)
+    coefficients[0, : len(a)] = a
+    return Cells(coefficients, np.zeros(1), np.ones(1), np.array([limit]), np.zeros(1), np.array([error]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_cell_whose_end_exceeds_its_limit_by_rounding_is_not_proven(seed):
+    """|g(1)|, the largest value, is above the limit by the part of a rounding: exact arithmetic tells."""
+    a = np.random.default_rng(seed).uniform(0.1, 1.0, (5, 2)) @ [1.0, 1.0j]
+    exact = sum(sum(map(Fraction, part.tolist())) ** 2 for part in (a.real, a.imag))
+    limit = float(np.abs(a.sum()))
+    while Fraction(limit) ** 2 >= exact:
+        limit = float(np.nextafter(limit, 0.0))
+    assert cells._undecided_cells(single_cell(a, limit), 1.0).tolist() == [0]
+
+
+def test_a_cell_is_proven_only_with_the_error_of_its_polynomial():
+    """|g| = 1 and a limit of 1.05: |V| may be 1.04 or 1.06."""
+    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.04), 1.0).tolist() == []
+    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.06), 1.0).tolist() == [0]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp import certificate as judging
 from lin_freq_ocp.certificate.reach import reachable_bounds
 from lin_freq_ocp.certificate.verdict import judge
@@ -144,7 +145,7 @@ def test_the_bound_depends_on_the_multipliers_only(solved):
     assert abs(bound.dynamics_term) > 1
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_controls_that_nothing_bounds_follow_from_the_states(seed):
     rng, n, m = np.random.default_rng(seed), 3 + seed, 1 + seed
     A, B = np.eye(n) + 0.1 * rng.standard_normal((n, n)), rng.standard_normal((n, m))

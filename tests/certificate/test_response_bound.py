@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate import response_bound
+from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -196,3 +198,90 @@ def test_what_no_control_can_do_is_proven(mode):
     result = lfo.solve(problem, throw=False)
     assert str(result.status) == "infeasible"
     assert any("x_0" in one.block for one in result.conflict)
+
+
+def zero_multipliers(problem):
+    x, u = np.zeros((problem.horizon + 1, 1)), np.zeros((problem.horizon, 1))
+    stops = np.zeros(problem.control_stop.shape, complex), np.zeros(problem.state_stop.shape, complex)
+    return lfo.results.Multipliers(1.0, u, x, u, *stops, {})
+
+
+def test_the_bound_holds_for_all_slopes_in_both_ends_of_a_period_that_rounding_may_hide(monkeypatch):
+    """x_0 = x_2 = u_0 and the slopes of both ends cancel: with a rounding of 1e-3, all four terms may be wrong."""
+    unit, reach = 1e-3, 1e-4
+    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: unit)
+
+    def problem(wrong_by):
+        q, x_ref = (1.0 - wrong_by) * np.array([1.0, 0.0, 1.0]), (1.0 + wrong_by) * np.array([[1.0], [0.0], [1.0]])
+        cost = lfo.QuadraticCost(Q=1.0, P=1.0, q=q[:2, None], p=q[2:], x_ref=x_ref)
+        return lfo.OptimalControlProblem(
+            lfo.FrequencyResponse(np.ones(2)), 2, cost, [lfo.Box(-reach, reach), lfo.Box(0.0, 0.0)]
+        )
+
+    rounded, exact = problem(0.0), problem(unit)
+    certificate = judge(rounded, lfo.simulate(rounded, np.zeros((2, 1))), zero_multipliers(rounded))
+    assert certificate.bound.kind == "rigorous"
+    moved = [lfo.simulate(exact, [[u], [0.0]]) for u in (0.0, reach)]
+    costs = [exact.value(one.x, one.u) for one in moved]
+    assert certificate.cost - certificate.lower_bound >= costs[0] - costs[1] > 0
+
+
+def test_the_bound_holds_from_states_that_are_not_of_the_response():
+    """J = x u - x^2/2 - u is u^2/2 - u where x = u: other states must not raise its least value, -1/2 a step."""
+    cost = lfo.QuadraticCost(Q=-1.0, S=[[1.0]], r=[-1.0])
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(3)), 4, cost, lfo.Box(1 - 1e-5, 1 + 1e-5))
+    for change in (-1e-2, 1e-2):
+        there = Trajectory(np.full((5, 1), 1.0 + change), np.ones((4, 1)))
+        bound = judge(problem, there, zero_multipliers(problem)).bound
+        assert bound.kind == "rigorous"
+        assert bound.value <= -2.0
+
+
+@pytest.mark.parametrize("change", [-1e-2, 1e-2])
+def test_slopes_at_states_that_are_not_of_the_response_do_not_hide_those_of_the_cost(change):
+    """J = u^2 - x^2/2 + change u: where x = u its slope at 0 is the change, at x = change it is 0."""
+    cost, reach = lfo.QuadraticCost(Q=-1.0, R=2.0, r=[change]), 1e-3
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(3)), 4, cost, lfo.Box(-reach, reach))
+    bound = judge(problem, Trajectory(np.full((5, 1), change), np.zeros((4, 1))), zero_multipliers(problem)).bound
+    best = lfo.simulate(problem, np.full((4, 1), -np.sign(change) * reach))
+    assert bound.kind == "rigorous"
+    assert bound.value <= problem.value(best.x, best.u)
+
+
+def test_the_bound_holds_for_all_responses_that_rounding_may_hide(monkeypatch):
+    """J = x_0 - u_0 and x_0 = u_0: with a rounding of 1e-3, both costs and the response may be wrong."""
+    unit, reach = 1e-3, 1.0
+    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: unit)
+
+    def problem(wrong_by):
+        q, r = (1 - wrong_by) * np.eye(2, 1), -(1 + wrong_by) * np.eye(2, 1)
+        boxes = [lfo.Box(-reach, reach), lfo.Box(0.0, 0.0)]
+        return lfo.OptimalControlProblem(
+            lfo.FrequencyResponse((1 - wrong_by) * np.ones(2)), 2, lfo.QuadraticCost(q=q, r=r), boxes
+        )
+
+    rounded, exact = problem(0.0), problem(unit)
+    bound = judge(rounded, lfo.simulate(rounded, np.zeros((2, 1))), zero_multipliers(rounded)).bound
+    best = lfo.simulate(exact, [[reach], [0.0]])
+    assert bound.value <= exact.value(best.x, best.u) < 0
+
+
+def test_the_bound_holds_for_all_limits_that_rounding_may_hide(monkeypatch):
+    """D = -1 is the upper bound of x_0 times its multiplier: with a rounding of 1e-3, it may be -1.001."""
+    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: 1e-3)
+    still = lfo.Box(0.0, 0.0)
+    problem = lfo.OptimalControlProblem(
+        lfo.FrequencyResponse(np.ones(2)), 2, lfo.QuadraticCost(), still, state_set=lfo.Box(None, 1.0)
+    )
+    multipliers = replace(zero_multipliers(problem), mu=np.eye(3, 1))
+    extremal = extremal_at(problem, lfo.simulate(problem, np.zeros((2, 1))), multipliers)
+    assert response_bound.farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_multipliers_of_absent_bounds_are_left_out(side):
+    cost = lfo.QuadraticCost(Q=1.0, r=[0.1])
+    problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(2)), 2, cost, lfo.Box(-1.0, 1.0))
+    at_rest, none = lfo.simulate(problem, np.zeros((2, 1))), zero_multipliers(problem)
+    bound = judge(problem, at_rest, replace(none, mu=np.full((3, 1), side))).bound
+    assert bound.value == judge(problem, at_rest, none).bound.value

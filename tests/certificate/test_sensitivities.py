@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.sensitivities import sensitivities
 
 STEP = 1e-4
@@ -95,7 +96,7 @@ def difference(plus: lfo.OptimalControlProblem, minus: lfo.OptimalControlProblem
     return (cost(plus) - cost(minus)) / (2 * step)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_derivatives_are_differences_of_costs(seed):
     problem = random_problem(seed)
     found = lfo.solve(problem, tolerance=1e-11).sensitivities
@@ -120,7 +121,7 @@ def test_derivatives_are_differences_of_costs(seed):
         assert difference(*problems, STEP) == pytest.approx(values[place], rel=1e-4, abs=1e-5 * size), field
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 @pytest.mark.parametrize("direction", [1.0, 1.0j])
 def test_the_price_of_a_bin_is_a_difference_of_costs(seed, direction):
     problem = random_problem(seed)

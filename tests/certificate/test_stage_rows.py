@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from helpers.stage_rows import (
     VARYING,
     M,
@@ -109,7 +110,7 @@ def test_the_excess_of_the_hamiltonian_covers_the_controls_that_the_rows_allow(t
         assert (gained[allowed].max() > 0.05 * reported) == (size > 0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_the_bound_holds_for_any_multipliers(seed):
     """D <= J* however wrong l is, in sign and size; and J - D is the sum of its parts."""
     result = solve(problem_of("xu", VARYING[seed], seed))

@@ -7,9 +7,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks.formula_costs import STATIONARY, check, random_problem, slope_left
+from helpers.seeds import seeds
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_an_accepted_answer_is_stationary_by_differences(seed):
     checked = check(seed)
     assert checked.passed, checked

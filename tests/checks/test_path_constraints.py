@@ -9,9 +9,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks.path_constraints import STATIONARY, check, random_path, slope_left
+from helpers.seeds import seeds
 
 
-@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("seed", seeds(range(9)))
 def test_an_accepted_answer_satisfies_its_conditions_by_differences(seed):
     checked = check(seed)
     assert checked.passed, checked

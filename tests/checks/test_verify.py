@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.checks import convex, explain, flips, frequencies, mixed, modes, sequences, smooth, structured
+from helpers.checks import convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
+from helpers.seeds import seeds, whole_sample
 from lin_freq_ocp.certificate.hybrid.clarke import Flip
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", seeds(range(16)))
 def test_a_random_problem_is_solved_and_proven(seed):
     outcome = convex.check(seed)
     assert outcome.passed, outcome
@@ -28,11 +29,12 @@ def test_the_sample_has_every_kind_and_both_endings():
 check_structured = cache(structured.check)
 
 
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", seeds(range(15)))
 def test_the_structured_method_answers_like_the_others(seed):
     assert check_structured(seed).passed, check_structured(seed)
 
 
+@whole_sample
 def test_the_sample_has_answers_of_every_method_and_a_verified_ray():
     outcomes = [check_structured(seed) for seed in range(15)]
     assert {structured.kind_of(one.seed) for one in outcomes} == set(structured.KINDS)
@@ -58,35 +60,62 @@ def test_wrong_answers_of_a_method_are_found_out():
     assert structured.compared(0, {"structured": right, "plain": local}).verdicts["plain"] == Verdict.LOCAL
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_an_infeasible_problem_is_explained(seed):
     outcome = explain.check(seed)
     assert outcome.passed, outcome
     assert outcome.family
 
 
+@pytest.mark.parametrize("seed", [2, 7, 12, 15])
+def test_infeasible_and_unbounded_are_proven_or_not_said(seed):
+    assert rays.check(seed).passed, rays.check(seed)
+
+
+def test_the_exact_cost_of_a_compact_problem_is_that_of_its_best_controls():
+    problem = rays.compact_problem(4)
+    (A, B, _), end = problem.linear.at(0), problem.terminal_box.lower
+    rng, q = np.random.default_rng(0), problem.quadratic.q.ravel()
+
+    def cost(u):
+        states = [end]
+        for value in u[::-1]:
+            states.append(np.linalg.solve(A, states[-1] - B[:, 0] * value))
+        return float(sum(q @ x for x in states[1:]))
+
+    middle = cost(np.zeros(problem.horizon))
+    slopes = [cost(row) - middle for row in np.eye(problem.horizon)]
+    exact = float(rays.exact_cost(problem))
+    assert exact == pytest.approx(middle - 0.5 * np.abs(slopes).sum(), rel=1e-9)
+    assert all(cost(u) >= exact for u in rng.choice([-0.5, 0.5], (20, problem.horizon)))
+
+
 check_mixed = cache(mixed.check)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_a_problem_of_mixed_features_is_solved_like_by_cvxpy_and_the_judge_refuses_what_is_spoiled(seed):
     assert check_mixed(seed).passed, check_mixed(seed)
 
 
-def test_the_sample_of_mixed_features_has_most_of_them_and_spoils_something():
-    outcomes = [check_mixed(seed) for seed in range(6)]
+def test_the_sample_of_mixed_features_has_most_of_them():
     assert len({one for seed in range(20) for one in random_model(seed).features}) >= 17
-    assert sum(len(outcome.tried) for outcome in outcomes) >= 6
+
+
+@whole_sample
+def test_the_sample_of_mixed_features_spoils_something():
+    assert sum(len(check_mixed(seed).tried) for seed in range(6)) >= 6
 
 
 check_flips = cache(flips.check)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_flips_at_borders_improve_where_the_judge_says_so_and_nowhere_else(seed):
     assert check_flips(seed).passed, check_flips(seed)
 
 
+@whole_sample
 def test_the_sample_of_flips_has_every_outcome():
     counts = sum((check_flips(seed).counts for seed in range(8)), start=Counter())
     assert min(counts[what] for what in ("flip", "stay", "inside", "flip-stationary")) >= 1
@@ -121,7 +150,11 @@ def test_methods_that_disagree_or_prove_nothing_are_found_out(monkeypatch):
     assert not modes.check("buck, T = 6").passed
 
 
-@pytest.mark.parametrize("seed", [70002, 70005, 70007, 70021, 70057, 70100])
+WRONG_ONCE = 70002, 70005, 70007, 70021, 70057, 70100
+"""Feasible trajectories were missed, and sequences without one were called the best."""
+
+
+@pytest.mark.parametrize("seed", WRONG_ONCE)
 def test_small_random_problems_have_the_optimum_of_all_mode_sequences(seed):
     outcome = sequences.check(seed)
     assert outcome.passed, outcome
@@ -134,7 +167,7 @@ def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypa
         assert any(words in one for one in sequences.check(70021).wrong)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 7, 17])
+@pytest.mark.parametrize("seed", seeds([0, 1, 2, 3, 4, 7, 17]))
 def test_a_mask_at_every_frequency_is_between_the_bounds_of_grids(seed):
     found = frequencies.check(seed)
     assert found.passed, found
@@ -152,10 +185,10 @@ def test_findings_outside_the_bounds_fail():
 def test_the_proven_maximum_of_a_signal_is_attained(seed):
     below, above = frequencies.peak_errors(seed)
     assert below == 0
-    assert above < 1e-9
+    assert above < 2e-9  # the frequency is the first of equal ones to 1e-9
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_a_random_smooth_problem_is_answered_and_no_saddle_is_called_a_minimum(seed):
     pytest.importorskip("casadi")
     outcome = smooth.check(seed)

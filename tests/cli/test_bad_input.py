@@ -407,11 +407,15 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (solve_pendulum("control_bound=1"), NO_SOLUTION, "control bound on force [N]"),
+        (solve_pendulum("horizon=60", "control_bound=1"), NO_SOLUTION, "control bound on force [N]"),
         (solve_cart("control_set.upper=0.1"), NO_SOLUTION, "control bound on force [N]"),
         (("solve", "unbounded.toml"), NO_SOLUTION, "unbounded"),
         (("compare", "unbounded.toml"), NO_SOLUTION, "no lower bound"),
-        (("compare", "pendulum", *settings("control_bound=1")), NO_SOLUTION, "control bound on force [N]"),
+        (
+            ("compare", "pendulum", *settings("horizon=60", "control_bound=1")),
+            NO_SOLUTION,
+            "control bound on force [N]",
+        ),
         (
             ("compare", "pendulum", "--filters", "clipped", *settings("control_bound=4.5")),
             NO_SOLUTION,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import subprocess
 import sys
@@ -20,6 +21,12 @@ from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.app import COMMANDS
 
 # --- for people -----------------------------------------------------------------------------------------------------
+
+
+def test_matplotlib_says_nothing_of_its_font_cache(caplog):
+    run("--version")
+    logging.getLogger("matplotlib.font_manager").warning("Matplotlib is building the font cache")
+    assert not caplog.records
 
 
 @pytest.mark.parametrize(
@@ -237,7 +244,7 @@ def test_none_takes_a_value_away(tmp_path, monkeypatch):
 
 def test_it_is_said_that_nothing_was_saved(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, _, err = run("solve", "pendulum", "--set", "control_bound=1", "--save", "run.npz")
+    status, _, err = run("solve", "pendulum", *TOO_WEAK, "--save", "run.npz")
     assert status == 1
     assert "nothing saved to run.npz" in err
     assert not Path("run.npz").exists()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import subprocess
-import sys
 import tomllib
 
 import pytest
@@ -122,16 +120,7 @@ def test_the_problem_file_of_a_library_problem_is_printed(tmp_path):
     assert problem_text(read) == problem_text(lfo.library.elliptic_rendezvous(horizon=30))
 
 
-def test_the_script_of_a_library_problem_is_printed_and_solves_it(tmp_path):
-    status, out, err = run("show", "pendulum", "--python", "--set", "control_bound=6")
-    assert (status, err) == (0, "")
-    (tmp_path / "pendulum.py").write_text(out, encoding="utf-8")
-    printed = subprocess.run([sys.executable, "pendulum.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
-    result = lfo.solve(lfo.library.pendulum(control_bound=6))
-    assert printed.stdout.splitlines()[0] == str(result).splitlines()[0]
-
-
 def test_only_one_form_is_printed():
-    status, out, err = run("show", "pendulum", "--toml", "--python")
+    status, out, err = run("show", "pendulum", "--toml", "--json")
     assert (status, out) == (2, "")
-    assert "--json, --toml and --python exclude each other" in err
+    assert "--json and --toml exclude each other" in err

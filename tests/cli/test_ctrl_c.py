@@ -5,17 +5,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
+from helpers.patience import PATIENCE, wait_until
 from lin_freq_ocp.base import interrupts
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 
 ROOM = 1 << 20  # bytes of a pipe that nobody reads while workers start: import times fill the usual 65 kB
-PATIENCE = 600  # seconds, after which something hangs
 SWEEP = ("sweep", "pendulum", "--grid", "cutoff=0.5:3:400", "--workers", "2")
 
 
@@ -52,8 +51,7 @@ def imported(module):
 def working(process):
     """Wait until processes to work on have been asked for, which then import what they need."""
     imported("lin_freq_ocp.cli.app")(process)
-    while not len(children(process)) > 1:
-        time.sleep(0.01)
+    wait_until(lambda: len(children(process)) > 1)
 
 
 @pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.base.arrays"])

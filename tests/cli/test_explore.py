@@ -11,6 +11,7 @@ import urllib.request
 import pytest
 
 from helpers.command_line import run
+from helpers.patience import PATIENCE
 
 
 def test_ctrl_c_ends_the_server_with_its_status():
@@ -20,10 +21,10 @@ def test_ctrl_c_ends_the_server_with_its_status():
         try:
             url = process.stdout.readline().strip()
             assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", url)
-            with urllib.request.urlopen(url, timeout=600) as page:
+            with urllib.request.urlopen(url, timeout=PATIENCE) as page:
                 assert b"double_integrator" in page.read()
             os.kill(process.pid, signal.SIGINT)
-            _, err = process.communicate(timeout=600)
+            _, err = process.communicate(timeout=PATIENCE)
         finally:
             process.kill()
     assert (process.returncode, err) == (130, "")

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import threading
-import time
 
 import psutil
 import pytest
@@ -14,6 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
+from helpers.patience import PATIENCE, wait_until
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.methods.spectral import solver
 from lin_freq_ocp.methods.spectral.exchange import deadline
@@ -133,16 +133,12 @@ def test_an_interrupted_point_is_saved(monkeypatch, tmp_path):
 # --- as real processes ----------------------------------------------------------------------------------------------
 
 
-PATIENCE = 600  # seconds, after which something hangs
-
-
 def work_on(process, seconds):
     """Wait until a process that is running has spent so many seconds of a processor from now on."""
     worked = psutil.Process(process.pid)
     end = worked.cpu_times().user + seconds
-    while worked.cpu_times().user < end:
-        assert process.poll() is None
-        time.sleep(0.01)
+    wait_until(lambda: process.poll() is not None or worked.cpu_times().user >= end)
+    assert process.poll() is None
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGINT for one process")
@@ -160,7 +156,7 @@ def test_ctrl_c_in_the_middle_of_a_long_solve(backend, horizon, tmp_path):
     ) as process:
         try:
             assert "removes no bin" in process.stderr.readline()
-            work_on(process, 1.0)
+            work_on(process, 0.3)
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=PATIENCE)
         finally:

@@ -2,12 +2,13 @@
 
 import subprocess
 import sys
-import time
+from contextlib import suppress
 
 import psutil
 import pytest
 
-PATIENCE = 120  # seconds, after which something hangs
+from helpers.patience import wait_until
+
 SWEEP = ("sweep", "double_integrator", "--grid", "horizon=60:400:300", "--workers", "2")
 
 
@@ -16,18 +17,18 @@ def test_workers_of_a_killed_sweep_end():
     command = [sys.executable, "-m", "lin_freq_ocp", *SWEEP]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
-            sweep, workers, end = psutil.Process(process.pid), [], time.monotonic() + PATIENCE
-            while len(workers) < 4 and process.poll() is None and time.monotonic() < end:  # with two that serve them
-                time.sleep(0.01)
-                workers = sweep.children(recursive=True)
+            sweep = psutil.Process(process.pid)
+            wait_until(lambda: process.poll() is not None or len(sweep.children(recursive=True)) == 4)
+            workers = sweep.children(recursive=True)  # two that solve, and two that serve them
         finally:
             process.kill()
     assert len(workers) == 4
-    while (alive := [worker for worker in workers if not ended(worker)]) and time.monotonic() < end:
-        time.sleep(0.01)
-    for left in alive:
-        left.kill()
-    assert not alive
+    try:
+        wait_until(lambda: all(map(ended, workers)))
+    finally:
+        for left in workers:
+            with suppress(psutil.NoSuchProcess):
+                left.kill()
 
 
 def ended(process):

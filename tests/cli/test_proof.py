@@ -9,6 +9,7 @@ import flint
 import pytest
 
 from helpers.command_line import run
+from helpers.patience import PATIENCE
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -26,7 +27,7 @@ def test_a_proof_is_written_and_confirmed(tmp_path, monkeypatch, capsys):
 def test_an_infeasible_problem_has_a_proof_too(tmp_path, monkeypatch, capsys):
     file = tmp_path / "run.proof"
     status, _, err = run(
-        "solve", "double_integrator", "--set", "cutoff_hz=0.3", "--time-limit", "1", "--proof", str(file)
+        "solve", "double_integrator", "--set", "cutoff_hz=0.3", "--time-limit", "0.3", "--proof", str(file)
     )
     assert status == 1, err
     monkeypatch.setattr(sys, "argv", ["lfo-check", str(file)])
@@ -59,6 +60,6 @@ def test_the_checker_needs_nothing_but_python_and_flint(tmp_path):
     program += "runpy.run_path(sys.argv[0], run_name='__main__')"
     proof = Path(__file__).parents[1] / "proof" / "double_integrator.proof"
     command = [sys.executable, "-I", "-S", "-c", program, str(numbers), str(alone), str(proof)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.splitlines()[-1].startswith("VERIFIED ")

@@ -82,7 +82,7 @@ INFEASIBLE = {  # name: changes, family, {block: amount}
 def feasible(problem: lfo.OptimalControlProblem) -> bool:
     """Another method than the explanation's own, which is our Fourier-domain one here."""
     result = lfo.solve(replace(problem, cost=lfo.QuadraticCost()), method="convex", throw=False)
-    assert result.status in ("optimal", "infeasible")
+    assert result.status in ("optimal", "infeasible", "infeasible_claimed")
     return result.status == "optimal"
 
 
@@ -225,14 +225,15 @@ def test_without_throw_nothing_more_is_solved():
 
 def test_a_busy_machine_takes_no_cure_away():
     """Every look costs a second on the wall, and a thousandth of one of the processor: solve explains all the same."""
-    problem = lfo.library.double_integrator(cutoff_hz=0.3)
+    problem = lfo.library.double_integrator(cutoff_hz=0.3, horizon=40, sampling_time=0.06)
     with use_clock(Clock(1.0), Clock(1e-3)):
         with pytest.raises(lfo.errors.InfeasibleError) as caught:
             lfo.solve(problem)
         given = caught.value.result.explanation
         limited = lfo.explain(problem, time_limit=30.0)
-    assert (given.family, given.irreducible) == (lfo.explain(problem).family, True)
-    assert [cure.block for cure in given.cures] == [cure.block for cure in lfo.explain(problem).cures]
+    idle = lfo.explain(problem)
+    assert (given.family, given.irreducible) == (idle.family, True)
+    assert [cure.block for cure in given.cures] == [cure.block for cure in idle.cures]
     assert len(limited.cures) < len(given.cures)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
+from helpers.seeds import seeds
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
@@ -138,7 +139,7 @@ def test_the_dual_of_a_norm_is_the_price_of_its_limit():
     assert labelled(program)["control set"].dual_value[0].sum() == pytest.approx(-slope, rel=1e-4)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 7, 9, 12, 13, 19, 24, 25, 26, 27])
+@pytest.mark.parametrize("seed", seeds([1, 2, 3, 7, 9, 12, 13, 19, 24, 25, 26, 27]))
 def test_random_mixtures_of_features(seed):
     problem = problem_of(random_model(seed))
     program = lfo.to_cvxpy(problem)

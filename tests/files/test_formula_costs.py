@@ -9,7 +9,6 @@ import lin_freq_ocp as lfo
 from helpers.every_table import GOOD
 from helpers.formula_costs import PUBLISHED
 from lin_freq_ocp.files.problem_tables import problem_from_tables
-from lin_freq_ocp.files.python_script import problem_script
 
 
 def require_equal(one, other):
@@ -28,13 +27,6 @@ def test_a_file_states_costs_and_time_as_text(tmp_path, name):
     require_equal(problem, lfo.read_problem(tmp_path / "problem.toml"))
 
 
-@pytest.mark.parametrize("name", ["HS99", "DTOC2, N = 10"])
-def test_a_script_states_costs_and_time(name):
-    problem, space = PUBLISHED[name][0](), {"__name__": "script"}
-    exec(problem_script(problem), space)
-    require_equal(problem, space["problem"])
-
-
 def test_long_formulas_share_their_parts(tmp_path):
     def stage(x, u):
         part = np.sin(x[0] * u[0] + 0.123456789) ** 2
@@ -49,9 +41,6 @@ def test_long_formulas_share_their_parts(tmp_path):
     assert "let" in text
     assert len(text) < 3000
     require_equal(problem, lfo.read_problem(tmp_path / "problem.toml"))
-    space = {"__name__": "script"}
-    exec(problem_script(problem), space)
-    require_equal(problem, space["problem"])
 
 
 def stated(cost):

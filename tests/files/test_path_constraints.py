@@ -7,7 +7,6 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass
-from lin_freq_ocp.files.python_script import problem_script
 
 
 def family(problem):
@@ -25,12 +24,10 @@ def family(problem):
         {"h": "look_up(t, " + ", ".join(["1.0"] * 13) + ") * x_0", "upper": np.arange(13.0)[:, None]},
     ],
 )
-def test_it_survives_files_and_scripts(tmp_path, given):
-    problem, script = mass(**given), {"__name__": "script"}
+def test_it_survives_files(tmp_path, given):
+    problem = mass(**given)
     lfo.write_problem(problem, tmp_path / "mass.toml")
     assert family(lfo.read_problem(tmp_path / "mass.toml")) == family(problem)
-    exec(problem_script(problem), script)
-    assert family(script["problem"]) == family(problem)
 
 
 def test_named_formulas_are_read():

@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 import lin_freq_ocp as lfo
 from helpers.problem_files import assert_same, bands, everything_at_once
+from helpers.seeds import examples
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.problem_file import INLINE_LIMIT, init_problem_file, read_problem, template, write_problem
 from lin_freq_ocp.files.problem_tables import NORM_COSTS, SETS, SPECTRUM
@@ -150,7 +151,7 @@ def problems(draw) -> OptimalControlProblem:
 @given(problem=problems())
 @settings(
     derandomize=True,
-    max_examples=15,
+    max_examples=examples(15),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -13,10 +13,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
 from helpers.random.mixed import FEATURES, problem_of, random_model
+from helpers.seeds import seeds
 from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.files import problem_file as toml_file
-from lin_freq_ocp.files.problem_file import INLINE_LIMIT, problem_text
-from lin_freq_ocp.files.python_script import WIDTH, problem_script
+from lin_freq_ocp.files.problem_file import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
 
 T, N, M = 12, 3, 2
@@ -226,10 +226,7 @@ def assert_same_problem(one: lfo.OptimalControlProblem, other: lfo.OptimalContro
 
 
 def round_trip(problem: lfo.OptimalControlProblem, folder: Path) -> dict[str, Any]:
-    """Write, read, compare, and write again, which must give the same text; return the tables of the file.
-
-    The script of the problem must build an equal problem, too.
-    """
+    """Write, read, compare, and write again, which must give the same text; return the tables of the file."""
     lfo.write_problem(problem, folder / "problem.toml")
     again = lfo.read_problem(folder / "problem.toml")
     assert_same_problem(problem, again)
@@ -237,17 +234,7 @@ def round_trip(problem: lfo.OptimalControlProblem, folder: Path) -> dict[str, An
     lfo.write_problem(again, folder / "again" / "problem.toml")
     text = (folder / "problem.toml").read_text(encoding="utf-8")
     assert (folder / "again" / "problem.toml").read_text(encoding="utf-8") == text
-    built = problem_of_script(problem_script(problem))
-    assert_same_problem(problem, built)
-    assert problem_text(built) == problem_text(problem)
     return tomllib.loads(text)
-
-
-def problem_of_script(script: str) -> lfo.OptimalControlProblem:
-    """Run a script without its last block, which solves the problem."""
-    names: dict[str, Any] = {"__name__": "script"}
-    exec(compile(script, "script", "exec"), names)
-    return names["problem"]
 
 
 @pytest.mark.parametrize("feature", FEATURES_ALONE)
@@ -278,7 +265,7 @@ def test_large_arrays_of_modes_leave_the_text(tmp_path, monkeypatch):
     assert tables["dynamics"]["modes"][1]["h"] == {"npz": "problem.problem.npz", "key": "dynamics.modes[1].h"}
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", seeds(range(24)))
 def test_mixed_features_survive_the_round_trip(tmp_path, seed):
     round_trip(problem_of(random_model(seed)), tmp_path)
 
@@ -369,33 +356,6 @@ def test_a_problem_read_back_has_the_same_optimum(tmp_path):
     assert np.array_equal(one.trajectory.x, other.trajectory.x)
 
 
-def test_a_script_writes_arrays_short_and_numbers_exactly():
-    problem = lfo.OptimalControlProblem(
-        lfo.LinearDynamics(np.diag([1 / 3, 2.0, -0.5]), [[1.0], [-0.0], [1e-300]], control_names=['a "force" [N]']),
-        7,
-        lfo.QuadraticCost(Q=np.eye(3), R=1.0, x_ref=np.tile([0.1, 0.2, 0.3], (8, 1))),
-        control_set=lfo.Box(np.full((7, 1), -2.5), None),
-        state_set=lfo.Box([None, -1.0, None], None),
-        control_spectrum=lfo.stop_band(bins=[1, 2]),
-        name='it\'s "so"',
-    )
-    script = problem_script(problem)
-    for part in (
-        "A=np.diag([0.3333333333333333, 2.0, -0.5])",
-        "B=[[1.0], [-0.0], [1e-300]]",
-        "Q=np.diag([1.0, 1.0, 1.0])",
-        "lower=np.full((7, 1), -2.5)",
-        "lower=[-np.inf, -1.0, -np.inf]",
-        "stop_band(bins=[1, 2])",
-        "name='it\\'s \"so\"'",
-    ):
-        assert part in script
-    assert max(map(len, script.splitlines())) <= WIDTH
-    built = problem_of_script(script)
-    assert_same_problem(problem, built)
-    assert np.signbit(built.dynamics.B[1, 0])
-
-
 class Diamond(lfo.sets.Ball):
     """A set of a user's own."""
 
@@ -412,8 +372,6 @@ def test_what_no_file_can_hold_is_refused_in_words(tmp_path):
     ):
         lfo.write_problem(problem_with(cost=Huber(u=1.0)), tmp_path / "problem.toml")
     assert not (tmp_path / "problem.toml").exists()
-    with pytest.raises(lfo.errors.ProblemError, match=r"cost.norms\[0\]: got .*that a problem file can hold"):
-        problem_script(problem_with(cost=Huber(u=1.0)))
 
 
 def test_repeated_sets_are_one_constraint_however_they_are_given():

@@ -248,7 +248,7 @@ def test_a_name_without_its_unit_must_be_the_only_one(tmp_path):
 
 def test_matlab_sees_one_row_per_time_and_the_names(tmp_path, result):
     result.to_mat(tmp_path / "run.mat")
-    seen = loadmat(tmp_path / "run.mat")
+    seen = loadmat(tmp_path / "run.mat", spmatrix=False)
     assert (seen["x"] == result.trajectory.x).all()
     assert (seen["u"] == result.trajectory.u).all()
     np.testing.assert_allclose(seen["t"], 0.1 * np.arange(T + 1)[:, None], rtol=1e-15)
@@ -274,7 +274,7 @@ def test_controls_of_lsim_have_one_row_more(tmp_path, some):
         ({"x": np.full((T + 1, 2), np.inf)}, "run.mat: x[0][0]: got inf"),
         ({"x": np.full((T + 1, 2), 1j)}, "run.mat: x: got a complex matrix"),
         (
-            {"x": sparse.csc_matrix(np.eye(T + 1, 2))},
+            {"x": sparse.csc_array(np.eye(T + 1, 2))},
             "run.mat: x: got a sparse matrix or a structure; expected a matrix of real numbers, full",
         ),
         ({"u": "text"}, "run.mat: u: got text"),

@@ -13,6 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
@@ -109,7 +110,7 @@ def as_function(formula, hessian):
     return lfo.DifferentiableFunction(part("values"), part("slopes"), part("curvatures") if hessian else None)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_functions_of_formulas_have_the_derivatives_of_the_whole_formula(seed):
     rng = np.random.default_rng(seed)
     outer = random_formula(rng, 4, [*X, *U])

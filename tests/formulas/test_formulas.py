@@ -9,15 +9,16 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
+from helpers.seeds import examples
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, text_of
-from lin_freq_ocp.formulas.text import formula_from_text
+from lin_freq_ocp.formulas.text import MOST_LEVELS, formula_from_text
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)
 
 
-@settings(derandomize=True, max_examples=60, deadline=None)
+@settings(derandomize=True, max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 8))
 def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, size):
     formula = random_formula(np.random.default_rng(seed), size, [*X, *U])
@@ -124,6 +125,22 @@ def test_texts_that_say_anything_else_are_refused(text):
     with pytest.raises(lfo.errors.ProblemError) as caught:
         formula_from_text("f[0]", text, (N, M))
     assert caught.value.field == "f[0]"
+
+
+@pytest.mark.parametrize(
+    "nested",
+    [
+        lambda levels: "x_0" + " + x_0" * levels,
+        lambda levels: "x_0" + " * (2 - u_0)" * (levels - 1),  # a difference within a product
+        lambda levels: "-" * levels + "x_0",
+        lambda levels: "1**" * levels + "2",
+    ],
+)
+def test_the_depth_of_a_formula_has_a_limit_of_its_own(nested):
+    """The parser's own depth depends on the version of Python and on where it is called."""
+    formula_from_text("f[0]", nested(MOST_LEVELS - 1), (N, M))
+    with pytest.raises(lfo.errors.ProblemError, match="nested too deeply"):
+        formula_from_text("f[0]", nested(MOST_LEVELS + 2), (N, M))
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,15 @@
 
 import json
 import shutil
-from contextlib import contextmanager
 
 import pytest
 
+DARK = [{"name": "prefers-color-scheme", "value": "dark"}]
 
-@contextmanager
-def chromium(width=1280, height=900):
-    """Yield a browser that logs its console and its requests, and resolves no name but those of this machine."""
+
+@pytest.fixture(scope="session")
+def chromium():
+    """Start a browser that logs its console and its requests, and resolves no name but those of this machine."""
     binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
     if binary is None or driver is None:
         pytest.skip("needs chromium and chromium-driver, as Debian packages them")
@@ -26,12 +27,25 @@ def chromium(width=1280, height=900):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
-    try:
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-        yield browser
-    finally:
-        browser.quit()
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture
+def browser(chromium):
+    """Give a test the browser with a wide light screen."""
+    screen(chromium, 1280, 900)
+    emulate(chromium)
+    return chromium
+
+
+def screen(browser, width, height=900):
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def emulate(browser, media="", features=()):
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": list(features)})
 
 
 def complaints(browser):

@@ -15,7 +15,8 @@ def solved(problem: OptimalControlProblem) -> tuple[float, np.ndarray, np.ndarra
     assert not any(term.any() for term in (cost.q, cost.r, cost.p))
     x, u = cp.Variable((T + 1, n)), cp.Variable((T, m))
     A, B, offset = zip(*(problem.dynamics.at(t) for t in range(T)), strict=True)
-    successors = sp.block_diag(A) @ cp.vec(x[:-1], order="C") + sp.block_diag(B) @ cp.vec(u, order="C")
+    A, B = (sp.block_diag([sp.csr_array(block) for block in blocks]) for blocks in (A, B))
+    successors = A @ cp.vec(x[:-1], order="C") + B @ cp.vec(u, order="C")
     constraints = [cp.vec(x[1:], order="C") == successors + np.concatenate(offset)]
     for signal, tube in ((x, problem.state_tube), (u, problem.control_tube)):
         fixed = tube.lower == tube.upper

@@ -42,6 +42,13 @@ def random_problem(seed, horizon=4, n=2, m=1, kinks=1, **fields):
     return lfo.OptimalControlProblem(dynamics, horizon, **{**given, **fields})
 
 
+def two_sides():
+    """Return x+ = x + u from 0 over one step: a mode for x <= 1, and one of the same map for x >= 1."""
+    sides = [lfo.AffineMode([[1.0]], [[1.0]], G=[[side]], h=[side]) for side in (1.0, -1.0)]
+    given = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-2, 2), "initial_state": [0.0]}
+    return lfo.OptimalControlProblem(lfo.PiecewiseAffineDynamics(sides), 1, lfo.QuadraticCost(R=1.0), **given)
+
+
 def brute_force(problem):
     """Return the least cost over all mode sequences, each solved as a linear problem, and its sequence."""
     best, which = np.inf, None

@@ -212,9 +212,9 @@ def _clarabel(problem: lfo.OptimalControlProblem, program: PlainProgram) -> Refe
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
-    A, b = sp.csc_matrix(sp.vstack([program.A, program.G])), np.concatenate([program.b, program.h])
+    A, b = sp.csc_array(sp.vstack([program.A, program.G])), np.concatenate([program.b, program.h])
     cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.h))]
-    answer = clarabel.DefaultSolver(sp.csc_matrix(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
+    answer = clarabel.DefaultSolver(sp.csc_array(sp.triu(program.P)), program.q, A, b, cones, settings).solve()
     z, y, status = np.array(answer.x), np.array(answer.z), str(answer.status)
     slack = b - A @ z
     error = float((np.abs(y) * np.abs(slack)).sum() + (np.abs(z) * np.abs(program.P @ z + program.q + A.T @ y)).sum())

@@ -12,8 +12,9 @@ from functools import partial
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
-from lin_freq_ocp.methods.spectral.reductions import row_form, soft_bins, soft_bounds
+from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds, row_form, soft_bins
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.reductions import Reduction
@@ -27,7 +28,7 @@ from lin_freq_ocp.sets import Polyhedron, Soft
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
 
 Problem = lfo.OptimalControlProblem
-T, SEEDS = 16, (0, 1, 2)
+T, SEEDS = 16, seeds(range(3))
 HIGH = 1e4  # a price above all multipliers of these problems
 SOFT_BAND = lfo.MagnitudeBound(0.0, bins=[3, 7], penalty=HIGH)
 INFEASIBLE, UNBOUNDED = "infeasible", "unbounded"
@@ -98,6 +99,21 @@ def duty_cycles() -> Problem:
     levels = lfo.FiniteSet([-1, 0, 1], [0.5, 0.0, 0.5], duty_cycles=True)
     given = random_problem(0, control_set=levels, terminal_state=[0.1, 0.0])
     return replace(given, cost=lfo.QuadraticCost())
+
+
+def soft_bounds(problem: Problem) -> SoftBounds | None:
+    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can express all its sets."""
+    bounds, n = priced_bounds(problem), problem.state_dim
+    if bounds is None or not bounds.sets:
+        return None
+    changed = replace(
+        problem,
+        state_set=lfo.Box(bounds.lower[:, :n], bounds.upper[:, :n]),
+        control_set=lfo.Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
+        initial_state=problem.initial_box,
+        terminal_state=problem.terminal_box,
+    )
+    return SoftBounds(problem, changed, bounds.sets)
 
 
 RATE = 0.3, -0.2  # the limit, and the control before the first

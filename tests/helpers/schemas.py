@@ -21,5 +21,10 @@ def faults(schema: dict[str, Any], instance: Any) -> list[str]:
     return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(schema).iter_errors(instance)]
 
 
+def is_valid(schema: dict[str, Any], instance: Any) -> bool:
+    """Return whether there is no fault; the first one ends the search."""
+    return Draft202012Validator(schema).is_valid(instance)
+
+
 def printed(summary: Any) -> Any:
     return json.loads(to_json(summary))

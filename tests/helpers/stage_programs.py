@@ -44,7 +44,7 @@ def stage_operator(stages: Stages) -> tuple[list[np.ndarray], list[np.ndarray]]:
 def solved_stages(stages: Stages) -> tuple[str, np.ndarray, list[np.ndarray]]:
     """Return Clarabel's status, y (T+1, n+k), and the duals in the order of the structured method."""
     matrices, right = stage_operator(stages)
-    P = sp.block_diag(list(stages.H), format="csc")
+    P = sp.csc_array(sp.block_diag([sp.csc_array(H) for H in stages.H]))
     kinds, order, cones = [], [], []
     zero, plus = [0, 1, 3], [2, 4]
     offsets = np.cumsum([0, *map(len, right)])
@@ -67,7 +67,7 @@ def solved_stages(stages: Stages) -> tuple[str, np.ndarray, list[np.ndarray]]:
         order.append(offsets[block] + np.arange(len(right[block])))
         cones += [1 + part.dim] * len(part.radius)
     rows = np.concatenate(order)
-    A, b = sp.csc_matrix(np.concatenate(matrices)[rows]), np.concatenate(right)[rows]
+    A, b = sp.csc_array(np.concatenate(matrices)[rows]), np.concatenate(right)[rows]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10

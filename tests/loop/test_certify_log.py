@@ -35,12 +35,86 @@ def test_a_log_of_optimal_controls_is_proven(log):
 
 
 def test_another_control_deviates(log):
-    controller, _, controls, write = log
+    controller, measured, controls, write = log
     controls[2] += 0.1
     certified = lfo.certify_log(controller, write())
     assert [str(one) for one in certified.findings] == ["proven"] * 2 + ["deviates"] + ["proven"] * 3
-    assert certified.differences[2] == pytest.approx(0.1 / controller.problem.control_tube.upper[0, 0], rel=1e-6)
+    plan = lfo.solve(controller.problem.with_ends(measured[2]))
+    assert certified.differences[2] == pytest.approx(0.1 / np.abs(plan.control).max(), rel=1e-6)
     assert lfo.certify_log(controller, write(), tolerance=1.0).proven.all()
+
+
+NO_BOUND = {
+    "none": None,
+    "1e9 for none": lfo.Box(-1e9, 1e9),
+    "on one side": lfo.Box(-5.0, 1e4),
+    "near": lfo.Box(-5.0, 5.0),
+}
+
+
+@pytest.mark.parametrize("case", NO_BOUND)
+def test_controls_of_the_wrong_sign_deviate_whatever_stands_for_no_bound(tmp_path, case):
+    plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([1, 0.1]), R=0.1)
+    controller = lfo.RecedingHorizon(
+        lfo.OptimalControlProblem(plant, 20, cost, NO_BOUND[case], initial_state=[0, 0]), certify="later"
+    )
+    loop = controller.run([1.0, 0.0], 6)
+    for sign, finding in ((1.0, "proven"), (-1.0, "deviates")):
+        states, controls = np.vstack([loop.states[:-1], [[1.0, 0.0]]]), np.vstack([sign * loop.controls, [[1e6]]])
+        certified = lfo.certify_log(controller, write_log(tmp_path / "log.csv", states, controls, [0] * 6 + [2]))
+        assert set(map(str, certified.findings[:-1])) == {finding}
+
+
+def test_noise_of_a_plant_at_rest_is_no_deviation(tmp_path):
+    plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([1, 0.1]), R=0.1, x_ref=[1e3, 0.0])
+    controller = lfo.RecedingHorizon(lfo.OptimalControlProblem(plant, 20, cost, initial_state=[1e3, 0]))
+    path = write_log(tmp_path / "log.csv", np.array([[1e3, 0.0]] * 2), np.array([[0.0], [1e-13]]), [0, 0])
+    assert lfo.certify_log(controller, path).proven.all()
+    path = write_log(tmp_path / "log.csv", np.array([[1e3, 0.0]]), np.array([[1.0000000001e-9]]), [0])
+    assert not lfo.certify_log(controller, path).proven.any()
+
+
+@pytest.mark.parametrize("case", ["bound", "rate"])
+def test_a_control_outside_hard_limits_is_not_proven(tmp_path, case):
+    plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
+    problem = lfo.OptimalControlProblem(plant, 20, lfo.QuadraticCost(Q=np.eye(2), R=0.01), lfo.Box(-0.3, 0.3))
+    start = np.array([1.0, 0.0])
+    if case == "rate":
+        problem, start = lfo.rate_limited(problem, 0.3, previous=0.0), np.append(start, 0.0)
+    controller = lfo.RecedingHorizon(problem)
+    assert controller.step(start)[0] == pytest.approx(-0.3)
+    for factor, proven in ((1.0, True), (1 + 1e-6, False)):
+        path = write_log(tmp_path / "log.csv", start[None], np.array([[-0.3 * factor]]), [0])
+        assert lfo.certify_log(controller, path).proven.all() == proven
+
+
+def test_the_status_says_whether_soft_rows_are_satisfied(tmp_path):
+    controller = lfo.RecedingHorizon(LOOPS["low pass"](), soft={"state_set": 1e3})
+    for start, true, false in ([0.0, 0.0, 1.2, 0.0], 1, 0), ([0.01, 0.0, 0.0, 0.0], 0, 1):
+        control = controller.step(start)
+        for status, finding in ((true, "proven"), (false, "deviates")):
+            path = write_log(tmp_path / "log.csv", np.array([start]), control[None], [status])
+            assert str(lfo.certify_log(controller, path).findings[0]) == finding
+
+
+@pytest.mark.parametrize("logged", [0.0, 1.0, np.nan])
+def test_without_a_state_the_control_returned_last_goes_on(tmp_path, logged):
+    controller = lfo.RecedingHorizon(LOOPS["low pass"](), delay=1)
+    loop = controller.run([0.02, 0.01, 0.0, 0.0], 5)
+    states, controls, statuses = loop.states[:-1].copy(), loop.controls.copy(), [0] * 5
+    plant, statuses[2] = controller.problem.dynamics.stepper(1), 4
+    later = lfo.RecedingHorizon(LOOPS["low pass"]())
+    states[3] = plant(0, loop.states[2], loop.controls[1])
+    controls[3] = later.step(plant(0, states[3], loop.controls[1]))
+    states[2, 0], controls[2] = np.nan, logged
+    states[4] = plant(0, states[3], loop.controls[1])
+    controls[4] = later.step(plant(0, states[4], controls[3]))
+    path = write_log(tmp_path / "log.csv", states, controls, statuses)
+    assert [str(one) for one in lfo.certify_log(controller, path).findings] == ["proven"] * 2 + ["no state"] + [
+        "proven"
+    ] * 2
 
 
 def test_each_status_is_compared_with_what_is_proven(log):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -69,6 +71,27 @@ def test_the_better_of_both_plans_is_applied(limit):
     assert loop.log.sources[1] == source
     np.testing.assert_allclose(loop.log.controls[1], np.clip(better.control, -5.0, 5.0))
     np.testing.assert_allclose(loop.log.steps[1].plan.u, better.trajectory.u)
+
+
+@pytest.mark.parametrize("limit", [1, 3])
+def test_a_limited_step_keeps_rate_limits_exactly(limit):
+    plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([10.0, 1.0]), R=0.01)
+    problem = lfo.OptimalControlProblem(plant, 20, cost, lfo.Box(-5, 5), initial_state=[0, 0])
+    loop = lfo.RecedingHorizon(lfo.rate_limited(problem, 0.3, previous=0.0), certify="later", max_changes=limit)
+    x, before, rng = np.array([0.1, 0.0]), 0.0, np.random.default_rng(0)
+    for k in range(25):
+        u = loop.step(x)
+        assert abs(Fraction(u[0]) - Fraction(before)) <= Fraction(0.3)
+        x, before = plant.A @ x + plant.B @ u + (rng.standard_normal(2) if k % 10 == 5 else 0), u[0]
+    assert "limit" in loop.log.statuses
+
+
+def test_a_preview_before_the_first_plain_step_hinders_none():
+    loop, plain = limited(20), limited(20)
+    x = states(loop.problem, 1)[0]
+    loop.step(x, references={"x_ref": np.full((61, 4), 0.01)})
+    np.testing.assert_allclose(loop.step(x), plain.step(x), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", LOOPS)

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
+from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import soften
 from lin_freq_ocp.methods.structured.solver import solve_structured
 from lin_freq_ocp.solving import solver_cache
@@ -28,7 +29,7 @@ def random_problem(seed: int) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(lfo.LinearDynamics(A, B, sampling_time=0.1), T, cost, **fields)
 
 
-@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("seed", seeds(range(9)))
 def test_a_softened_plan_is_that_of_the_softened_problem(seed):
     problem, penalty = random_problem(seed), {"state_set": PENALTIES[seed % 3]}
     loop = lfo.RecedingHorizon(problem, method="structured", soft=penalty)

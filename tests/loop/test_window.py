@@ -40,6 +40,12 @@ def test_windows_stand_still_in_time(hop):
         assert past is None or past[:, 0].tolist() == list(range(k - known, k))
 
 
+def test_windows_of_the_past_alone_are_left_out():
+    """No control changes them: if one was above the limit, no problem of a later step would be feasible."""
+    past = np.ones((5, 1))
+    assert windows_of(problem(control_spectrum=lfo.spectrum.Spectrogram(MASK, 3, 1, past=past)), 0) == [*range(-2, 10)]
+
+
 @pytest.mark.parametrize(("length", "hop"), [(5, 2), (4, 4), (2, 2)])
 def test_windows_of_states_that_end_where_is_measured_are_left_out(length, hop):
     base = problem(state_spectrum=lfo.spectrum.Spectrogram(MASK, length, hop), state_set=None)

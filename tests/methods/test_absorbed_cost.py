@@ -6,6 +6,7 @@ import pytest
 from scipy.linalg import dft
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 
 MODES = ["periodic", "zero-padded"]
 
@@ -79,7 +80,7 @@ def reference_cost(problem, kernel, known):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_costs_are_those_of_dense_matrices(seed, mode):
     problem, kernel, known = random_problem(seed, mode)
     status, value = reference_cost(problem, kernel, known)

@@ -1,9 +1,13 @@
-"""Compiled sources: cached for one processor, compiled anew where the cached file is damaged, and never an error."""
+"""Compiled sources: compiled once for compiler, source and processor; a failure is one warning a day, never an error.
+
+The compiler is a script that runs the text in BEHAVIOUR, and the source has one function.
+"""
 
 from __future__ import annotations
 
 import os
-import warnings
+import re
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL
@@ -12,84 +16,202 @@ from pathlib import Path
 import pytest
 
 from lin_freq_ocp.methods import native_code
-from lin_freq_ocp.methods.native_code import compiled_library, compiler
+from lin_freq_ocp.methods.native_code import DAY, compiled_library, compiler
 
-PURPOSE = "the mode search in C could not be compiled"
+PURPOSE = "the answer in C could not be compiled, Python computes it"
+COMPILE = f'exec {compiler()} "$@"'
+WRITE_NO_LIBRARY = 'for last; do case "$last" in *.so) echo no library > "$last";; esac; done'
+
+pytestmark = [
+    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    pytest.mark.skipif(os.name != "posix", reason="a shell script as a compiler"),
+]
 
 
 @pytest.fixture
-def load(monkeypatch, tmp_path) -> Callable[[], CDLL | None]:
-    """Return a function that loads the mode search as a new process does, with a cache of its own."""
-    if compiler() is None:
-        pytest.skip("no C compiler")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    return lambda: compiled_library.__wrapped__("lin_freq_ocp.methods.hybrid.search", ("path.c",), PURPOSE)
+def sources(tmp_path) -> Path:
+    """Return the folder of the source, with the script that stands in for the compiler."""
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    (folder / "answer.h").write_text("#define ANSWER 42\n")
+    (folder / "answer.c").write_text('#include "answer.h"\nint answer(void) { return ANSWER; }\n')
+    script = folder / "compiler"
+    script.write_text(f'#!/bin/sh\necho run >> {folder / "runs"}\neval "$BEHAVIOUR"\n')
+    script.chmod(0o755)
+    return folder
 
 
-def cached_files(folder: Path) -> list[Path]:
-    return sorted((folder / "lin_freq_ocp").iterdir())
+@pytest.fixture
+def cache(tmp_path) -> Path:
+    return tmp_path / "cache" / "lin_freq_ocp"
 
 
-def test_a_processor_with_other_instructions_gets_its_own_library(load, monkeypatch, tmp_path):
+@pytest.fixture
+def load(monkeypatch, sources, cache) -> Callable[[str], CDLL | None]:
+    """Return a function that loads the library as a new process does, with a cache of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache.parent))
+    monkeypatch.setenv("CC", str(sources / "compiler"))
+
+    def load_library(behaviour: str = COMPILE) -> CDLL | None:
+        monkeypatch.setenv("BEHAVIOUR", behaviour)
+        return compiled_library.__wrapped__(str(sources / "module.py"), ("answer.h", "answer.c"), PURPOSE)
+
+    return load_library
+
+
+@pytest.fixture
+def fail(load, cache) -> Callable[[str], tuple[str, Path]]:
+    """Return a function that fails to compile, and returns the only warning and the record of the failure."""
+
+    def fail_to_compile(behaviour: str = "exit 3") -> tuple[str, Path]:
+        with pytest.warns(RuntimeWarning, match=PURPOSE) as seen:
+            assert load(behaviour) is None
+        (warning,), (record,) = seen, cache.glob("*.failed")
+        return str(warning.message), record
+
+    return fail_to_compile
+
+
+def count_runs(sources: Path) -> int:
+    path = sources / "runs"
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+def test_a_library_is_compiled_once(load, sources, cache):
+    assert [load().answer() for _ in range(2)] == [42, 42]
+    assert count_runs(sources) == 1
+    assert len(list(cache.glob("*.so"))) == 1
+
+
+def touch_compiler(sources, _record, _monkeypatch):
+    os.utime(sources / "compiler", (0, 0))
+
+
+def change_header(sources, _record, _monkeypatch):
+    (sources / "answer.h").write_text("#define ANSWER (42)\n")
+
+
+def change_processor(_sources, _record, monkeypatch):
     """Homes are shared by machines, and containers keep their name where they move."""
     assert native_code.processor()
-    load()
-    first = cached_files(tmp_path)
-    load()
-    assert cached_files(tmp_path) == first
-    assert len(first) == 1
     monkeypatch.setattr(native_code, "processor", lambda: "another one")
-    assert load() is not None
-    assert len(cached_files(tmp_path)) == 2
 
 
-@pytest.mark.parametrize("content", [b"", b"no library"])
-def test_a_damaged_file_is_compiled_anew(content, load, tmp_path, monkeypatch):
-    monkeypatch.setattr(native_code, "_compile_library", lambda found, texts, stem, target: write(target, content))
-    with pytest.warns(RuntimeWarning, match=PURPOSE):
-        assert load() is None
-    monkeypatch.undo()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert load().lfo_path_run
-    assert [len(path.read_bytes()) > len(content) for path in cached_files(tmp_path)] == [True]
+def remove_record(_sources, record, _monkeypatch):
+    record.unlink()
 
 
-def write(target: Path, content: bytes) -> None:
-    target.parent.mkdir(exist_ok=True)
-    target.write_bytes(content)
+def let_a_day_pass(_sources, record, _monkeypatch):
+    then = record.stat().st_mtime - DAY - 60
+    os.utime(record, (then, then))
 
 
-def test_without_a_home_folder_there_is_one_warning(load, monkeypatch):
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as without HOME and an entry of the user
-    with pytest.warns(RuntimeWarning, match=PURPOSE) as seen:
-        assert load() is None
-    assert len(seen) == 1
+@pytest.mark.parametrize("change", [touch_compiler, change_header, change_processor])
+def test_another_compiler_source_or_processor_gets_its_own_library(change, load, sources, cache, monkeypatch):
+    load()
+    change(sources, None, monkeypatch)
+    assert load().answer() == 42
+    assert len(list(cache.glob("*.so"))) == 2
 
 
-def test_a_cache_that_is_a_file_gives_one_warning(load, monkeypatch, tmp_path):
+@pytest.mark.parametrize("change", [touch_compiler, remove_record, let_a_day_pass])
+def test_a_failure_is_remembered_until(change, load, fail, sources, monkeypatch):
+    _, record = fail()
+    assert load() is None  # without a warning, which would be an error
+    assert count_runs(sources) == 1
+    change(sources, record, monkeypatch)
+    assert load().answer() == 42
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "reason"),
+    [
+        ("exit 3", "exit status 3"),
+        ("kill -9 $$", "SIGKILL"),
+        ("exec sleep 600", "timed out"),
+        (WRITE_NO_LIBRARY, "no library|too short|invalid"),
+        ("true", "No such file"),
+        ("echo $(ulimit -S -t) seconds >&2; exit 1", "\n60 seconds\n"),
+        ("kill -0 -$$ && echo its own group; exit 1", "its own group"),
+    ],
+)
+def test_a_failure_is_one_line_that_says_what_to_do(behaviour, reason, fail, cache, monkeypatch):
+    if "sleep" in behaviour:
+        monkeypatch.setattr(native_code, "SECONDS_TO_WAIT", 0.05)
+    notice, record = fail(behaviour)
+    assert notice == f"{PURPOSE}: {record} says why. To try again before tomorrow, remove this file"
+    assert re.search(reason, record.read_text())
+    assert {path.suffix for path in cache.iterdir()} <= {".lock", ".failed", ".so"}
+
+
+def test_a_damaged_file_is_compiled_anew(load, fail):
+    _, record = fail()
+    record.with_suffix(".so").write_bytes(b"")
+    record.unlink()
+    assert load().answer() == 42
+
+
+def test_a_library_is_loaded_from_a_folder_that_cannot_be_written(load, sources, monkeypatch):
+    load()
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    assert load().answer() == 42
+    assert count_runs(sources) == 1
+
+
+def test_without_a_compiler_nothing_is_said_or_written(load, cache, monkeypatch):
+    monkeypatch.setattr(native_code, "compiler", lambda: None)
+    assert load() is None
+    assert not cache.exists()
+
+
+def test_a_terminal_is_told_once(load, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    load()
+    assert capsys.readouterr().err == "lin_freq_ocp: compiling answer.c, once ...\n"
+    load()
+    assert not capsys.readouterr().err
+
+
+@pytest.fixture(params=["file", "home", "relative"])
+def no_cache(request, load, monkeypatch, tmp_path):
+    """Take the user's cache away: its folder is a file, there is no home folder, or its path is relative."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    with pytest.warns(RuntimeWarning, match=PURPOSE) as seen:
+    monkeypatch.setenv("XDG_CACHE_HOME", {"file": str(tmp_path / "file"), "home": "", "relative": "a"}[request.param])
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)  # as without HOME and an entry of the user
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_without_a_cache_of_the_user_the_package_has_one(load, monkeypatch, tmp_path):
+    monkeypatch.setattr(native_code, "__file__", str(tmp_path / "package" / "native_code.py"))
+    assert load().answer() == 42
+    assert {path.parent for path in tmp_path.rglob("answer-*.so")} == {tmp_path / "package" / "__pycache__"}
+
+
+@pytest.mark.usefixtures("no_cache")
+def test_without_any_folder_there_is_one_warning(load, monkeypatch, tmp_path):
+    monkeypatch.setattr(native_code, "__file__", str(tmp_path / "file" / "native_code.py"))
+    with pytest.warns(RuntimeWarning, match="Set XDG_CACHE_HOME to a folder that can be written") as seen:
         assert load() is None
     assert len(seen) == 1
 
 
-def test_an_interrupted_compilation_leaves_nothing(load, monkeypatch, tmp_path):
-    def interrupt(command, cwd, **others):
-        (Path(cwd) / "path.so").write_bytes(b"half")
+def test_an_interrupted_compilation_leaves_nothing(load, cache, monkeypatch):
+    def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(native_code.subprocess, "run", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        load()
-    assert cached_files(tmp_path) == []
+    with monkeypatch.context() as patch:
+        patch.setattr(native_code.subprocess, "run", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            load()
+    assert {path.suffix for path in cache.iterdir()} == {".lock"}
+    assert load().answer() == 42
 
 
-def test_libraries_compiled_at_once_are_one_file(load, tmp_path):
+def test_several_at_once_compile_once(load, sources):
+    """Threads stand in for processes: each opens the locked file by itself."""
+    pytest.importorskip("fcntl", reason="files are locked on POSIX only")
     with ThreadPoolExecutor(3) as threads:
-        found = list(threads.map(lambda _: load(), range(3)))
-    assert all(found)
-    assert len(cached_files(tmp_path)) == 1
+        found = list(threads.map(load, [f"sleep 0.2; {COMPILE}"] * 3))
+    assert [library.answer() for library in found] == [42] * 3
+    assert count_runs(sources) == 1

@@ -15,6 +15,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods import fitted_multipliers as multipliers_module
 from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, abnormal_multipliers, uniqueness
@@ -99,7 +100,7 @@ def scaled(given: lfo.results.Multipliers, factor: float) -> lfo.results.Multipl
     return lfo.results.Multipliers(given.eta_C, *parts, {name: factor * part for name, part in given.stage.items()})
 
 
-@pytest.mark.parametrize("seed", range(11))
+@pytest.mark.parametrize("seed", seeds(range(11)))
 def test_multipliers_of_generic_problems_are_unique_and_normal(seed):
     problem = problem_of(random_model(seed))
     result = lfo.solve(problem)

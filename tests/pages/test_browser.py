@@ -8,11 +8,10 @@ from functools import partial
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.browsers import chromium, complaints, requested
+from helpers.browsers import DARK, complaints, emulate, requested, screen
+from helpers.patience import PATIENCE
 from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
 from lin_freq_ocp.pages.explorer.session import Session
-
-PATIENCE = 600  # seconds, after which something hangs
 
 
 def new_session():
@@ -41,12 +40,6 @@ def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "page.html"
     path.write_text(static_page(new_session()), encoding="utf-8")
     return path.as_uri()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 def until(browser, condition):
@@ -185,17 +178,15 @@ def test_the_static_page_shows_the_nearest_solved_point(browser, file):
 
 
 @pytest.mark.parametrize("page", ["address", "file"])
-def test_a_narrow_dark_screen_shows_all_without_scrolling_sideways(page, request):
-    url = request.getfixturevalue(page)
-    with chromium(320, 700) as browser:
-        opened(browser, url)
-        assert browser.execute_script("return document.documentElement.scrollWidth") <= 320
-        light = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
-        features = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", features)
-        dark = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
-        assert light == "rgb(255, 255, 255)"
-        assert dark == "rgb(20, 24, 29)"
+def test_a_narrow_dark_screen_shows_all_without_scrolling_sideways(browser, page, request):
+    screen(browser, 320, 700)
+    opened(browser, request.getfixturevalue(page))
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 320
+    light = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    emulate(browser, features=DARK)
+    dark = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert light == "rgb(255, 255, 255)"
+    assert dark == "rgb(20, 24, 29)"
 
 
 def limited_move():

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
 from lin_freq_ocp.api.compare import compare
@@ -156,6 +157,18 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     unbounded = replace(result.certificate, bound=None)
     assert gap_figure(comparison_data(comparison), unbounded) is None
     assert proof.parts_of_the_gap(unbounded) == ""
+
+
+def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):
+    """The other tests draw without the layout."""
+    monkeypatch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", ConstrainedLayoutEngine)
+    figure = comparison_figure(case("two controls"))
+    figure.draw_without_rendering()
+    panels = [ax.get_tightbbox() for ax in figure.axes]
+    for i, panel in enumerate(panels):
+        assert figure.bbox.x0 <= panel.x0 < panel.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= panel.y0 < panel.y1 <= figure.bbox.y1
+        assert not any(panel.overlaps(other) for other in panels[:i])
 
 
 def test_long_signals_keep_their_extremes():

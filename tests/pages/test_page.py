@@ -11,8 +11,10 @@ import matplotlib as mpl
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from helpers.compared_pages import CASES, case, drawings, page, price_axes, text
+from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.base.errors import ProblemError
@@ -21,7 +23,7 @@ from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
 from lin_freq_ocp.pages.figures.look import STYLES
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import draw_figures, render_page, save_report, tiles
+from lin_freq_ocp.pages.report.page import draw_figures, drawing_of, render_page, save_report, tiles
 from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, comparison_rows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -72,9 +74,20 @@ def test_page_and_figures_do_not_change_from_run_to_run():
     comparison = case("infeasible")
     first, second = drawings("infeasible"), tuple(draw_figures(comparison))
     assert [one.svg for one in first] == [one.svg for one in second]
-    assert [one.png for one in first] == [one.png for one in second]
+    assert first[0].png() == second[0].png()
     assert render_page(comparison, first) == render_page(comparison, second)
     assert mpl.rcParams["svg.hashsalt"] is None
+
+
+def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(monkeypatch):
+    drawn, honest = [], FigureCanvasAgg.print_png
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda *given: drawn.append(given) or honest(*given))
+    figure = Figure()
+    figure.subplots()
+    drawing = drawing_of("one", "One", "", figure)
+    assert not drawn
+    assert drawing.png().startswith(b"\x89PNG")
+    assert len(drawn) == 1
 
 
 def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):
@@ -95,7 +108,8 @@ def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):
         assert "Date" not in (path.parent / f"{name}.svg").read_text(encoding="utf-8")
 
 
-def test_folder_that_cannot_be_written_is_named(tmp_path):
+def test_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw_figures", lambda _: blanks())
     (tmp_path / "taken").write_text("")
     with pytest.raises(ProblemError, match="taken: got File exists"):
         save_report(case("no band"), tmp_path / "taken")
@@ -232,15 +246,9 @@ def test_failing_conditions_are_named():
         comparison, constrained=replace(comparison.constrained, certificate=certificate, message="out of time")
     )
     assert "not every constraint holds (out of time)" in str(findings.finding_of(spoiled))
-    assert "✗ fails" in parsed(render_page(spoiled, draw_nothing())).text
+    assert "✗ fails" in parsed(render_page(spoiled, blanks())).text
     assert "was not checked" in proof.verdict(replace(certificate, pmp="not_applicable"))[0]
     assert "no global lower bound" in proof.verdict(replace(certificate, bound=None))[1]
-
-
-def draw_nothing():
-    """Stand in for drawings where only the words matter."""
-    blank = drawings("no band")[0]
-    return tuple(replace(blank, name=name) for name in ("comparison", "states"))
 
 
 def test_a_solve_without_an_answer_has_a_page():
@@ -249,7 +257,7 @@ def test_a_solve_without_an_answer_has_a_page():
     stopped = replace(comparison, constrained=result)
     assert "no point found (time is up)" in str(findings.finding_of(stopped))
     assert ("with the constraint", "limit", "") in tiles(stopped)
-    shown = parsed(render_page(stopped, draw_nothing())).text
+    shown = parsed(render_page(stopped, blanks())).text
     assert "limit: time is up" in shown
     assert "The proof" not in shown
     assert "Why there is no solution" not in shown

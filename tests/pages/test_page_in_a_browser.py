@@ -3,9 +3,8 @@
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.browsers import chromium, complaints, requested
+from helpers.browsers import DARK, complaints, emulate, requested, screen
 
-DARK = [{"name": "prefers-color-scheme", "value": "dark"}]
 PAPER = 720  # px: what is left of A4 between its margins
 
 
@@ -31,8 +30,8 @@ SAVED = {
         move(8, 0.25, **FROM_REST, **slow(1.5), control_set=lfo.FiniteSet([-1, 0, 1])), ["brickwall"]
     ),
     "periodic": lambda: lfo.compare(move(terminal_state=lfo.Periodic(), **slow(1.5)), ["brickwall"]),
-    "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=100), ["brickwall"]),
-    "vibration": lambda: lfo.compare(lfo.library.printer_move(), ["ZV"]),
+    "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=40), ["brickwall"]),
+    "vibration": lambda: lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]),
     "loop": lambda: lfo.RecedingHorizon(move(terminal_state=[0.0, 0.0])).run([0.2, 0.0], 3),
 }
 
@@ -50,23 +49,8 @@ def address(tmp_path_factory):
     return of
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
 def asked(browser, expression):
     return browser.execute_script(f"return {expression}")
-
-
-def emulated(browser, media="", features=()):
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": list(features)})
-
-
-def screen(browser, width):
-    metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
 @pytest.mark.parametrize("name", SAVED)
@@ -84,14 +68,12 @@ def test_a_page_is_silent_offline_described_narrow_and_printed_on_white(browser,
     screen(browser, 320)
     assert asked(browser, "document.documentElement.scrollWidth") <= 320
     screen(browser, PAPER)
-    emulated(browser, "print", DARK)
+    emulate(browser, "print", DARK)
     assert asked(browser, "getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert asked(browser, "[...document.querySelectorAll('.zoom')].every((one) => !one.checkVisibility())")
     assert asked(browser, "Math.max(...[...document.querySelectorAll('svg')].map((one) => one.clientWidth))") <= PAPER
-    emulated(browser, "", DARK)
+    emulate(browser, "", DARK)
     assert asked(browser, "getComputedStyle(document.body).backgroundColor") == "rgb(20, 24, 29)"
-    emulated(browser)
-    screen(browser, 1280)
 
 
 def test_a_figure_is_enlarged_by_the_keyboard_and_back(browser, address):
@@ -103,8 +85,8 @@ def test_a_figure_is_enlarged_by_the_keyboard_and_back(browser, address):
     box.send_keys(Keys.SPACE)
     assert asked(browser, width) == pytest.approx(2.5 * before, rel=0.02)
     assert asked(browser, "document.documentElement.scrollWidth") <= 1280
-    emulated(browser, "print")
+    emulate(browser, "print")
     assert asked(browser, width) <= 1280
-    emulated(browser)
+    emulate(browser)
     box.send_keys(Keys.SPACE)
     assert asked(browser, width) == before

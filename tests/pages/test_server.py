@@ -5,17 +5,15 @@ import json
 import socket
 import struct
 import threading
-import time
 from contextlib import ExitStack
 
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.patience import PATIENCE, wait_until
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.pages.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
 from lin_freq_ocp.pages.explorer.session import Session
-
-PATIENCE = 120  # seconds, after which something hangs
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +27,7 @@ def server():
 
 
 def asked(server, method, path, body=None, **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=600)
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=PATIENCE)
     connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
     reply = connection.getresponse()
     content = reply.read()
@@ -150,14 +148,6 @@ def opened(server, sent=b""):
     return connection
 
 
-def waited(condition):
-    """Whether something becomes true."""
-    end = time.monotonic() + PATIENCE
-    while not (true := condition()) and time.monotonic() < end:
-        time.sleep(0.01)
-    return true
-
-
 def served():
     """Return how many connections have a thread."""
     return sum("process_request_thread" in thread.name for thread in threading.enumerate())
@@ -178,23 +168,23 @@ def test_a_connection_that_falls_silent_is_closed(server, sent, monkeypatch, cap
 
 def test_a_connection_that_is_reset_is_no_error(server, capsys):
     for sent in (b"", b"GET / HTTP/1.1\r\nHost: "):
-        assert waited(lambda: not served())
+        wait_until(lambda: not served())
         with opened(server, sent) as connection:
-            assert waited(served)
+            wait_until(served)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    assert waited(lambda: not served())
+    wait_until(lambda: not served())
     assert capsys.readouterr().err == ""
 
 
 def test_there_are_at_most_so_many_connections(server):
-    assert waited(lambda: not served())
+    wait_until(lambda: not served())
     with ExitStack() as stack:
         for _ in range(MOST_CONNECTIONS):
             stack.enter_context(opened(server))
-        assert waited(lambda: served() == MOST_CONNECTIONS)
+        wait_until(lambda: served() == MOST_CONNECTIONS)
         for _ in range(3):
             with opened(server) as connection:
                 assert connection.recv(100).startswith(b"HTTP/1.1 503 ")
         assert served() == MOST_CONNECTIONS
-    assert waited(lambda: not served())
+    wait_until(lambda: not served())
     assert asked(server, "GET", f"/{server.token}/")[0].status == 200

@@ -1,14 +1,12 @@
 """The answers of a live page against lfo.solve, and what can be moved."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.pages.explorer.server import points
-from lin_freq_ocp.pages.explorer.session import Session, answer_data, checked_values
+from lin_freq_ocp.pages.explorer.session import Session
 
 
 @pytest.fixture(scope="module")
@@ -92,14 +90,6 @@ def test_an_infeasible_setting_names_the_conflict_and_its_least_cure(integrator)
     less = cutoff.notch(round((cure["value"] - cutoff.value) / cutoff.step) - 1)
     assert integrator.answer({"cutoff": less})["status"] == "infeasible"
     assert integrator.cure(given, "initial_state.1") == {"key": "initial_state.1", "value": None}
-
-
-def test_a_numerical_ray_is_said_to_be_no_proof(integrator):
-    given = {"cutoff": of(integrator, "cutoff").low}
-    assert not integrator.answer(given)["practical"]
-    outcome = integrator.outcome(checked_values(integrator.sliders, given))
-    numerical = replace(outcome.infeasibility, bound=replace(outcome.infeasibility.bound, kind="numerical"))
-    assert answer_data(replace(outcome, infeasibility=numerical))["practical"]
 
 
 def test_a_cure_that_nobody_waits_for_ends_early(integrator):

@@ -6,6 +6,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from lin_freq_ocp.problem.terms.penalties import LargestExcess
 
 
@@ -19,7 +20,7 @@ def value(given: LargestExcess, v: np.ndarray) -> float:
     return 2.5 * max(0.0, max(np.hypot(*row) / limit - 1 for row, limit in zip(v, given.limit, strict=True)))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_the_gap_is_that_of_fenchel_and_young(seed):
     given, v, direction = sample(seed)
     assert given.cost(v).sum() == pytest.approx(value(given, v), abs=1e-14)
@@ -38,7 +39,7 @@ def test_the_gap_is_that_of_fenchel_and_young(seed):
     assert not given.subgradient(direction, 0.0).any()
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_slopes_are_those_of_differences(seed):
     given, v, change = sample(seed)
     step = 1e-7
@@ -56,7 +57,7 @@ def test_on_the_limit_only_a_rise_counts():
     assert given.slope(0 * v, v, 1e-9) == 0.0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_the_conic_form_has_the_same_minimum(seed):
     given, v, _ = sample(seed)
     form = given.conic(5, 2)

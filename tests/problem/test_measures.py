@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.linear_problems import generator, problem
+from helpers.seeds import examples
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem import measures, sizes
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -21,7 +22,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
-@settings(max_examples=15, derandomize=True, deadline=None)
+@settings(max_examples=examples(15), derandomize=True, deadline=None)
 @given(seed=st.integers(0, 10**6), size=st.integers(1, 4), times=st.integers(1, 30), varying=st.booleans())
 def test_amplification_is_the_norm_of_the_product(seed, size, times, varying):
     A = generator(seed).normal(size=(times, size, size))

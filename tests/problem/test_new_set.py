@@ -84,6 +84,6 @@ def test_it_keeps_the_protocols():
 
 
 def test_it_is_relaxed_where_a_conflict_is_explained():
-    impossible = problem(control_set=SET, terminal_state=[10.0, 0.0])
+    impossible = problem(control_set=SET & lfo.Box(None, 5.0), terminal_state=[10.0, 0.0])
     assert lfo.solve(impossible, throw=False).status == "infeasible"
     assert "control set" in str(lfo.explain(impossible))

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.seeds import examples
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import Penalty
 
 GROUPS, DIM = 7, 4
 SEEDS = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=60, deadline=None, derandomize=True)
+quick = settings(max_examples=examples(60), deadline=None, derandomize=True)
 
 
 def limits(rng: np.random.Generator, *shape: int) -> np.ndarray:

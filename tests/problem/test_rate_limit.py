@@ -12,6 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of as problem_of_model
 from helpers.random.mixed import random_model
+from helpers.seeds import seeds
 
 T, N, M = 30, 3, 2
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
@@ -186,7 +187,7 @@ def test_all_that_constrains_and_costs_survives():
     assert not loose.state_stop[:, N:].any()
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_a_limit_that_is_not_active_changes_nothing_of_mixed_features(seed):
     """Convex sets, soft rows, L1 and Linf costs, masks and energies of states and of outputs, in larger states."""
     problem = problem_of_model(random_model(seed))
@@ -212,7 +213,7 @@ def test_a_limit_that_is_not_active_changes_nothing_of_mixed_features(seed):
         assert there.max() == pytest.approx(term.violation(x, u).max(), rel=1e-12, abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", [1, 3, 5, 7, 20])
+@pytest.mark.parametrize("seed", seeds([1, 3, 5, 7, 20]))
 def test_an_active_limit_of_mixed_features_costs_what_a_model_by_hand_does(seed):
     model = random_model(seed)
     problem = problem_of_model(model)

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import lin_freq_ocp as lfo
+from helpers.seeds import examples
 from lin_freq_ocp.base.errors import BandWarning, ProblemError
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -110,7 +112,7 @@ def test_the_pendulum_of_the_paper():
     assert one_based != {-k % 240 for k in one_based}
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
+@settings(max_examples=examples(60), derandomize=True, deadline=None)
 @given(
     length=st.integers(2, 400),
     sampling_time=st.sampled_from([0.01, 0.1, 1 / 3, 2.0]),
@@ -147,7 +149,7 @@ def test_a_notch_may_reach_below_zero():
 # ---------------------------------------------------------------------------------------------- bins given as bins
 
 
-@settings(max_examples=80, derandomize=True, deadline=None)
+@settings(max_examples=examples(80), derandomize=True, deadline=None)
 @given(data=st.data(), length=st.integers(1, 60))
 def test_listed_bins_are_closed_under_conjugation(data, length):
     bins = data.draw(st.lists(st.integers(-length, length), min_size=1, max_size=8))
@@ -376,3 +378,37 @@ def test_bands_that_together_remove_everything_say_so():
     with pytest.warns(BandWarning, match=r"bands\[1\]: high_pass.* that the bands before it keep"):
         stopped = stopped_bins("bands", [low_pass(1.0), high_pass(2.0, component=1)], 40, names, None)
     assert stopped.all(axis=0).tolist() == [False, True]
+
+
+def free_control(T, constraint, **fields):
+    plant = lfo.LinearDynamics([[0.0]], [[1.0]])
+    return lfo.OptimalControlProblem(plant, T, control_spectrum=constraint, initial_state=[0.0], **fields)
+
+
+def test_a_mask_between_its_points_holds_at_every_frequency():
+    """The control with the largest V half way between two points of the grid."""
+    T, q = 8, 2
+    mask = lfo.MagnitudeBound(1.0, bins=range(5), oversampling=q, between=True)
+    half_way = 2 * np.pi * 3.5 / (q * T)
+    cost = lfo.QuadraticCost(r=-np.cos(half_way * (np.arange(T) - 3.5))[:, None])
+    u = lfo.solve(free_control(T, mask, cost=cost)).control[:, 0]
+    largest = np.abs(np.fft.rfft(u, 4096)).max()
+    assert 0.75 < largest <= 1 + 1e-6
+
+
+@pytest.mark.parametrize(("share", "holds"), [(1 + 1e-6, True), (1 - 1e-6, False)])
+@pytest.mark.parametrize("q", [1, 3])
+def test_an_energy_on_a_finer_grid_is_divided_by_its_fineness(q, share, holds):
+    T, u = 8, np.random.default_rng(0).standard_normal((8, 1))
+    energy = float((np.abs(np.fft.rfft(u[:, 0], q * T)) ** 2).sum()) / q
+    bound = lfo.spectrum.EnergyBound(share * energy, bins=range(5), oversampling=q)
+    problem = free_control(T, bound, cost=lfo.QuadraticCost(R=1.0))
+    there = lfo.simulate(problem, u)
+    assert bool(problem.terms[0].violation(there.x, there.u).max() == 0) is holds
+
+
+def test_a_limit_that_begins_within_its_band_is_refused():
+    points = np.array([[1.5, 1.0], [np.pi, 1.0]])
+    mask = lfo.MagnitudeBound(points, band=lfo.low_pass(cutoff=1.0), every_frequency=True)
+    with pytest.raises(lfo.errors.ProblemError, match=r"points from 1\.5"):
+        _ = free_control(8, mask, cost=lfo.QuadraticCost(R=1.0)).terms

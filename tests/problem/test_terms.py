@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
+from helpers.seeds import examples
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationMap, ZeroOrderHoldMap
@@ -17,7 +18,7 @@ from lin_freq_ocp.problem.terms.term import Term, TermKind
 N, M = 3, 2
 DIM = 4
 SEEDS = st.integers(0, 2**32 - 1)
-quick = settings(max_examples=60, deadline=None, derandomize=True)
+quick = settings(max_examples=examples(60), deadline=None, derandomize=True)
 
 
 def signals(rng: np.random.Generator, T: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,10 +16,10 @@ import qpsolvers
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.attempts import UNBOUNDED_TOLERANCE
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -128,7 +128,6 @@ def test_unbounded_programs_have_no_answer(name, label):
         assert np.abs(asked.P @ z).max() < 1e-6
         assert ((asked.A @ z)[np.isfinite(asked.upper)] < 1e-6).all()
         assert ((asked.A @ z)[np.isfinite(asked.lower)] > -1e-6).all()
-        assert asked.descent_ray_residual(solution.z) <= UNBOUNDED_TOLERANCE
 
 
 def enumerated(asked: Program) -> tuple[np.ndarray, np.ndarray]:
@@ -167,7 +166,7 @@ def random_program(seed: int) -> Program:
 
 
 @each_solver
-@pytest.mark.parametrize("seed", RANDOM_SEEDS)
+@pytest.mark.parametrize("seed", seeds(RANDOM_SEEDS))
 def test_random_programs_against_enumeration_of_active_sets(name, seed):
     asked = random_program(seed)
     z, y = enumerated(asked)

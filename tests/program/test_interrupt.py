@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.patience import PATIENCE
 from helpers.programs import SOLVABLE, ask, is_accepted, long_program
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.interrupts import interrupts_noted
@@ -23,7 +24,6 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.program import Program
 
-PATIENCE = 600.0  # seconds, after which something hangs
 posix = pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
 
 

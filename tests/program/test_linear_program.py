@@ -9,6 +9,8 @@ import pytest
 
 from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -268,3 +270,21 @@ def test_the_layout_has_one_place_for_every_multiplier():
     # duals of one multiplier add up
     twice = layout.multipliers(eta, np.array([3, 3]), np.array([1.0, 0.5]), 1.0)
     assert twice.mu.ravel()[3] == 1.5
+
+
+def test_a_program_with_the_matrices_of_another_is_that_of_its_own_problem():
+    """The second of two problems differs in its offset, linear terms, references, bounds and ends."""
+    old, new = (
+        OptimalControlProblem(
+            LinearDynamics([[0.9]], [[1.0]], offset=[0.1 * k]),
+            3,
+            QuadraticCost(Q=1.0, R=1.0, P=1.0, q=[0.2 * k], x_ref=1.0 + k, u_ref=0.5 * k),
+            Box(-1.0 - k, 1.0),
+            initial_state=[0.3 * k],
+        )
+        for k in range(2)
+    )
+    shared, own = LinearProgram(new), LinearProgram(new)
+    assert shared.share_matrices(LinearProgram(old))
+    for part in ("q", "constant", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(shared.sparse, part), getattr(own.sparse, part))

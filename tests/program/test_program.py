@@ -99,23 +99,49 @@ def test_the_gap_is_that_of_the_lagrangian_dual():
     assert program.residuals(z, y).gap == pytest.approx((program.objective(z) - dual[0]) / scale, rel=1e-6)
 
 
-def test_a_direction_of_unbounded_descent_is_verified():
-    """Min -z_1 with z_0 in [0, 1], z_1 >= 0, z_0 + z_1 >= 1 and P = diag(1, 0)."""
+def test_a_proof_of_infeasibility_rests_on_bounds_that_exist():
+    """z >= 1 and z <= 0 contradict each other; without the upper bound, the same duals prove nothing."""
+    none, ray = np.zeros(1), np.array([-1.0, 1.0])
+    lower, upper = np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+    program = Program(sp.csc_array((1, 1)), none, sp.csc_array([[1.0], [1.0]]), lower, upper)
+    assert program.infeasibility_residual(ray) == 0
+    feasible = dataclasses.replace(program, upper=np.full(2, np.inf))
+    assert feasible.infeasibility_residual(ray) == pytest.approx(1.0)
+
+
+def test_residuals_refuse_duals_outside_the_polar_of_a_cone():
+    """Min 0 with s = (z_0, z_1) in a cone: the duals (0, 1) are stationary, and complementary at 0, but no normal."""
     program = Program(
-        sp.csc_array(np.diag([1.0, 0.0])),
-        np.array([0.0, -2.0]),
-        sp.csc_array(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])),
-        np.array([0.0, 0.0, 1.0]),
-        np.array([1.0, np.inf, np.inf]),
+        sp.csc_array((2, 2)),
+        np.array([0.0, -1.0]),
+        sp.csc_array(np.eye(2)),
+        np.zeros(2),
+        np.full(2, np.inf),
+        cones=(slice(0, 2),),
     )
-    assert program.descent_ray_residual(np.array([0.0, 1.0])) == 0
-    assert program.descent_ray_residual(np.array([0.0, 1e-9])) == 0  # its length says nothing
-    assert program.descent_ray_residual(np.array([0.0, -1.0])) == np.inf  # ascends
-    assert program.descent_ray_residual(np.array([0.0, 0.0])) == np.inf
-    assert program.descent_ray_residual(np.array([1e-3, 1.0])) == pytest.approx(0.5e-3)  # curved, leaves z_0 <= 1
-    bounded = dataclasses.replace(program, upper=np.array([1.0, 1e6, np.inf]))
-    assert bounded.descent_ray_residual(np.array([0.0, 1.0])) == pytest.approx(0.5)
-    free = dataclasses.replace(program, lower=np.full(3, -np.inf), upper=np.full(3, np.inf))
-    assert free.descent_ray_residual(np.array([0.25, 1.0])) == pytest.approx(0.125)  # curved, and nothing else
-    reversed_cost = dataclasses.replace(program, q=np.array([0.0, 2.0]))
-    assert reversed_cost.descent_ray_residual(np.array([0.0, -1.0])) == pytest.approx(0.5)  # z_1 >= 0 stops it
+    assert program.residuals(np.zeros(2), np.array([0.0, 1.0])).dual == pytest.approx(1.0)
+    inside = dataclasses.replace(program, q=np.array([1.0, -1.0]))
+    assert inside.residuals(np.zeros(2), np.array([-1.0, 1.0])).worst == 0
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+def test_of_several_rows_on_one_variable_the_tightest_bounds_count(order):
+    """-4 <= z <= 3, -2 <= 2 z <= 4 and -5 <= -z <= 1, in any order: -1 <= z <= 2."""
+    rows = np.array([[1.0, -4.0, 3.0], [2.0, -2.0, 4.0], [-1.0, -5.0, 1.0]])[list(order)]
+    program = Program(sp.csc_array((1, 1)), np.zeros(1), sp.csc_array(rows[:, :1]), rows[:, 1], rows[:, 2])
+    bounds = program.single_bounds()
+    assert (bounds.below.tolist(), bounds.above.tolist(), bounds.violation) == ([-1.0], [2.0], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "lower", "upper"),
+    [([0.0], [-3.0], [-1.0]), ([0.0], [1.0], [3.0]), ([1.0, 1.0], [2.0, 0.0], [3.0, 1.0])],
+    ids=["0 <= -1", "1 <= 0", "2 <= z <= 1"],
+)
+def test_rows_that_no_point_satisfies_are_violations(coefficients, lower, upper):
+    rows = sp.csc_array(np.array(coefficients)[:, None])
+    rows.eliminate_zeros()
+    program = Program(sp.csc_array((1, 1)), np.zeros(1), rows, np.array(lower), np.array(upper))
+    bounds = program.single_bounds()
+    assert bounds.violation == 1.0
+    assert (bounds.below <= bounds.above).all()

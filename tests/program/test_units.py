@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from helpers.transcribed import each_problem, small_problem
 from lin_freq_ocp import library
 from lin_freq_ocp.methods.candidate import Candidate
@@ -15,12 +16,13 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.convex import Ball
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Scaling
-from lin_freq_ocp.program.units import is_revision, natural_scaling, point_units, scaled_program
+from lin_freq_ocp.program.units import is_revision, natural_scaling, point_units, scaled_program, stated_scaling
 
 
 @each_problem
@@ -41,6 +43,15 @@ def test_a_change_of_units_is_undone_exactly(problem):
     identity = program.scaled(Scaling(np.ones(len(z)), np.ones(len(y)), 1.0))
     assert identity.residuals(z, y) == program.residuals(z, y)
     assert scaled.rows == program.rows
+
+
+def test_a_point_stays_in_its_cone_in_other_units():
+    """The radius is a row without variables, and the state has a unit of its own."""
+    linear = LinearProgram(small_problem(state_set=Ball(1e3)))
+    program, scaling = linear.sparse, stated_scaling(linear)
+    assert len(program.cones) == 19  # both ends are given
+    for cone in program.cones:
+        assert np.ptp(scaling.rows[cone]) == 0
 
 
 def change_units(
@@ -153,7 +164,7 @@ def in_bins(problem: OptimalControlProblem) -> OptimalControlProblem:
     return dataclasses.replace(problem, **changes)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 @pytest.mark.parametrize("name", ["flexible_satellite", "two_mass_spring"])
 def test_models_with_hidden_states_in_random_units(name, seed):
     """Modal states and speeds have no bound, end or reference that would say how large they are."""

@@ -155,6 +155,10 @@ FAILURES = {
         proof(row(weight=0.25), body=dual({"multiplier": 0, "values": [0.5]}, *REST)),
         "FAILED line 13: 'row': multipliers above",
     ),
+    "a multiplier below zero of a half-space": (
+        proof(row(gauge="max"), body=dual({"multiplier": 0, "values": [-0.5]}, *REST)),
+        "FAILED line 13: 'row': multipliers outside",
+    ),
     "a multiplier at a price, without cost": (
         proof(row(weight=1), body=dual({"multiplier": 0, "values": [0.5]}, *REST, cost=0)),
         "FAILED line 13: 'row': multipliers above",
@@ -271,3 +275,10 @@ def test_zonotopes_do_not_grow_with_the_horizon():
 
 def test_every_line_is_an_object(tmp_path):
     assert check(replaced(2, json.dumps([1]).encode() + b"\n"), tmp_path).last.startswith("FAILED line 3")
+
+
+@pytest.mark.parametrize(("cubic", "positive"), [(-0.1, False), (0.1, True)])
+def test_the_cubic_term_decides_where_a_square_touches_zero(cubic, positive):
+    """(x - 1/2)^2 - x^3 / 10 is below zero at 1/2; with the other sign, it is positive from -1 to 1."""
+    polynomial, one = checker().arb_poly([0.25, -1, 1, cubic]), checker().arb(1)
+    assert checker().never_negative(polynomial, one) is positive

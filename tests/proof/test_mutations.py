@@ -9,6 +9,7 @@ from flint import arb
 from helpers import hand_proofs
 from helpers.checks import proofs
 from helpers.mutations import mutations, sample
+from helpers.seeds import seeds, whole_sample
 
 EACH = 3  # mutations of each section
 SEEDS = 1, 2, 3, 4, 5, 6, 8, 10, 11, 12
@@ -42,12 +43,13 @@ def test_a_checker_that_charges_nothing_is_found_out(tmp_path, monkeypatch):
     assert any("but the optimum" in words for words in wrong)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_the_interval_of_a_random_problem_has_the_exact_optimum(seed):
     outcome = check_random(seed)
     assert outcome.passed, outcome
 
 
+@whole_sample
 def test_the_sample_is_exact_and_narrow():
     outcomes = [check_random(seed) for seed in SEEDS]
     assert sum(one.exact for one in outcomes) >= 8

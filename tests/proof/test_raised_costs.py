@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.reach import Region
 from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
 from lin_freq_ocp.proof.proof import convex_problem, raised_by
@@ -41,7 +42,7 @@ def test_what_is_not_semidefinite_stays_so():
 SEEDS = range(24)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_the_interval_contains_the_optimal_cost_of_the_numbers_as_they_stand(seed):
     """J* in rational numbers, of Hessians c c' that are indefinite by rounding: also below zero, and far from it."""
     problem, _ = rounded_product(seed)

@@ -64,6 +64,18 @@ def test_images_above_nyquist_are_held(imaged):
     assert (atoms > 2 * np.pi).all()
 
 
+def test_an_image_almost_a_period_after_the_edge_counts():
+    """Above 30 Hz, a wave of 3 Hz has its largest image at 2/h - 3 Hz = 47 Hz."""
+    wave = np.hanning(100) * np.cos(2 * np.pi * 3.0 * H * np.arange(100))
+    level = held(wave, np.linspace(46.0, 48.0, 2001)).max()
+    assert held(wave, np.linspace(30.0, 46.0, 2001)).max() < 0.9 * level
+    none = lfo.solve(FREE).multipliers
+    for limit, passes in ((1.01 * level, True), (0.99 * level, False)):
+        certificate = lfo.certify(masked(limit, lfo.low_pass(cutoff_hz=30.0)), lfo.simulate(FREE, wave[:, None]), none)
+        (mask,) = [one for one in certificate.conditions if one.label == "C-vii" and one.peak is not None]
+        assert mask.passed is passes
+
+
 @pytest.mark.parametrize("method", ["convex", "structured"])
 def test_methods_find_the_same(imaged, method):
     assert lfo.solve(imaged.problem, method).cost == pytest.approx(imaged.cost, rel=1e-8)

@@ -66,7 +66,7 @@ def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
 
 
 def test_a_price_above_the_multipliers_gives_the_hard_optimum(hard):
-    result = lfo.solve(problem(3 * weight_of(hard)))
+    result = lfo.solve(problem(1.5 * weight_of(hard)))
     assert result.cost == pytest.approx(hard.cost, rel=1e-6)
     assert peak_of(result).ratio < 1 + 1e-6
 

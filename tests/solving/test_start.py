@@ -101,7 +101,7 @@ def test_the_local_search_takes_controls_and_modes_first(obvious):
     problem, tried = block(smooth=True), []
     modes = piecewise_smooth(problem).sequence_of(obvious.trajectory.x, obvious.trajectory.u)
     for start in (obvious.trajectory.u, modes):
-        limits = {"time_limit": 200.0, "throw": False, "progress": tried.append}
+        limits = {"time_limit": 60.0, "throw": False, "progress": tried.append}
         with use_clock(Clock(1.0)):
             result = lfo.solve(problem, method="nonsmooth", start=start, **limits)
         assert result.cost <= obvious.cost * (1 + 1e-5)

@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import translation
 from helpers.rounded_products import exact_optimum
+from helpers.seeds import seeds
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
@@ -18,7 +19,7 @@ METHODS = ("auto", "spectral", "structured", "convex")
 
 
 @pytest.mark.parametrize(
-    ("question", "seed"), [(question, seed) for question, seeds in SEEDS.items() for seed in seeds]
+    ("question", "seed"), seeds((question, seed) for question, given in SEEDS.items() for seed in given)
 )
 def test_the_same_problem_far_from_zero_has_the_same_answer(question, seed):
     outcome = translation.check(seed, question)

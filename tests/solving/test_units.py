@@ -13,12 +13,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import units
 from helpers.random.units import CLASSES, drawn
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
-SEEDS = {change: [3, 4, 8] for change in units.CHANGES}
 
-
-@pytest.mark.parametrize(("change", "seed"), [(change, seed) for change, seeds in SEEDS.items() for seed in seeds])
+@pytest.mark.parametrize(("change", "seed"), seeds((change, seed) for change in units.CHANGES for seed in (3, 4, 8)))
 def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
     outcome = units.check(seed, change)
     assert outcome.passed, outcome

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, to_long_double
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
@@ -456,13 +456,13 @@ def judge_modes(
         for condition in all_conditions(extremal, least)
     ]
     own_distance = distance[np.arange(len(sequence)), sequence]  # from the region of the mode that leads to x_{t+1}
-    t = int(np.argmax(own_distance))
+    (t,) = first_largest(own_distance)
     mode, worst = int(sequence[t]), float(own_distance[t])
     name = "a mode holds that leads to the next state"
     active_mode = Condition("S-f", name, worst, 1.0, CONDITION_TOLERANCE, t, mode)
     violation = np.maximum(-weights, np.where(active, 0.0, np.abs(weights)))
     violation = np.maximum(violation, np.abs(weights.sum(axis=1, keepdims=True) - 1))
-    t, mode = (int(i) for i in np.unravel_index(np.argmax(violation), violation.shape))
+    t, mode = first_largest(violation)
     name = "weights >= 0, sum 1, of modes that hold"
     of_weights = Condition("N-f", name, float(violation[t, mode]), 1.0, CONDITION_TOLERANCE, t, mode)
     stages = switching_stages(extremal, least, arrays, active, gaps)

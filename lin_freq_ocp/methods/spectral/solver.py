@@ -123,7 +123,7 @@ class SpectralSolver:
     def _set_up(self, units: LtiUnits) -> None:
         """Compute everything that does not depend on data, in the given units."""
         started = now()
-        with one_blas_thread():
+        with one_blas_thread:
             self._units, self._lti = units, lti_problem(self.problem, units)
             try:
                 self._structure = Structure(self._lti)
@@ -195,7 +195,7 @@ class SpectralSolver:
             if warm_start is not None:
                 self._require_same_shape(warm_start)
                 first = warm_start.active
-            with one_blas_thread(), interrupts_noted() as interrupt, np.errstate(all="ignore"):
+            with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
                 answer = self._exchange(lti, first, allowed, stop)
                 y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"

@@ -28,7 +28,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.cones import Cone, clip_change
+from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System, Values, largest
 
 FRACTION = 0.99  # of the way to the boundary
@@ -149,7 +149,7 @@ class _Measures:
     mu: float
     errors: Errors
     left: float  # the largest residual
-    ray: float  # |A'z|, P y relative to -b'z; inf if that is not above zero
+    ray: float  # |A'z| relative to -b'z; inf if that is not above zero
     descent: float  # |A y + s|, P y relative to -h'y
 
 
@@ -235,7 +235,7 @@ class Embedding:
             of_y / tau / (of_h + max(curved, largest(point.z)) / tau),
             abs(primal - dual) / max(self._least_terms, self._terms(point.y / tau, yPy / tau**2)),
         )
-        ray = max(largest([Atz]), curved) / -bz if bz < 0 else np.inf
+        ray = largest([Atz]) / -bz if bz < 0 else np.inf
         descent = max(largest(Ay), curved) / -hy if hy < 0 else np.inf
         return _Measures(f_y, f_z, f_tau, Py, yPy, hy, bz, mu, errors, max(of_y, of_z), ray, descent)
 
@@ -293,7 +293,7 @@ class Embedding:
         for _ in range(CORRECTORS):
             if length >= LONG_STEP:
                 break
-            aim = self._recentre(point, step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
+            aim = self._recentre(step, min(1.0, max(AHEAD * length, length + LEAST_AHEAD)), aim, measures.mu)
             other = self._direction(point, measures, constant, aim)
             further = self._longest(point, other)
             if further < length + GAIN:
@@ -301,15 +301,14 @@ class Embedding:
             step, length = other, further
         return step, length
 
-    def _recentre(self, point: EmbeddedPoint, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
-        """Return the aim that moves the outliers after such a step towards sigma mu."""
+    def _recentre(self, step: _Direction, length: float, aim: _Aim, mu: float) -> _Aim:
+        """Return the aim that moves outlying products of s and z after such a step towards sigma mu."""
         low, high = aim.sigma * mu / OUTLYING, aim.sigma * mu * OUTLYING
         of_s = dict(aim.of_s)
         for i, cone in self._cones.items():
             s, z = cone.lam + length * step.scaled_s[i], cone.lam + length * step.scaled_z[i]
             of_s[i] = of_s[i] - cone.clip_change(cone.product(s, z), low, high)
-        product = (point.tau + length * step.tau) * (point.kappa + length * step.kappa)
-        return _Aim(aim.sigma, of_s, aim.of_kappa - float(clip_change(np.array(product), low, high)))
+        return aim._replace(of_s=of_s)
 
     def _direction(
         self, point: EmbeddedPoint, measures: _Measures, constant: tuple[Array, Values], aim: _Aim

@@ -20,9 +20,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, brief
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, UnsupportedError, suggestion
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.repeated import Repeated
-from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import apply_filter, can_be_filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
@@ -239,7 +237,6 @@ def answer_data(outcome: Outcome) -> Data:
     return {
         "status": outcome.status,
         "message": outcome.message,
-        "practical": outcome.status == Status.INFEASIBLE and outcome.bound == NUMERICAL,
         "cost": outcome.cost,
         "words": {
             "cost": number(outcome.cost, 6),

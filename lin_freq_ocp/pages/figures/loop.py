@@ -7,7 +7,6 @@ from math import ceil
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import fft, signal
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.base.phrases import number, plural, short_name
@@ -96,8 +95,8 @@ def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
         look.style_axes(ax, title, label, unit)
         return
     windows = np.lib.stride_tricks.sliding_window_view(control, length)
-    frames = windows * signal.get_window("hann", length, fftbins=False)
-    spectra = np.abs(fft.rfft(frames, axis=1))
+    frames = windows * np.hanning(length)
+    spectra = np.abs(np.fft.rfft(frames, axis=1))
     largest = float(spectra.max(initial=0.0)) or 1.0
     decibels = 20 * np.log10(np.maximum(spectra / largest, 10 ** (-DECIBELS / 20)))
     frequencies = np.arange(spectra.shape[1]) / length * (2 * np.pi if step is None else 1 / step)

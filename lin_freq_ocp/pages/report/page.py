@@ -254,7 +254,13 @@ class Drawing:
     title: str
     caption: str
     svg: str
-    png: bytes
+    figure: Figure
+
+    def png(self) -> bytes:
+        """Return the figure as an image."""
+        self.figure.set_dpi(PIXELS_PER_INCH)
+        FigureCanvasAgg(self.figure).print_png(png := BytesIO())
+        return png.getvalue()
 
     @property
     def inline(self) -> Markup:
@@ -270,15 +276,12 @@ class Drawing:
 
 
 def drawing_of(name: str, title: str, caption: str, figure: Figure) -> Drawing:
-    """Return a figure as SVG text and as a PNG image."""
-    figure.set_dpi(PIXELS_PER_INCH)
-    svg, png = BytesIO(), BytesIO()
-    FigureCanvasAgg(figure).print_png(png)
-    figure.set_layout_engine("none")  # keeps the layout that was found
+    """Return a figure as SVG text; its image is drawn when it is asked for."""
     # Names of shapes are the same in every run, and text looks the same on every machine.
     with mpl.rc_context({"svg.hashsalt": "lin-freq-ocp", "svg.fonttype": "path"}):
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    return Drawing(name, title, caption, svg.getvalue().decode(), png.getvalue())
+        FigureCanvasSVG(figure).print_svg(svg := BytesIO(), metadata={"Date": None})
+    figure.set_layout_engine("none")  # keeps the layout that was found
+    return Drawing(name, title, caption, svg.getvalue().decode(), figure)
 
 
 def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
@@ -286,7 +289,7 @@ def save_page(folder: Path, page: str, drawings: Sequence[Drawing]) -> Path:
     with report_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     contents = {folder / f"{drawing.name}.svg": drawing.svg.encode() for drawing in drawings}
-    contents |= {folder / f"{drawing.name}.png": drawing.png for drawing in drawings}
+    contents |= {folder / f"{drawing.name}.png": drawing.png() for drawing in drawings}
     path = folder / "index.html"
     write_each(contents | {path: page.encode()})
     return path

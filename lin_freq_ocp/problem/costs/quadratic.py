@@ -21,6 +21,7 @@ from lin_freq_ocp.base.arrays import (
     Mask,
     assign,
     brief,
+    first_largest,
     one_component,
     real_array,
     seal,
@@ -389,7 +390,7 @@ class QuadraticCost(Cost):
         smallest = np.append(stage[:, 0], terminal[0])
         rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
         smallest = np.where(smallest < -rounding, smallest, 0.0)
-        worst = int(np.argmin(smallest))
+        (worst,) = first_largest(-smallest)
         if smallest[worst] == 0:
             return None
         return (worst if worst < len(stage) else -1), float(smallest[worst])

@@ -22,6 +22,7 @@ from lin_freq_ocp.base.arrays import (
     assign,
     brief,
     component_names,
+    first_largest,
     real_array,
     with_columns,
     with_fields,
@@ -240,9 +241,9 @@ class WindowSpectra:
     @property
     def worst(self) -> tuple[int, int]:
         """Return the window and the point of the grid with the largest ratio; of an energy, its largest point."""
-        window, k = np.unravel_index(np.argmax(self.ratios), self.ratios.shape)
-        k = int(np.argmax(self.magnitudes[window, self.bins])) if self.joint else int(k)
-        return int(window), int(self.bins[k])
+        window, k = first_largest(self.ratios)
+        k = first_largest(self.magnitudes[window, self.bins])[0] if self.joint else k
+        return window, int(self.bins[k])
 
     def __repr__(self) -> str:
         above = int(self.exceeded.any(axis=1).sum())

@@ -322,8 +322,8 @@ class LargestExcess(Penalty):
             return 0.0
         return float(self.weight) * (rise if excess.max() > reach else max(rise, 0.0))
 
-    def unbounded(self, change: Array) -> tuple[float, float]:
-        return 0.0, float(self.weight * self.recession(change).max(initial=0.0))
+    def unbounded(self, change: Array) -> tuple[Array, float]:
+        return np.zeros((len(change), 1)), float(self.weight * self.recession(change).max(initial=0.0))
 
     def subgradient(self, multipliers: Array, eta_C: float) -> Array:
         limited = np.where(np.isfinite(self.limit)[:, None], multipliers, 0.0)

@@ -121,11 +121,10 @@ class Penalty(ABC):
         active = np.isinf(self.weights) & (self.excess(v) >= -near)
         return float(np.max(np.where(active, self.excess_slope(v, change, near), 0.0), initial=0.0))
 
-    def unbounded(self, change: Array) -> tuple[float, float]:
-        """Return the violation of hard limits and the cost per unit of a change of v at infinity."""
+    def unbounded(self, change: Array) -> tuple[Array, float]:
+        """Return the violations of hard limits and the cost per unit of a change of v at infinity."""
         rising = np.maximum(self.recession(change), 0.0)
-        hard = np.where(np.isinf(self.weights), rising, 0.0)
-        return float(np.max(hard, initial=0.0)), float((self._prices * rising).sum())
+        return np.where(np.isinf(self.weights), rising, 0.0), float((self._prices * rising).sum())
 
     def misfit(self, v: Array, multipliers: Array) -> Array:
         """Return how far the directions of multipliers and values differ; the gap is of second order in it."""

@@ -34,7 +34,7 @@ def solve(program: Program, tolerance: float, time_limit: float | None) -> Solut
     eps = max(tolerance, FINEST)
     limit = {} if time_limit is None else {"time_limit": time_limit}
     run.setup(
-        P=sp.csc_matrix(sp.triu(program.P)),
+        P=sp.csc_matrix(sp.triu(program.P)),  # it warns of sparse arrays
         q=program.q,
         A=sp.csc_matrix(program.A),
         l=program.lower,

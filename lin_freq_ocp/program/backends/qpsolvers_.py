@@ -50,6 +50,7 @@ def solver(member: str) -> Solver:
 
 def _solve(member: str, program: Program, tolerance: float, time_limit: float | None) -> Solution:
     form = program.standard()
+    # it takes sparse matrices, no sparse arrays
     typed = sp.csc_matrix if member in qpsolvers.sparse_solvers else (lambda matrix: np.asarray(matrix.todense()))
     count = form.equations
     inequalities = (typed(form.A[count:]), form.b[count:]) if form.inequalities else (None, None)

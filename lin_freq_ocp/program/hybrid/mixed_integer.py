@@ -169,17 +169,17 @@ def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
     cost = np.tile(np.append(np.zeros(columns - 1), 1.0), modes)
     lower = np.tile(np.append(-np.ones(columns - 1), 0.0), modes)
     upper = np.tile(np.append(np.ones(columns - 1), np.inf), modes)
-    matrix = sp.csr_array(sp.block_diag(blocks, format="csr"))
+    matrix = sp.csr_array(sp.block_diag([sp.csr_array(block) for block in blocks]))
     relaxations = _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
     possible, limited = relaxations <= RELAXATION, np.isfinite(stage.h)
     below, above = np.zeros((2, modes, modes, n))
     regions = np.zeros((modes, modes, stage.h.shape[1]))
-    asked: list[tuple[int, Array, Rows]] = []
+    asked: list[tuple[int, Array, tuple[sp.csr_array, Array]]] = []
     for j in np.flatnonzero(possible):
         rows, limits = domains[j]
         differences = (stage.F[j] - stage.F).reshape(-1, stage.F.shape[-1])
         objectives = np.vstack([differences, -differences, stage.G.reshape(-1, stage.G.shape[-1])])
-        asked.append((int(j), objectives, (rows, limits + RELAXATION + relaxations[j])))
+        asked.append((int(j), objectives, (sp.csr_array(rows), limits + RELAXATION + relaxations[j])))
     if not asked:  # no mode can hold: the rows of MODES say so
         return possible, below, above, regions
     for (j, _, _), largest in zip(asked, _largest_values(stage, asked), strict=True):
@@ -191,7 +191,7 @@ def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
     return possible, below, above, regions
 
 
-def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> list[Array]:
+def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, tuple[sp.csr_array, Array]]]) -> list[Array]:
     """Return the largest value of each objective'y over its domain, enlarged outward, except an exact 0."""
     scaled = np.vstack([objectives * stage.halves[j] for j, objectives, _ in asked])
     sizes, counts = np.abs(scaled).sum(axis=1), np.cumsum([len(objectives) for _, objectives, _ in asked])
@@ -200,7 +200,7 @@ def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, Rows]]) -> 
     largest, live = np.zeros(len(scaled)), sizes > 0
     if blocks:
         cost, ones = -scaled[live] / sizes[live, None], np.ones(scaled[live].size)
-        matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks], format="csr"))
+        matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks]))
         limits = np.concatenate([limits for _, limits in blocks])
         v = _require_minimiser(minimiser(cost.ravel(), matrix, limits, -ones, ones))
         largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]

@@ -37,11 +37,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     order = np.diff(np.eye(len(angles)), axis=0)
 
     def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
-        return bound.at(steps, angles)[2:][derivative][rows]
-
-    def relative_cost(angles: Array) -> tuple[float, Array]:
-        cost, slope, _, _ = bound.at(steps, angles)
-        return cost / bound.size, slope / bound.size
+        return bound.amplitudes(steps, angles)[derivative][rows]
 
     constraints: list[LinearConstraint | NonlinearConstraint] = []
     limited = np.isfinite(low) | np.isfinite(high)
@@ -52,7 +48,7 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
     if len(order):
         constraints.append(LinearConstraint(order, 0.0, np.inf))
     optimum = minimize(
-        relative_cost,
+        partial(bound.relative_cost, steps),
         angles,
         jac=True,
         method="SLSQP",
@@ -61,9 +57,9 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
         options={"ftol": COST_ROUNDING, "maxiter": 200},
     )
     at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
-    cost, _, values, _ = bound.at(steps, at)
+    values, _ = bound.amplitudes(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    return None if violation > AMPLITUDE_VIOLATION else (at, cost)
+    return None if violation > AMPLITUDE_VIOLATION else (at, bound.size * bound.relative_cost(steps, at)[0])
 
 
 GAP = 1e-6  # default of the relative gap to prove

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound, AngleBoxes
 
@@ -30,13 +31,17 @@ def test_cost_and_amplitudes_are_those_of_the_fourier_series():
     steps = np.array([0.5, 0.5, -0.5])
     k = np.arange(1, 20001, 2)
     b = 4 / (np.pi * k) * (steps[:, None] * np.cos(k * angles[:, None])).sum(0)
-    cost, slope, amplitudes, slopes = loose(12).at(steps, angles)
+    bound = loose(12)
+    cost, slope = (bound.size * part for part in bound.relative_cost(steps, angles))
+    amplitudes, slopes = bound.amplitudes(steps, angles)
     assert amplitudes == pytest.approx(b[:2], abs=1e-14)
     assert cost == pytest.approx(((b / k) ** 2).sum() - M**2, abs=1e-10)
     for i in range(3):
-        near = [loose(12).at(steps, angles + sign * 1e-6 * np.eye(3)[i]) for sign in (1, -1)]
-        assert slope[i] == pytest.approx((near[0][0] - near[1][0]) / 2e-6, abs=1e-8)
-        assert slopes[:, i] == pytest.approx((near[0][2] - near[1][2]) / 2e-6, abs=1e-8)
+        near = [angles + sign * 1e-6 * np.eye(3)[i] for sign in (1, -1)]
+        above, below = (bound.size * bound.relative_cost(steps, at)[0] for at in near)
+        up, down = (bound.amplitudes(steps, at)[0] for at in near)
+        assert slope[i] == pytest.approx((above - below) / 2e-6, abs=1e-8)
+        assert slopes[:, i] == pytest.approx((up - down) / 2e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("third", [(-np.inf, 0.02), (-0.02, np.inf), (-np.inf, np.inf)])
@@ -60,7 +65,7 @@ def test_amplitudes_may_have_no_limit(third):
     assert pattern(8).value(trajectory.x, trajectory.u) <= lfo.solve(pattern(8)).cost + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", seeds(range(5)))
 def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     rng, bound = np.random.default_rng(seed), loose(12)
     count = 100
@@ -74,7 +79,9 @@ def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
     least = np.full(count, np.inf)
     for _ in range(50):
         inside = np.clip(boxes.centre + boxes.radius * rng.uniform(-1, 1, (count, 3)), 0, np.pi / 2)
-        least = np.minimum(least, [bound.at(s, a)[0] for s, a in zip(boxes.steps, inside, strict=True)])
+        least = np.minimum(
+            least, [bound.size * bound.relative_cost(s, a)[0] for s, a in zip(boxes.steps, inside, strict=True)]
+        )
     assert (boxes.bound <= least).all()
     assert np.median(least - boxes.bound) < 0.2
 

@@ -11,12 +11,12 @@ import lin_freq_ocp as lfo
 WEIGHTS = [1.0, 0.2, 2.0, 0.5, 1.5]
 
 
-def stated(stage, terminal=None, f="0.9*x_0 + u_0", **cost):
-    """Return a problem of one state over five steps."""
+def stated(stage, terminal=None, f="0.9*x_0 + u_0", steps=5, **cost):
+    """Return a problem of one state over some steps."""
     dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([f], 1, 1)
     total = lfo.QuadraticCost(**cost) + lfo.costs.SmoothCost(stage=stage, terminal=terminal)
     sets = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-3, 3), "initial_state": [1.2]}
-    return lfo.OptimalControlProblem(dynamics, 5, total, **sets)
+    return lfo.OptimalControlProblem(dynamics, steps, total, **sets)
 
 
 def weighted(t, x, u):
@@ -27,16 +27,16 @@ PROBLEMS = {
     "smooth": lambda: stated(lambda x, u: np.sin(2 * x[0]) ** 2, R=0.2),
     "terminal": lambda: stated("0.1*u_0**2", lambda x: np.cos(3 * x[0]) + 0.2 * x[0] ** 2),
     "time": lambda: stated(weighted, R=0.1),
-    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)"),
+    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)", steps=3),
     "concave in u": lambda: stated("x_0**2 - 0.3*u_0**2"),
-    "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", R=0.1),
+    "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", steps=2, R=0.1),
     "below zero": lambda: stated("-exp(-x_0**2) - 0.2*x_0"),
 }
 
 
 def least_of_many(problem):
-    """Return the least cost of trajectories that local searches from random controls find."""
-    start, rng = problem.initial_box.lower, np.random.default_rng(0)
+    """Return the least cost of trajectories that four local searches from random controls find."""
+    start, steps, rng = problem.initial_box.lower, problem.horizon, np.random.default_rng(0)
 
     def cost(u):
         try:
@@ -45,8 +45,8 @@ def least_of_many(problem):
             return 1e3
         return problem.value(trajectory.x, trajectory.u)
 
-    starts = rng.uniform(-1, 1, (6, 5))
-    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * 5, options={"maxfun": 200}) for u in starts]
+    starts = rng.uniform(-1, 1, (4, steps))
+    found = [minimize(cost, u, method="L-BFGS-B", bounds=[(-1, 1)] * steps, options={"maxfun": 60}) for u in starts]
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
 

@@ -10,10 +10,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.hybrid.global_bound.bound import terminal_minorants, value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, taylor_bounds
 from lin_freq_ocp.formulas.intervals import multiply, outward
@@ -40,7 +41,7 @@ def random_formula(rng, variables, depth):
     return made[rng.integers(len(made))]()
 
 
-@pytest.mark.parametrize("seed", range(80))
+@pytest.mark.parametrize("seed", seeds(range(80)))
 def test_enclosures_contain_values_gradients_and_hessians(seed):
     rng = np.random.default_rng(seed)
     x, u = signals(2, 1)
@@ -98,7 +99,7 @@ def test_logarithms_outside_of_their_domain_have_unbounded_derivatives():
     assert np.isinf(found.slopes[0][0, 0, 0])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
     rng = np.random.default_rng(seed)
     x, u = signals(2, 1)
@@ -125,7 +126,7 @@ def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
     np.testing.assert_allclose(bound(tiny), value(np.zeros((6, 3))), rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_bounds_that_the_cost_implies_hold_on_its_sublevel_set_and_touch_it(seed):
     rng = np.random.default_rng(seed)
     root, b, above = rng.normal(size=(3, 3)), rng.normal(size=3), 10.0 ** rng.uniform(-3, 3)
@@ -206,6 +207,21 @@ def test_halved_cells_cover_the_kept_ones_and_know_where_they_come_from():
         assert (tilted <= most + 1e-12).all()
 
 
+def test_a_terminal_cost_that_is_not_convex_is_above_its_minorants():
+    """cos(3 x) - x^2 with cells that are wide and small."""
+    (x,), _ = signals(1, 1)
+    formula, at = (3 * x).cos() - x**2, np.linspace(-0.5, 0.5, 41)[:, None]
+    for count in (3, 40):
+        lattice = Lattice.full(np.array([-2.0]), np.array([2.0]), np.zeros(1), count)
+        values, slopes = terminal_minorants(formula, lattice)
+        away = at * lattice.width
+        points = (lattice.centres[:, 0] + away).T
+        exact = np.cos(3 * points) - points**2
+        found = values[:, None] + slopes * away.T
+        assert (found <= exact + ROUNDING).all()
+        assert (exact - found).max() <= 10 * lattice.width[0] ** 2
+
+
 # --- bounds -----------------------------------------------------------------------------------------------------------
 
 BUCK, NORM = library.buck_converter, library.norm_dynamics
@@ -272,7 +288,7 @@ def drag(states, horizon):
     )
 
 
-@pytest.mark.parametrize(("states", "horizon", "gap"), [(2, 4, 1e-4), (3, 3, 1e-3)])
+@pytest.mark.parametrize(("states", "horizon", "gap"), [(2, 3, 1e-4), (3, 2, 1e-3)])
 def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
     problem = drag(states, horizon)
     result = lfo.solve(problem, method="nonsmooth")
@@ -284,7 +300,7 @@ def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
     bounds = value_bounds(problem, multipliers_of(problem), cost, 0.01)
-    found = max(level.value for level, _ in zip(bounds, range(4), strict=False))
+    found = max(level.value for level, _ in zip(bounds, range(2), strict=False))
     assert found <= optimum
     assert found >= min(cost - 0.01, 17.0)
 
@@ -309,7 +325,7 @@ def random_problem(seed):
     )
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", seeds([1, 2, 3]))
 def test_random_problems_are_bounded_below_their_optimum_whatever_cost_is_claimed(seed):
     problem = random_problem(seed)
     optimum = lfo.solve(problem, method="nonsmooth").cost
@@ -427,7 +443,7 @@ def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
 
 
 def test_comparisons_bound_the_constrained_answer_only():
-    found = lfo.compare(BUCK(3, control_spectrum=[1], terminal_state=None), ["brickwall"])
+    found = lfo.compare(BUCK(2, control_spectrum=[1], terminal_state=None), ["brickwall"])
     assert found.classical.certificate.bound is None
     assert found.constrained.certificate.bound.kind == "rigorous"
     assert "no global bound was asked for" in found.classical.message

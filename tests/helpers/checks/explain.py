@@ -13,11 +13,11 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.infeasible import random_infeasible
-from lin_freq_ocp.certificate.rays import PRACTICAL
 from lin_freq_ocp.problem.limits import Limit, constraints, drop_limits
 from lin_freq_ocp.problem.sizes import stated_sizes
 
 LESS = 0.95  # part of a cure that must not help
+FARTHEST = 1e4  # sizes in the data up to which a trajectory counts
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Outcome:
 
 
 def feasible(problem: lfo.OptimalControlProblem) -> bool | None:
-    """Return what Clarabel says of the constraints alone; None where it is not sure, or the trajectory impractical."""
+    """Return what Clarabel says of the constraints alone; None where it is not sure, or the trajectory is far."""
     for cost in (lfo.QuadraticCost(), lfo.QuadraticCost(R=1.0)):  # some solver's trouble goes away with a cost
         oracle = lfo.to_cvxpy(replace(problem, cost=cost))
         with warnings.catch_warnings():
@@ -52,8 +52,8 @@ def feasible(problem: lfo.OptimalControlProblem) -> bool | None:
     if oracle.status == "optimal":
         signals = {one.name(): np.abs(np.asarray(one.value)).max(0) for one in oracle.variables()}
         x, u = stated_sizes(problem)
-        practical = (signals["x"] <= PRACTICAL * x).all() and (signals["u"] <= PRACTICAL * u).all()
-        return True if practical else None
+        near = (signals["x"] <= FARTHEST * x).all() and (signals["u"] <= FARTHEST * u).all()
+        return True if near else None
     return False if oracle.status == "infeasible" else None
 
 

@@ -119,8 +119,8 @@ def _least_cost(program: PlainProgram, matrix: np.ndarray, right: np.ndarray) ->
     settings.verbose, settings.max_threads = False, 1
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = TOLERANCE
     cones = [clarabel.ZeroConeT(equations), clarabel.NonnegativeConeT(len(right) - equations)]
-    P = sp.csc_matrix(sp.triu(program.P))
-    answer = clarabel.DefaultSolver(P, program.q, sp.csc_matrix(matrix), right, cones, settings).solve()
+    P = sp.csc_array(sp.triu(program.P))
+    answer = clarabel.DefaultSolver(P, program.q, sp.csc_array(matrix), right, cones, settings).solve()
     return answer.obj_val + program.constant if str(answer.status) == "Solved" else np.inf
 
 

@@ -120,6 +120,60 @@ def test_a_warm_step_is_that_of_a_cold_one(kind):
         np.testing.assert_allclose(warm.plan, cold.plan, atol=APART)
 
 
+NARROWER = np.array([0.05, 0.03, 0.2, 0.5])
+KERNELS = {"native": lambda tables: NativeKernel(tables, compiled()), "dense": DenseKernel}
+
+
+@pytest.mark.parametrize("kind", KERNELS)
+@pytest.mark.parametrize("price", [10.0, 300.0])
+def test_every_step_ends_at_the_conditions_of_its_program(kind, price):
+    """xi = -M'lambda, and each row is within its bounds, on the one of its multiplier, or beyond it at its limit."""
+    problem = pendulum(
+        20, None, state_set=lfo.sets.Soft(lfo.Box(-NARROWER, NARROWER), price), control_set=lfo.Box(-5, 5)
+    )
+    units, tables = natural_units(problem), tables_of(problem)
+    kernel, rows, exceeded = KERNELS[kind](tables), DenseKernel(tables), np.zeros(2, dtype=int)
+    low, high = (np.abs(limit).ravel() for limit in tables.limits)
+    for start in 6 * states(problem, 30, seed=4) / units.x:
+        assert kernel.step(start) == SOLVED
+        multipliers, xi = kernel.multipliers.ravel(), kernel.unknowns
+        np.testing.assert_allclose(xi, -rows.gradients.T @ multipliers, atol=APART)
+        assert ((multipliers <= high) & (multipliers >= -low)).all()
+        y = rows.of_start @ np.append(start, 1.0) + rows.gradients @ xi
+        above, below = y - rows.upper, rows.lower - y
+        for beyond, normal, limit in ((above, multipliers, high), (below, -multipliers, low)):
+            assert (beyond[normal < limit] <= APART).all()
+            assert (beyond[normal > 0] >= -APART).all()
+        exceeded += [(multipliers == high).sum(), (multipliers == -low).sum()]
+    assert (exceeded > 400).all()
+
+
+@pytest.mark.parametrize("kind", KERNELS)
+def test_rows_contradict_each_other_from_a_millionth_of_their_size_on(kind):
+    dynamics, bounds = (
+        lfo.LinearDynamics([[1.0]], [[1.0]]),
+        {"state_set": lfo.Box(-1, 1), "control_set": lfo.Box(-1, 1)},
+    )
+    cost = lfo.QuadraticCost(Q=0.1, R=1.0)
+    problem = lfo.OptimalControlProblem(horizon=3, dynamics=dynamics, cost=cost, initial_state=[0.0], **bounds)
+    units, kernel = natural_units(problem), KERNELS[kind](tables_of(problem))
+    for side in (1, -1):
+        statuses = [kernel.step(np.array([side * (2 + far)]) / units.x) for far in (-1e-6, 1e-9, 1e-6)]
+        assert statuses == [SOLVED, SOLVED, INFEASIBLE]
+
+
+def test_where_there_is_no_plan_the_last_one_goes_on_with_its_feedback():
+    tables = tables_of(LOOPS["two controls"]())
+    kernel, m = NativeKernel(tables, compiled()), tables.loop.shape[2]
+    assert kernel.step(0.3 * states(LOOPS["two controls"](), 1)[0]) == SOLVED
+    plan, far = kernel.plan, np.full(tables.loop.shape[1], 1e3)
+    for _ in range(2):
+        assert kernel.step(far) == INFEASIBLE
+        plan = np.concatenate([plan[m:], plan[-m:]])
+        np.testing.assert_array_equal(kernel.plan, plan)
+        np.testing.assert_allclose(kernel.control, plan[:m] + tables.loop.K @ far, rtol=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["native", "dense"])
 def test_contradictory_rows_leave_the_next_step_as_it_is(kind):
     problem = LOOPS["low pass"]()
@@ -191,6 +245,7 @@ def test_other_references_offsets_bounds_and_ends():
         "bounds": dict(bounds={"control_set": lfo.Box(-1.5, 2.0)}),
         "disturbance": dict(disturbance=1e-4 * np.sin(np.arange(120))[:, None] * np.ones(4)),
         "nothing": {},
+        "another end alone": dict(terminal_state=[0.005, 0.0, 0.0, 0.0]),
     }
     for name, change in changes.items():
         arguments = [change.get(key) for key in ("terminal_state", "references", "bounds", "disturbance")]
@@ -198,7 +253,31 @@ def test_other_references_offsets_bounds_and_ends():
         plan = solver.plan(start, lti)
         assert plan is not None, name
         candidate = plan.candidate(stated)
-        assert judge(stated, candidate.trajectory, candidate.multipliers).gap <= GAP, name
+        certificate = judge(stated, candidate.trajectory, candidate.multipliers)
+        assert (certificate.feasible, certificate.gap <= GAP) == (True, True), name
+
+
+def test_the_rest_of_a_plan_repeats_its_last_move():
+    problem = LOOPS["low pass"]()
+    spectral, solver = solver_of(problem)
+    plan = solver.plan(states(problem, 1)[0], spectral.lti)
+    last = plan.trajectory
+    rest = replace(plan, start=last.x[1]).following(last)
+    np.testing.assert_allclose(rest.v, np.append(plan.v[1:], plan.v[-1]), atol=1e-12)
+    np.testing.assert_allclose(rest.control, last.u[1], atol=1e-12)
+    np.testing.assert_allclose(rest.trajectory.u[:-1], last.u[1:], atol=1e-9)
+
+
+def test_the_worth_of_a_plan_is_its_cost_with_prices():
+    problem = pendulum(20, None, state_set=lfo.sets.Soft(lfo.Box(-NARROWER, NARROWER), 5.0))
+    problem = problem.with_references({"x_ref": [0.01, 0.0, 0.0, 0.0], "u_ref": [0.1]})
+    spectral, tables = SpectralSolver(problem), tables_of(problem)
+    start, v = states(problem, 1)[0], 0.1 * np.random.default_rng(0).standard_normal(20)
+    plan = plans.unsettled_plan(tables, spectral.units, start, v, 0)
+    x, u = plan.trajectory.x, plan.trajectory.u
+    cost = (tables.worth(start / spectral.units.x, v)[1] + spectral.lti.constant) * spectral.units.cost
+    assert problem.value(x, u) > problem.quadratic.value(x, u)
+    assert cost == pytest.approx(problem.value(x, u), rel=1e-9)
 
 
 def test_bounds_that_stand_for_none_loosen_nothing():
@@ -281,3 +360,21 @@ def test_the_kernel_is_strict_c99(real, tmp_path):
     command = [compiler, *flags, "-c", str(source), "-o", str(tmp_path / "kernel.o")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("kind", ["C", "NumPy"])
+def test_rows_that_are_nearly_parallel_hold_as_exactly_as_others(kind):
+    """u_1 + 0.7 u_2 <= 1 <= u_1 + (0.7 + a) u_2 - a are active at the point (0.3, 1) alone, for a = 1e-6."""
+    a = 1e-6
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(0.5 * np.eye(2), [[1.0, 0.3], [0.2, 1.0]]),
+        3,
+        lfo.QuadraticCost(Q=1.0, R=1.0, P=1.0, u_ref=[2.0, 2.0]),
+        stage_rows=lfo.StageRows(None, [[1.0, 0.7], [-1.0, -0.7 - a]], [1.0, -1.0 - a]),
+        initial_state=[0.1, 0.2],
+    )
+    tables, start = tables_of(problem), np.array([0.1, 0.2])
+    kernel = NativeKernel(tables, compiled()) if kind == "C" else DenseKernel(tables)
+    units = natural_units(problem)
+    assert kernel.step(start / units.x) == SOLVED
+    np.testing.assert_allclose(kernel.control * units.u, [0.3, 1.0], atol=1e-7)

@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
@@ -37,7 +38,7 @@ def leaves(cover: tuple[CoverNode, ...]) -> list[CoverNode]:
     return [node for index, node in enumerate(cover) if index not in parents]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_each_sequence_is_in_one_leaf_of_the_cover(seed):
     problem = random_problem(seed, horizon=5, kinks=1 + seed % 2)
     search, after, _ = stepped(problem)
@@ -70,7 +71,7 @@ def test_modes_that_the_reach_had_left_out_are_covered_again(first):
 
 
 @pytest.mark.parametrize("fields", FIELDS.values(), ids=FIELDS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_shifted_duals_prove_less_than_the_optimum_and_not_much_less(seed, fields):
     problem = random_problem(seed, horizon=6, **fields)
     search, after, _ = stepped(problem, 0.01)
@@ -86,7 +87,7 @@ def test_shifted_duals_prove_less_than_the_optimum_and_not_much_less(seed, field
     assert min(bound for bound, _ in proven) > best - 0.9 * abs(best)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_moved_relaxations_are_those_of_the_moved_problem(seed):
     problem = random_problem(seed, horizon=5)
     _, after, _ = stepped(problem)

@@ -10,7 +10,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.modes import brute_force, random_problem
+from helpers.modes import brute_force, random_problem, two_sides
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid.search import common as search
@@ -44,7 +45,7 @@ def reached(problem, sequence):
     return relaxation, relaxation.reach.from_start(np.array(sequence)[:, None] == np.arange(2))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_rows_that_leave_room_one_by_one_and_none_together_leave_none(seed):
     """x <= 0.4 and x >= 0.6: the bounds that they cut cross, for the search and for the judge."""
     problem = two_modes([[1, 0], [-1, 0]], [0.4, -0.6], seed)
@@ -56,7 +57,7 @@ def test_rows_that_leave_room_one_by_one_and_none_together_leave_none(seed):
     assert result.sequence.tolist() == [1, 1]
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", seeds(SEEDS))
 def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     """x - y <= -1 leaves a corner of the square, which y - x <= 1/2 excludes: boxes show none of it."""
     problem = two_modes([[1, -1], [-1, 1]], [-1.0, 0.5], seed)
@@ -106,6 +107,13 @@ def test_the_violation_of_a_trajectory_counts_every_constraint():
     sequence = problem.dynamics.sequence_of(driven.x, driven.u)
     assert relaxation.violation(driven, sequence) > 1e-2
     assert PathRelaxation(free).violation(driven, sequence) < 1e-9
+
+
+def test_the_violation_of_a_trajectory_counts_its_regions():
+    problem = two_sides()
+    relaxation, at_rest = PathRelaxation(problem), lfo.simulate(problem, [[0.0]])
+    assert relaxation.violation(at_rest, np.array([0])) == 0
+    assert relaxation.violation(at_rest, np.array([1])) > 0.1
 
 
 def test_a_leaf_that_is_not_solved_in_time_is_a_limit():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.methods import native_code
-from lin_freq_ocp.methods.hybrid.search import path_native
+from lin_freq_ocp.methods.hybrid.search import node, path_native
 from lin_freq_ocp.methods.hybrid.search.path_native import OPTIMAL, path_library, run_path
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -25,10 +26,11 @@ def library():
     return found
 
 
-def root_program(problem):
+def root_of(problem):
+    """Return the relaxations of a problem, the reach of all sequences, and its path program."""
     relaxation = PathRelaxation(problem)
-    everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
-    return relaxation.path_member(relaxation.reach.from_start(everything)).program
+    reach = relaxation.reach.from_start(np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool))
+    return relaxation, reach, relaxation.path_member(reach).program
 
 
 def rows_of(program):
@@ -47,7 +49,7 @@ def rows_of(program):
 
 @pytest.mark.parametrize("fields", [{}, {"control_spectrum": lfo.stop_band(bins=[1])}], ids=["plain", "band"])
 def test_a_solution_satisfies_all_rows_and_its_bound_is_its_cost(library, fields):
-    program = root_program(random_problem(3, horizon=6, kinks=2, **fields))
+    _, _, program = root_of(random_problem(3, horizon=6, kinks=2, **fields))
     run = run_path(library, program, 1e-8, 1e-7, np.inf, 0.0)
     w = run.w / run.tau
     equations, linear = rows_of(program)
@@ -58,6 +60,36 @@ def test_a_solution_satisfies_all_rows_and_its_bound_is_its_cost(library, fields
     assert run.bound == pytest.approx(cost, rel=1e-6)
     assert run.proven <= cost + 1e-9
     assert run.proven == pytest.approx(cost, rel=1e-5)
+
+
+COUPLED = lfo.QuadraticCost(Q=[[1.0, 0.95], [0.95, 1.0]], R=0.1, P=np.eye(2))
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-3])
+@pytest.mark.parametrize("fields", [{}, {"control_spectrum": lfo.stop_band(bins=[1])}, {"cost": COUPLED}])
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_the_proven_bound_of_rough_duals_is_that_of_numpy(library, seed, fields, tolerance):
+    """With a coupled cost it may be lower: two sweeps over the coordinates do not find the least Lagrangian."""
+    problem = random_problem(seed, horizon=4, kinks=2, **fields)
+    relaxation, reach, program = root_of(problem)
+    run = run_path(library, program, tolerance, tolerance, np.inf, 0.0)
+    duals = relaxation.path_duals(program, run.p / run.tau, run.z / run.tau, run.w / run.tau)
+    proven, expected = relaxation.cost(run.proven), relaxation.proven(reach, duals)
+    assert proven <= expected + 1e-9 * abs(expected)
+    assert "cost" in fields or proven == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_ray_counts_only_if_its_bound_proves_it(library, monkeypatch):
+    relaxation, reach, _ = root_of(random_problem(3, horizon=4, kinks=2))
+    expected = node.solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None).bound
+
+    def wrong_ray(*given):
+        run = run_path(*given)
+        return replace(run, end=path_native.INFEASIBLE, p=np.ones_like(run.p), bound=1.0)
+
+    monkeypatch.setattr(node, "run_path", wrong_ray)
+    answer = node.solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None)
+    assert answer.bound == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_source_is_strict_c99(tmp_path):

@@ -11,8 +11,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import exchange
-from lin_freq_ocp.methods.spectral.structure import Structure
+from lin_freq_ocp.methods.spectral import exchange, recovery, solver
+from lin_freq_ocp.methods.spectral.rows import WorkingSet
+from lin_freq_ocp.methods.spectral.structure import Structure, data_of, verified_ray
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
@@ -322,3 +323,35 @@ def test_two_solves_give_the_same_bits():
     first, second = (lfo.SpectralSolver(lfo.library.pendulum()).solve() for _ in range(2))
     np.testing.assert_array_equal(first.trajectory.u, second.trajectory.u)
     np.testing.assert_array_equal(first.multipliers.eta, second.multipliers.eta)
+
+
+def test_slopes_in_the_controls_count_in_the_gap(monkeypatch):
+    """The slopes of the rest of the gradient, s at each control, change the cost by s sum |u|, to first order."""
+    measured = []
+    monkeypatch.setattr(solver, "residuals", lambda *parts: (measured.append(parts), recovery.residuals(*parts))[1])
+    lfo.SpectralSolver(lfo.library.double_integrator()).solve()
+    lti, outcome, multipliers = measured[-1]
+    rough = replace(multipliers, stationarity=1e-3)
+    added = recovery.residuals(lti, outcome, rough).gap - recovery.residuals(lti, outcome, multipliers).gap
+    u = outcome.signals.y[lti.state_dim :]
+    slopes = (1e-3 - multipliers.stationarity) * np.abs(u).sum()
+    assert added * max(lti.cost_level, abs(outcome.cost)) == pytest.approx(slopes)
+    assert added > 1e-6
+
+
+def test_a_bound_that_a_free_end_can_move_away_from_is_no_ray():
+    """Alone, x_T <= -1 contradicts x_T = 0; the free end has a slope there, and so no proof follows."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.5]], [[1.0]]),
+        8,
+        lfo.QuadraticCost(R=1.0),
+        initial_state=[0.0],
+        terminal_state=lfo.Box(-3, -1),
+    )
+    solver = lfo.SpectralSolver(problem)
+    built = Structure(solver.lti)
+    data, working = data_of(built, solver.lti), WorkingSet(built.kkt)
+    working.add(np.array([8]), np.array([0]), np.ones(1))
+    row = working.weighted(np.ones(1))
+    assert (row.slacks(solver.lti, np.zeros((2, 8)), np.zeros(1)) < 0).all()
+    assert verified_ray(built, data, row, np.zeros(len(data.e))) is None

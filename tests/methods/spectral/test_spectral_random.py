@@ -10,6 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import spectral
 from helpers.checks.spectral import Reference, Verdict
 from helpers.random.lti import with_witness
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 
@@ -29,7 +30,7 @@ TINY_REFERENCE = 338
 """A problem whose references of controls are a ten-thousandth of their bounds; no reference solver solves it."""
 
 
-@pytest.mark.parametrize("seed", [*range(8), *HARD])
+@pytest.mark.parametrize("seed", seeds(range(8), HARD))
 def test_a_random_problem_is_solved_like_by_the_reference_or_proven_infeasible(seed):
     outcome = spectral.check(seed)
     assert outcome.passed, str(outcome)

@@ -129,8 +129,9 @@ def test_a_solve_leaves_the_solver_as_it_was(solver):
         solver.solve(**MOVED[name])
     solver.solve(initial_state=[1.2, 0.7, 0.5], bounds={"control_set": lfo.Box(-0.01, 0.01)})
     after = solver.solve()
-    np.testing.assert_array_equal(after.trajectory.u, before.trajectory.u)
-    np.testing.assert_array_equal(after.multipliers.eta, before.multipliers.eta)
+    # the last digit depends on where arrays lie in memory
+    np.testing.assert_allclose(after.trajectory.u, before.trajectory.u, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(after.multipliers.eta, before.multipliers.eta, rtol=0, atol=1e-12)
     assert solver.problem is problem is after.problem
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,14 @@ def test_a_low_price_is_refused_with_the_reason_and_auto_goes_on():
     assert result.method != "spectral"
     assert "a soft bin is not zero" in result.reason
     assert result.certificate.pmp == "satisfied"
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.9, True), (1.1, False)])
+def test_the_price_that_keeps_a_bin_zero_is_its_multiplier(share, refused):
+    (multiplier,) = lfo.solve(problem(control_spectrum=soft_band(10.0, bins=[3]))).multipliers.stage.values()
+    given = problem(control_spectrum=soft_band(share * float(np.linalg.norm(multiplier)), bins=[3]))
+    with pytest.raises(lfo.errors.UnsupportedError, match="zero at its price") if refused else nullcontext():
+        lfo.solve(given, method="spectral")
 
 
 def test_what_is_infeasible_only_with_the_band_has_a_solution():

@@ -1,12 +1,12 @@
 """Solves again and again by the active rows, against the embedding."""
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
@@ -14,7 +14,7 @@ from lin_freq_ocp.methods.structured import active
 from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
 from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
 from lin_freq_ocp.solving.linear import Structured
@@ -22,7 +22,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.solver_cache import Change, SolverCache
 from tests.methods.structured.examples import spectrum, stages
 
-COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(find_spec("numba") is None, reason="without numba"))]
+COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]
 
 
 def coupled(seed):
@@ -56,7 +56,7 @@ def responses(problem, compiled=False):
 
 
 @pytest.mark.parametrize("compiled", COMPILED)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_answers_are_those_of_the_embedding(seed, compiled):
     problem = stages(seed, bound=0.8, coupling=coupled(seed))
     kept, near, rows_held = responses(problem, compiled), np.zeros(problem.h.shape), 0
@@ -75,9 +75,10 @@ def test_answers_are_those_of_the_embedding(seed, compiled):
     assert rows_held > 0
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_both_kinds_of_loops_find_the_same_to_rounding(seed):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     problem = stages(seed, bound=0.8, coupling=coupled(seed))
     near = np.zeros(problem.h.shape)
     plain, fast = (

@@ -12,7 +12,7 @@ from helpers.linear_kinds import KINDS, PLANT, A, B, T
 from helpers.stage_programs import solved_stages, stage_operator
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.structured.assembly import assemble_stages
-from lin_freq_ocp.methods.structured.stages import SparseRows, Stages
+from lin_freq_ocp.methods.structured.stages import SparseRows, SpectrumRows, Stages
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.terms.penalties import NormBall
 from lin_freq_ocp.problem.terms.term import Term
@@ -207,6 +207,8 @@ def test_other_changes_are_not_exchanged():
     assert assembly.exchanged(replace(problem, control_set=lfo.Box(-0.5, 0.5))) is None
     assert assembly.exchanged(problem.with_ends(lfo.Box(-1, 1))) is None
     assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None
+    boxed = KINDS["end boxes"]()
+    assert assemble_stages(boxed).exchanged(boxed.with_ends(lfo.Box(0.4, 1.0))) is None
 
 
 def test_what_never_moves_does_not_measure_the_cost():
@@ -256,3 +258,13 @@ def test_rows_that_couple_times_do_not_depend_on_units():
             np.testing.assert_array_equal(finite, np.isfinite(of_changed))
             np.testing.assert_allclose(of_changed[finite], of_plain[finite], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(cost_of(changed, y.reshape(plain.h.shape)), cost_of(plain, y.reshape(plain.h.shape)))
+
+
+@pytest.mark.parametrize("kept", [[1, 1], [1, 0], [0, 1]], ids=["both", "real part", "imaginary part"])
+def test_scaled_rows_of_a_spectrum_are_the_rows_of_scaled_signals(kept):
+    rng, kept = np.random.default_rng(0), np.array([*kept, 1, 1], dtype=bool)
+    rows = SpectrumRows(rng.standard_normal(2), rng.standard_normal(8), 16, np.array([3, 5]), np.ones(2), kept)
+    signals, units = rng.standard_normal((9, 2, 1)), np.broadcast_to([3.0, 0.5], (9, 2))
+    factors = np.array([2.0] * (rows.count - 2) + [7.0, 7.0])  # of the first bin and of the second
+    scaled = rows.scaled(factors, units).forward(signals)
+    np.testing.assert_allclose(scaled, factors[:, None] * rows.forward(units[:, :, None] * signals), rtol=1e-13)

@@ -1,10 +1,11 @@
 """The null-space solver against the equations of kkt/system.py, and against the range-space solver."""
 
-from importlib.util import find_spec
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured.kkt.null_space import (
     Coefficients,
     NullSpaceSolver,
@@ -14,21 +15,22 @@ from lin_freq_ocp.methods.structured.kkt.null_space import (
     unit_scale,
 )
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
-from methods.structured.linear_systems import random_system, solved
+from lin_freq_ocp.methods.structured.stages import Coupling, Equations
+from methods.structured.linear_systems import random_system, solved, stop_band
 
 GROWTHS = (0.0, 12.0, -5.0)
 
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)
@@ -36,7 +38,7 @@ def test_it_solves_the_system_of_a_step(chosen, seed, others):
     assert left < 1e-11
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_both_solvers_agree(chosen, seed):
     system = random_system(seed)
     kept, _ = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
@@ -76,3 +78,19 @@ def test_coefficients_are_an_orthonormal_basis_of_what_the_bands_leave(T):
 def test_scale_of_the_dft(T):
     pairs = np.fft.rfft(np.eye(T), axis=1).view(float) * unit_scale(T)
     np.testing.assert_allclose(pairs @ pairs.T, np.eye(T), atol=1e-14)
+
+
+@pytest.mark.parametrize("taper", [np.ones, np.hamming])
+def test_rows_of_a_windowed_control_are_no_stop_band(taper):
+    """A window mixes the coefficients of a control: rows of such a spectrum do not fix one coefficient each."""
+    T = 12
+    stages = random_system(5, T=T)[0]
+    channels = np.array([stages.states])
+    rows = replace(stop_band(channels, stages.states, T, np.array([1, 2]), np.ones(2)), window=taper(T))
+    coupling = Coupling(channels, np.zeros(0, dtype=int), np.zeros(0), (Equations(rows, np.zeros(rows.count)),))
+    bands, rest = sort_rows(replace(stages, coupling=coupling))
+    assert (len(bands), len(rest)) == ((1, 0) if taper is np.ones else (0, 1))
+    for band in bands:
+        w = np.random.default_rng(0).standard_normal((T + 1, 1, 1))
+        pairs = np.fft.rfft(w[:-1, 0, 0]).view(float) * unit_scale(T)
+        np.testing.assert_allclose(rows.forward(w)[:, 0], band.gain * pairs[band.coefficients])

@@ -2,31 +2,31 @@
 
 import subprocess
 import sys
-from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.linalg as la
 
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured.kkt import recursions
 from lin_freq_ocp.methods.structured.kkt.dense import OpenLoop
-from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, loops
+from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, can_compile, loops
 
 NONE = np.zeros(0, dtype=np.intp)
 
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("the extra fast is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 
 @pytest.fixture
 def both():
-    if find_spec("numba") is None:
-        pytest.skip("the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     return loops(True), loops(False)
 
 
@@ -84,7 +84,7 @@ def dense_solution(A, B, Phi, fixed, r, c, x0):
     return v[: r.size].reshape(shape), v[r.size : r.size + T * n].reshape(T, n), v[r.size + T * n :]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_solution_is_that_of_the_dense_equations(chosen, seed):
     _, A, B, Phi, fixed, r, c, x0 = stages(seed)
     y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
@@ -95,7 +95,7 @@ def test_solution_is_that_of_the_dense_equations(chosen, seed):
     assert not eta[-1].any()
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_equations_hold_where_the_states_grow_by_seventeen_decades(chosen, seed):
     _, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=40.0, T=80)
     y, eta, lam0 = chosen.factor(A, B, Phi, fixed).solve(r, c, x0)
@@ -106,7 +106,7 @@ def test_equations_hold_where_the_states_grow_by_seventeen_decades(chosen, seed)
 
 
 @pytest.mark.parametrize("width", [3, 11])
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_responses_are_solutions_side_by_side(chosen, seed, width):
     rng, A, B, Phi, fixed, r, c, _ = stages(seed, T=30 + seed)
     nz, n = r.shape[1], A.shape[1]
@@ -170,7 +170,7 @@ def test_weights_of_rows_and_cones(chosen):
         assert np.allclose(found[t], expected)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(range(8)))
 def test_backward_is_the_adjoint_of_forward(chosen, seed):
     rng, A, B, _, _, gradient, c, _ = stages(seed)
     n, k = B.shape[1:]
@@ -197,7 +197,7 @@ def test_states_follow_from_the_offsets(chosen):
     assert np.allclose(rows_of_states(A, B, y), c[:-1], rtol=0, atol=1e-12 * np.abs(y).max())
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", seeds(range(10)))
 def test_both_kinds_agree(both, seed):
     rng, A, B, Phi, fixed, r, c, x0 = stages(seed, growth=3.0)
     for first, second in zip(*(kind.factor(A, B, Phi, fixed).solve(r, c, x0) for kind in both), strict=True):
@@ -208,7 +208,7 @@ def test_both_kinds_agree(both, seed):
         assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max()
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", seeds(range(16)))
 def test_columns_are_sweeps_side_by_side(chosen, seed):
     rng, A, B, Phi, _, _, c, _ = stages(seed, T=1 + 4 * seed)
     n, k = B.shape[1:]
@@ -243,7 +243,7 @@ def reduced_hessian(A, B, Phi, fixed):
     return total
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 @pytest.mark.parametrize("compiled", [False, None])
 def test_convexity_is_that_of_the_reduced_hessian(seed, compiled):
     rng = np.random.default_rng(seed)
@@ -261,7 +261,8 @@ def test_convexity_is_that_of_the_reduced_hessian(seed, compiled):
 
 
 def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
-    pytest.importorskip("numba", reason="the extra fast is not installed")
+    if not can_compile():
+        pytest.skip("numba does not compile")
     from lin_freq_ocp.methods.structured.kkt import kernels
 
     assert isinstance(loops(), kernels.CompiledLoops)
@@ -273,6 +274,12 @@ def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
 def test_without_numba_arrays_do_the_same(monkeypatch):
     monkeypatch.setattr(recursions, "find_spec", lambda name: None)
     assert isinstance(loops(), BandedLoops)
+
+
+def test_numba_that_is_switched_off_compiles_nothing(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    assert isinstance(loops(), BandedLoops)
+    assert isinstance(loops(wait=False), BandedLoops)
 
 
 def test_numba_is_imported_only_when_compiled_loops_are_asked_for():

@@ -1,12 +1,11 @@
 """Conjugate gradients on the kept coefficients, and what their second level is worth."""
 
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_REST, TwoLevel, clip
 from methods.structured.linear_systems import random_system, solved
 
@@ -25,12 +24,12 @@ class Counted(TwoLevel):
 
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
-    if request.param == "compiled" and find_spec("numba") is None:
-        pytest.skip("numba is not installed")
+    if request.param == "compiled" and not can_compile():
+        pytest.skip("numba does not compile")
     return loops(request.param == "compiled")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 @pytest.mark.parametrize("others", [False, True], ids=["bands", "all rows"])
 def test_it_solves_the_system_of_a_step(chosen, seed, others):
     system = random_system(seed, GROWTHS[seed % 3], others)

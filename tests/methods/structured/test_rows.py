@@ -8,6 +8,7 @@ import pytest
 from helpers.linear_kinds import KINDS, T
 from lin_freq_ocp.methods.structured.assembly import assemble_stages
 from lin_freq_ocp.methods.structured.rows import assign_slots, stage_rows
+from lin_freq_ocp.methods.structured.stages import SpectrumRows
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD
@@ -65,3 +66,22 @@ def test_slacks_of_different_times_share_entries():
     present = soft.present.any(axis=1)
     assert present.sum() == 4
     assert len(present) == T + 1
+
+
+@pytest.mark.parametrize("points", [8, 9, 16])
+def test_spectra_are_their_rows_and_their_adjoints_the_transposes(points):
+    """Bins 0 and points/2 are their own conjugates."""
+    rng, samples, bins = np.random.default_rng(points), 8 if points == 16 else points, np.array([0, 3, points // 2])
+    kept = np.array([True, False, True, True, True, points % 2 == 1])
+    rows = SpectrumRows(np.array([1.0, -0.5]), np.hanning(samples + 2)[1:-1], points, bins, np.array([0.7, 2, 3]), kept)
+    signals, weights = rng.standard_normal((10, 2, 1)), rng.standard_normal((rows.count, 1))
+    waves = np.exp(-2j * np.pi * np.outer(bins, np.arange(samples)) / points) * rows.scale[:, None] * rows.window
+    values = waves @ (signals[:samples, :, 0] @ rows.coefficients)
+    expected = np.column_stack([values.real, values.imag]).ravel()[kept]
+    np.testing.assert_allclose(rows.forward(signals)[:, 0], expected, atol=1e-12)
+    adjoint, columns = np.zeros_like(signals), np.zeros((10, 2, rows.count))
+    rows.add_adjoint(weights, adjoint)
+    rows.add_columns(np.arange(rows.count), columns)
+    np.testing.assert_allclose(columns @ weights, adjoint, atol=1e-12)
+    assert np.vdot(adjoint, signals) == pytest.approx(float(expected @ weights[:, 0]))
+    np.testing.assert_allclose(np.tensordot(columns, signals[..., 0], ([0, 1], [0, 1])), expected, atol=1e-12)

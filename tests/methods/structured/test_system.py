@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
+from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, Embedding, End, Targets
 from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
 from lin_freq_ocp.methods.structured.kkt.system import (
     BALLS,
     EQUATIONS,
@@ -157,8 +157,8 @@ def test_a_step_solves_its_system(side, free):
 @pytest.mark.parametrize("side", [RangeSpaceSolver, low_rank])
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_optimum_is_clarabels(side, seed, compiled):
-    if compiled:
-        pytest.importorskip("numba")
+    if compiled and not can_compile():
+        pytest.skip("numba does not compile")
     problem = soft_stages(seed, cones=(3,) if seed else ())
     system, answer = embedded(problem, compiled, side)
     assert answer.end is End.OPTIMAL
@@ -167,13 +167,33 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
     assert max(answer.errors[:2]) <= 1e-10
 
 
-@pytest.mark.parametrize("seed", [129, 144])
-def test_correctors_reach_the_gap_near_the_boundary_of_cones(seed, monkeypatch):
-    """Without them, outlying products end the steps at gaps of 1e-8."""
-    problem = soft_stages(seed, cones=(2, 4))
-    assert embedded(problem, False)[1].end is End.OPTIMAL
+def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
+    """How many steps one problem takes depends on rounding; the sum of twelve does so by a few percent."""
+
+    def steps():
+        answers = [embedded(soft_stages(seed, cones=(2, 4)), False)[1] for seed in range(129, 141)]
+        return sum(answer.steps for answer in answers)
+
+    with_correctors = steps()
     monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
-    assert embedded(problem, False)[1].end is End.STALLED
+    assert with_correctors < 0.9 * steps()
+
+
+def test_directions_have_no_curvature_and_gaps_no_sign_and_of_rays_the_rows_alone_count():
+    problem = soft_stages(3)
+    system = System(problem, loops(False))
+    embedding = Embedding(system, StepSystem(system, RangeSpaceSolver(CouplingResponse(problem, loops(False)))))
+    y = -problem.h / np.vdot(problem.h, problem.h)
+    s = {i: -system.rows(y)[i] * cone.present for i, cone in system.cones.items()}
+    for below in (-1.0, -1e-3, 1.0):  # the dual objective, -b'z, below or above the primal one
+        z = [below * b for b in system.b]
+        rows = largest([system.adjoint(z)])
+        found = embedding.measure(EmbeddedPoint(y, z, s))
+        curved = largest([system.curvature(y)])
+        assert found.hy == pytest.approx(-1.0)
+        assert found.descent >= curved > 0
+        assert found.ray == pytest.approx(rows / -found.bz if found.bz < 0 else np.inf)
+        assert found.errors.gap > 0
 
 
 def test_duals_are_multipliers():

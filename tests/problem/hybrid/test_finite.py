@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.description import problem_facts
 
@@ -64,7 +65,7 @@ def test_modes_of_their_own_are_refused():
         problem(lfo.FiniteSet([0, 1]), lfo.PiecewiseAffineDynamics([right, left]), state_set=lfo.Box(-1, 1))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_the_cost_of_the_hull_is_the_lower_envelope(seed):
     rng = np.random.default_rng(seed)
     levels, costs = rng.normal(size=5), rng.uniform(size=5)

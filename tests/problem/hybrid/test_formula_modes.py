@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.problem.dynamics.base import unique_names
 
 FUNCTIONS = {"abs": abs, "max": max, "min": min, "sin": math.sin, "tanh": math.tanh}
@@ -60,7 +61,7 @@ def maps_of_modes(dynamics, y):
     return np.stack([np.where(on[:, None], f.values, np.nan) for f, on in zip(jets.f, holds, strict=True)], axis=1)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_random_formulas_are_accepted_and_their_modes_cover_everything(seed):
     rng = np.random.default_rng(seed)
     formulas = [random_formula(rng, 3) for _ in range(2)]

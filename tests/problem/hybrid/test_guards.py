@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.seeds import examples
 
 from_guards = lfo.PiecewiseAffineDynamics.from_guards
 linearised = lfo.PiecewiseAffineDynamics.linearised
@@ -21,7 +22,7 @@ RIGHT, LEFT = np.array([[C, -S], [S, C]]), np.array([[C, S], [-S, C]])
 # --- guards -----------------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=15, deadline=None)
+@settings(derandomize=True, max_examples=examples(15), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 3), kinks=st.integers(1, 3), varying=st.booleans())
 def test_guards_give_the_regions_of_their_signs(seed, n, kinks, varying):
     rng = np.random.default_rng(seed)

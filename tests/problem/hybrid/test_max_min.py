@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.seeds import examples, seeds
 from lin_freq_ocp.base.polyhedra import cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.hybrid.formula_modes import SMALLEST_PIECE
 
@@ -43,7 +44,7 @@ def values(dynamics, v):
     return np.array([step(0, point[:n], point[n:]) for point in v])
 
 
-@settings(derandomize=True, max_examples=12, deadline=None)
+@settings(derandomize=True, max_examples=examples(12), deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), m=st.integers(1, 2), depth=st.integers(1, 2))
 def test_the_modes_are_the_function_and_continuous(seed, n, m, depth):
     rng = np.random.default_rng(seed)
@@ -66,7 +67,7 @@ def test_the_modes_are_the_function_and_continuous(seed, n, m, depth):
         assert len(irredundant(cell_of(matrix * units, limits), SMALLEST_PIECE)) == len(limits)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_kinks_written_as_maxima_are_the_kinks(seed):
     rng = np.random.default_rng(seed)
     kinked = random_kinks(rng, 2, 1, 3)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.seeds import examples, seeds
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.regions import CONTINUITY_TOLERANCE
 
@@ -37,7 +38,7 @@ def rotation(**named):
 # --- borders ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", seeds(range(12)))
 def test_borders_are_the_kinks(seed):
     """Every pair of modes that differ by one kink, and meet at some random point of it, has a border, and no other."""
     rng = np.random.default_rng(seed)
@@ -79,7 +80,7 @@ def test_borders_are_the_kinks(seed):
         assert bin(first ^ second).count("1") == 1
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_a_jump_is_measured_relative_to_its_terms(seed):
     rng = np.random.default_rng(seed)
     sizes = random_sizes(rng, 3)
@@ -137,7 +138,7 @@ def test_a_border_beyond_the_sets_is_none():
 # --- replays ----------------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=25, deadline=None)
+@settings(derandomize=True, max_examples=examples(25), deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), m=st.integers(1, 2), kinks=st.integers(1, 3), varying=st.booleans())
 def test_replays_are_the_map_itself(seed, n, m, kinks, varying):
     """Replay, mode sequence, and the linear problem of that sequence, against the map by maxima, in any units."""

@@ -13,6 +13,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.seeds import examples, seeds
 from lin_freq_ocp.base import polyhedra
 from lin_freq_ocp.base.polyhedra import SAME_FACET, THICKNESS, Cell
 
@@ -46,7 +47,7 @@ def with_region(mode, **change):
 # --- gaps and overlaps ------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=15, deadline=None)
+@settings(derandomize=True, max_examples=examples(15), deadline=None)
 @given(seed=SEEDS, n=st.integers(1, 3), kinks=st.integers(1, 2), boxed=st.booleans(), kind=st.sampled_from("gsw"))
 def test_what_is_wrong_with_regions_is_found_where_it_is(seed, n, kinks, boxed, kind):
     """One mode left out (g), one facet moved inwards (s) or outwards (w), by 2 % of its size."""
@@ -252,7 +253,7 @@ def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
 # --- the machinery --------------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, max_examples=20, deadline=None)
+@settings(derandomize=True, max_examples=examples(20), deadline=None)
 @given(seed=SEEDS, d=st.integers(1, 6), rows=st.integers(1, 25))
 def test_the_largest_ball_is_that_of_a_linear_program(seed, d, rows):
     """With thresholds just below and just above the radius that another solver finds."""
@@ -281,7 +282,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert halves(0.0, 0.1).gap is not None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(range(4)))
 def test_coverage_against_random_points(seed):
     """Boxes of a grid, some left out: the domain is covered iff no random point says otherwise."""
     rng = np.random.default_rng(seed)

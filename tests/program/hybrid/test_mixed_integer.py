@@ -14,13 +14,14 @@ import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.search import mixed
 from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
-from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.program import Block, Program
 
 library = lfo.library
 BACKENDS = ["scip", "daqp"]
@@ -56,7 +57,7 @@ def test_the_reference_values_are_found(backend, name, given, cost):
 
 
 @each_backend
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_problems_with_four_modes_agree_with_branch_and_bound(backend, seed):
     problem = random_problem(seed, horizon=3, kinks=2, control_spectrum=lfo.stop_band(bins=[1]))
     best = lfo.solve(problem).cost
@@ -333,6 +334,16 @@ def claiming(monkeypatch, change):
     monkeypatch.setattr(mixed, "backend", lambda name, binaries: lambda *asked: change(real(*asked)))
 
 
+def test_the_bound_of_daqp_is_one_in_spite_of_its_regularisation():
+    """Min -z / 100 with 0 <= z <= 1 is -1/100; DAQP minimises z^2 / 20 - z / 100, for y has a Hessian of 1e6."""
+    P, q = sp.csc_array(np.diag([0.0, 1e6, 0.0])), np.array([-0.01, 0.0, 0.0])
+    program = Program(P, q, sp.csc_array(np.eye(3)), np.array([0.0, -1.0, 0.0]), np.ones(3), binaries=np.array([2]))
+    answer = solver_named("daqp", binaries=True)(program, 1e-6, None)
+    assert answer.claim == Claim.SOLVED
+    assert answer.z[0] == pytest.approx(0.1)
+    assert -0.1 < answer.bound <= -0.01
+
+
 def test_a_point_that_is_none_is_no_answer(monkeypatch):
     problem = library.pendulum_with_wall(horizon=6)
 
@@ -345,6 +356,18 @@ def test_a_point_that_is_none_is_no_answer(monkeypatch):
     assert "violates a row of order 1 by" in outcome.message
     claiming(monkeypatch, lambda answer: Solution(Claim.SOLVED, None, None, "done"))
     assert solve_miqp(problem).status == "failed"
+
+
+def test_a_point_with_shares_of_modes_is_no_answer(monkeypatch):
+    """The optimum of the relaxation satisfies all rows; with whole modes, it does not."""
+
+    def relaxed(name, binaries):
+        return lambda program, *_: solver_named("clarabel")(replace(program, binaries=program.binaries[:0]), 1e-8, None)
+
+    monkeypatch.setattr(mixed, "backend", relaxed)
+    outcome = solve_miqp(library.buck_affine(horizon=6))
+    assert outcome.status == "failed"
+    assert "with binaries rounded its point violates a row of order 1 by" in outcome.message
 
 
 def test_wrong_claims_are_told():
@@ -418,7 +441,7 @@ def without_a_mode(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(range(6)))
 def test_where_no_mode_is_possible_infeasible_is_proven_by_the_same_tree(seed):
     problem = without_a_mode(seed)
     methods = ("auto", *(lfo.solvers.MixedInteger(backend=backend) for backend in BACKENDS))

@@ -8,6 +8,7 @@ from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import node as path_node
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
@@ -96,7 +97,7 @@ def test_a_cutoff_ends_relaxations_early_with_a_bound_that_holds(solver):
         assert rough.bound == pytest.approx(exact, rel=1e-2) or rough.bound > cutoff
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_any_duals_of_rows_at_all_times_prove_less_than_any_trajectory_costs(seed):
     """Rows of states before the end are those of all modes together: shares of modes solve them, not paths."""
     diamond = lfo.sets.Polyhedron(TURNED, np.full(4, 1.5))

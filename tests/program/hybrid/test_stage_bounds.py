@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Quadratic
@@ -29,7 +30,7 @@ def test_duals_of_a_solution_prove_its_objective(fields):
     assert relaxation.proven(reach, answer.duals) <= answer.bound + 1e-6
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(range(3)))
 def test_any_duals_prove_less_than_any_trajectory_costs(seed):
     problem = random_problem(seed, horizon=4, control_spectrum=lfo.stop_band(bins=[2]))
     relaxation, reach = root(problem)

@@ -124,6 +124,21 @@ def test_multipliers_of_a_region_that_repeats_a_bound_become_those_of_the_bound(
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
 
 
+@pytest.mark.parametrize("price", [-5.0, 5.0])
+@pytest.mark.parametrize("pushed", [-3.0, 3.0])
+def test_a_fixed_control_at_a_kink_has_one_multiplier_of_either_sign(price, pushed):
+    """x_1 = |u_0| costs 1 and u_0 = 0 is fixed: with all weight on the rising mode, nu = -1 - price."""
+    modes = [lfo.AffineMode([[0.0]], [[slope]], G=[[0.0]], H=[[-slope]], h=[0.0]) for slope in (1.0, -1.0)]
+    cost = lfo.QuadraticCost(r=[price], p=[1.0])
+    problem = lfo.OptimalControlProblem(lfo.PiecewiseAffineDynamics(modes), 1, cost, lfo.Box(0, 0), initial_state=[0.0])
+    given = multipliers_of(problem, [-1.0], [0.0, 0.0], [-1.0 - price - pushed])
+    at_rest = lfo.simulate(problem, [[0.0]])
+    found = multipliers_with_weights(problem, at_rest, np.array([0]), given, np.array([[0.0, pushed]]))
+    slopes = found.weights[0] @ [-1.0, 1.0]  # of the modes, times eta = -1
+    assert found.nu[0, 0] == pytest.approx(slopes - price)
+    assert judge(problem, at_rest, found).pmp == "satisfied"
+
+
 def test_joint_rows_of_a_stage_may_carry_what_a_mode_needs():
     """x_1 <= 1 as a joint row at the kink of the valley: for each mode, a multiplier of its own."""
     rows = lfo.StageRows([[1.0]], None, [1.0], name="ceiling")

@@ -81,12 +81,15 @@ class AngleBound:
         self.boxes = self._bound_boxes(whole)
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
-    def at(self, steps: Array, angles: Array) -> tuple[float, Array, Array, Array]:
-        """Return J, its slopes (d,), the amplitudes b_k and their slopes (k, d) of one train."""
-        s, c = steps[None], angles[None]
-        cost, slope, _, _ = self._cost(s, c, np.zeros_like(c))
-        values, slopes, _ = self._amplitudes(s, c, np.zeros_like(c))
-        return float(cost[0]), slope[0], values[0], slopes[0]
+    def relative_cost(self, steps: Array, angles: Array) -> tuple[float, Array]:
+        """Return J and its slopes (d,) of one train, relative to ``size``."""
+        cost, slope, _, _ = self._cost(steps[None], angles[None], np.zeros_like(angles[None]))
+        return float(cost[0]) / self.size, slope[0] / self.size
+
+    def amplitudes(self, steps: Array, angles: Array) -> tuple[Array, Array]:
+        """Return the amplitudes b_k and their slopes (k, d) of one train."""
+        values, slopes, _ = self._amplitudes(steps[None], angles[None], np.zeros_like(angles[None]))
+        return values[0], slopes[0]
 
     @property
     def value(self) -> float:

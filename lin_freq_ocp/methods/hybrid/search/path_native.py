@@ -31,7 +31,7 @@ class Path(ctypes.Structure):
 def path_library() -> ctypes.CDLL | None:
     """Return the compiled code; None without a compiler, or, with a warning, if the compilation fails."""
     purpose = "the mode search in C could not be compiled, Clarabel solves its nodes"
-    found = compiled_library("lin_freq_ocp.methods.hybrid.search", ("path.c",), purpose)
+    found = compiled_library(__file__, ("path.c",), purpose)
     if found is not None:
         found.lfo_path_run.argtypes = [ctypes.c_void_p] * 5 + [ctypes.c_double] * 4
     return found

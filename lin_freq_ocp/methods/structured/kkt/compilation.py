@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import sys
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import ClassVar, ParamSpec, Protocol, TypeVar, cast
+from typing import ParamSpec, Protocol, TypeVar, cast
 
 import numba
 from llvmlite import binding
 from numba import types
 
-from lin_freq_ocp.base.atomic import lock_file
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.native_code import compile_once
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -57,15 +55,10 @@ def jit(function: Callable[Arguments, Value]) -> Callable[Arguments, Value]:
 class Kernels:
     """The functions of a module that Python calls, each with the types of its arguments."""
 
-    registered: ClassVar[list[Kernels]] = []
-    """The kernels of all imported modules, which ``python -m lin_freq_ocp.methods.structured`` compiles."""
-
     def __init__(self, sources: tuple[str, ...], *signatures: tuple[Callable[..., object], tuple[types.Type, ...]]):
         """Compile nothing yet; ``sources`` are the files of the code, first the one that defines the functions."""
         self._sources = [Path(source) for source in sources]
         self._kernels = [(cast("_Dispatcher", function), signature) for function, signature in signatures]
-        self._loaded = False
-        self.registered.append(self)
 
     @property
     def ready(self) -> bool:
@@ -75,14 +68,12 @@ class Kernels:
 
     def prepare(self) -> None:
         """Compile everything, or load it from the cache; if that takes long, say so in the terminal."""
-        if self.loaded:
-            return
         if self.ready:
-            self._load()
+            if not self.loaded:
+                self._load()
             return
-        start = now()
-        _tell("lin_freq_ocp: compiling loops of the structured method, once ...")
-        with self._lock():
+        lock = self._folder / f"{self._sources[0].stem}.lock" if self._folder else None
+        with compile_once("loops of the structured method", lock):
             if not self.ready:  # no other process has compiled it meanwhile
                 # remove code of other sources, and of other inlined functions, which numba does not compare
                 for ending in ("complete", "nbi", "nbc"):
@@ -92,7 +83,6 @@ class Kernels:
             if self._record is not None:
                 with suppress(OSError):
                     self._record.touch()
-        _tell(f"lin_freq_ocp: compiled in {now() - start:.0f} s")
 
     def _load(self) -> None:
         """Compile each function, or load it from the cache."""
@@ -101,22 +91,10 @@ class Kernels:
                 kernel.compile(signature)
             kernel.disable_compile()
 
-    @contextmanager
-    def _lock(self) -> Generator[None]:
-        """Wait while another process compiles the same code; if files cannot be locked, both compile."""
-        with ExitStack() as stack:
-            if self._folder is not None:
-                with suppress(OSError):  # a folder may be unwritable
-                    self._folder.mkdir(parents=True, exist_ok=True)
-                    file = stack.enter_context((self._folder / f"{self._sources[0].stem}.lock").open("w"))
-                    stack.enter_context(lock_file(file))
-            yield
-
     @property
     def loaded(self) -> bool:
         """Whether this process has the code."""
-        self._loaded = self._loaded or all(kernel.signatures for kernel, _ in self._kernels)
-        return self._loaded
+        return all(kernel.signatures for kernel, _ in self._kernels)
 
     @property
     def _folder(self) -> Path | None:
@@ -132,8 +110,3 @@ class Kernels:
         machine = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten(), platform.python_version()
         key = hashlib.sha256(repr((sources, machine, numba.__version__)).encode()).hexdigest()[:16]
         return self._folder / f"{self._sources[0].stem}.{key}.complete"
-
-
-def _tell(line: str) -> None:
-    if sys.stderr.isatty():
-        print(line, file=sys.stderr, flush=True)

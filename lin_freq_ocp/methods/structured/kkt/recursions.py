@@ -13,6 +13,7 @@ In both implementations, ``OpenLoop`` (dense.py) does the open-loop sweeps for m
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
@@ -30,13 +31,18 @@ Loops: TypeAlias = "BandedLoops | CompiledLoops"
 """The loops over stages; both classes have the methods of ``BandedLoops``, which say what they return."""
 
 
+def can_compile() -> bool:
+    """Whether numba is installed, and its environment variable NUMBA_DISABLE_JIT does not switch it off."""
+    return find_spec("numba") is not None and os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
+
+
 def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
     """Return the compiled loops, or those by NumPy and LAPACK.
 
-    By default, the loops are compiled if numba is installed. Without ``wait``, they are the compiled ones only if
+    By default, the loops are compiled if numba can do so. Without ``wait``, they are the compiled ones only if
     nothing remains to be compiled.
     """
-    if compiled is False or (compiled is None and find_spec("numba") is None):
+    if compiled is False or (compiled is None and not can_compile()):
         return BandedLoops()
     from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
 

@@ -134,7 +134,7 @@ async function afterwards(asked) {
 
 function showAnswer(found, asked = order, given = values()) {
   answer = found;
-  const [kind, words] = BADGES[found.practical ? "infeasible_claimed" : found.status] || ["", found.status];
+  const [kind, words] = BADGES[found.status] || ["", found.status];
   const badge = byId("badge"), text = found.words || {};
   badge.textContent = words;
   badge.dataset.kind = kind;
@@ -148,7 +148,7 @@ function showAnswer(found, asked = order, given = values()) {
   byId("cures").replaceChildren();
   byId("curing").textContent = "";
   if (infeasible) {
-    byId("why").textContent = `No trajectory${found.practical ? " of practical size" : ""} satisfies all of these together: ${listed(found.conflict)}.`;
+    byId("why").textContent = `No trajectory satisfies all of these together: ${listed(found.conflict)}.`;
     if (solved !== null) addCure(solved, "Back to the last solution");
   } else if (found.trajectory) solved = given;
   drawAll();
