@@ -118,30 +118,33 @@ def judge_nearest(
             correction = correct(problem, trajectory, multipliers)
     except UnsupportedError:  # it does not fit into memory, or would take too long
         return candidate, own
-    if correction is None or not np.isfinite(correction.price):
-        # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
-        known = any(term.semi_infinite is not None for term in problem.terms)
-        return candidate, own if known else replace(own, worth_of_residuals=np.inf)
-    return _judge_correction(problem, candidate, correction, allowed)
+    proof = None if correction is None else _judge_correction(problem, candidate, correction, allowed)
+    if proof is not None:
+        return proof
+    # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
+    known = any(term.semi_infinite is not None for term in problem.terms)
+    return candidate, own if known else replace(own, worth_of_residuals=np.inf)
 
 
 def _judge_correction(
     problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
-) -> tuple[Candidate, Certificate]:
-    """Return the corrected candidate, and its certificate with the multipliers that prove it: its own or the former.
+) -> tuple[Candidate, Certificate] | None:
+    """Return the corrected candidate with the multipliers that prove it, its own or the former; None if none do.
 
     Where no bound is close enough, rounding of the data may decide.
     """
-    corrected = replace(candidate, trajectory=correction.trajectory, multipliers=correction.multipliers)
+    if not np.isfinite(correction.price):
+        return None
     judged = list[tuple[Candidate, Certificate]]()
-    for point in (corrected, replace(corrected, multipliers=candidate.multipliers)):
-        assert point.multipliers is not None
-        certificate = judge(problem, correction.trajectory, point.multipliers, allowed)
+    for multipliers in (correction.multipliers, candidate.multipliers):
+        assert multipliers is not None
+        point = replace(candidate, trajectory=correction.trajectory, multipliers=multipliers)
+        certificate = judge(problem, correction.trajectory, multipliers, allowed)
         judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
         if judged[-1][1].proven_within(allowed):
             return judged[-1]
     judged = [(point, replace(k, data_rounding=correction.data_rounding)) for point, k in judged]
-    return next((one for one in judged if one[1].proven_within(allowed)), judged[0])
+    return next((one for one in judged if one[1].proven_within(allowed)), None)
 
 
 def candidate_of(outcome: Outcome) -> Candidate:
@@ -222,7 +225,7 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
     elif certificate.bound.kind != RIGOROUS:
         missing = "the bound holds near the trajectory only, as something is not bounded"
     elif certificate.worth_of_residuals == np.inf:
-        missing = "no trajectory that satisfies every constraint is known nearby"
+        missing = "no trajectory that satisfies every constraint is known to cost about as much as the bound"
     else:
         worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
         missing = f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"

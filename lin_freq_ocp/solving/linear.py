@@ -14,7 +14,12 @@ from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import proof_margin, prove_infeasible
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
+from lin_freq_ocp.methods.convex.sparse_program import (
+    convex_candidates,
+    solve_convex,
+    structured_first,
+    trajectory_without_cost,
+)
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -104,6 +109,16 @@ class _Trial:
         outcome = self.judge(claim)
         return outcome if outcome.status == Status.INFEASIBLE else None
 
+    def try_without_cost(self, outcome: Outcome) -> Outcome:
+        """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
+        if outcome.status not in SEEKS_DIRECTION or outcome.trajectory is None:
+            return outcome
+        candidate = trajectory_without_cost(self.problem, outcome.trajectory)
+        optimum = None if candidate is None else self.judge(candidate)
+        if optimum is None or optimum.status != Status.OPTIMAL:
+            return outcome
+        return replace(optimum, seconds=outcome.seconds)
+
 
 class _Linear(ABC):
     """A method for linear dynamics; it begins only if no end lies outside its set."""
@@ -152,7 +167,7 @@ class Convex(_Linear):
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
             first = trial.diagnose(trial.problem) or first
-        outcome = trial.judge_point(first)
+        outcome = trial.try_without_cost(trial.judge_point(first))
         unproven = outcome.status in UNPROVEN
         if outcome.interrupted or not (unproven or (backend == PROVER and _fails_conditions(outcome))):
             return outcome
@@ -238,7 +253,7 @@ class Structured(_Linear):
         assert first is not None  # the method yields an answer, or raises
         if first.status == Status.OPTIMAL:
             stage_cache.warm_start = first.trajectory
-        return replace(first, seconds=first.seconds | {"certify": certified})
+        return trial.try_without_cost(replace(first, seconds=first.seconds | {"certify": certified}))
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,24 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
-from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.candidate import (
+    DEFAULTS,
+    SOLVED_TOLERANCE,
+    Candidate,
+    SolveOptions,
+    require_convex,
+    zero_multipliers,
+)
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
+from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
@@ -209,6 +219,22 @@ def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> It
         before = z, y
         scaled = natural.scaled_primal(z), natural.scaled_dual(y)
         yield solves.recover(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
+
+
+def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
+    """Return the trajectory with controls at their references and multipliers of zero; None if it diverges.
+
+    Controls without a cost, and the first state, are those of the trajectory ``near``.
+    """
+    cost, (T, m) = problem.quadratic, near.u.shape
+    priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
+    u = np.where(priced, cost.u_ref, near.u)
+    follows = problem.dynamics.response(T) is not None  # x_0 follows from the controls, too
+    try:
+        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
+    except NumericalError:
+        return None
+    return Candidate(Status.LIMIT, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")
 
 
 def structured_first(problem: OptimalControlProblem) -> str:
