@@ -35,7 +35,7 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
         return None
     repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
     size = (problem.horizon + 1) * (problem.state_dim + problem.control_dim)
-    change = repair.solve() if repair.count * size <= MOST_ROW_ENTRIES else None
+    change = repair.solve() if repair.count * (repair.count + size) <= MOST_ROW_ENTRIES else None
     if change is None:
         return None
     x, u = repair.x + change[0], repair.u + change[1]
@@ -76,7 +76,7 @@ class _Repair:
 
     def solve(self) -> tuple[Array, Array] | None:
         """Return the changes of states and controls; None if rows contradict each other, or growth hides them."""
-        problem, x, u, breaks = self.problem, self.x, self.u, self.breaks
+        problem, x, u, breaks, held = self.problem, self.x, self.u, self.breaks, self.controls
         B, forced, removed = problem.linear.B, np.zeros_like(x), np.zeros_like(u)
         forced[1:] = problem.linear.successors(to_long_double(x), to_long_double(u)) - x[1:]
         if self.banded.any():
@@ -88,35 +88,47 @@ class _Repair:
         costates = self._simulate(rows, True) if self.on_x else rows  # LAPACK takes no empty arrays
         of_starts = costates[breaks].reshape(self.starts, self.on_x)
         costates[breaks] = -np.eye(self.starts, self.on_x).reshape(len(breaks), x.shape[1], self.on_x)
-        responses = np.zeros((*u.shape, self.count))
-        responses[..., : self.on_x] = np.einsum("...ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
-        responses[*self.controls, np.arange(self.on_x, self.count)] = 1.0
-        units = [np.abs(signal).max(0) for signal in (x, u)]
-        of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in units)
-        flat = responses.reshape(-1, self.count)
-        changes = (of_u[:, None] * self._project_bins(responses)).reshape(-1, self.count)
-        starts = np.zeros((self.starts, self.count))
-        starts[:, : self.on_x] = np.tile(of_x, len(breaks))[:, None] * of_starts
-        missed = np.append(wanted - np.einsum("tik,ti->k", costates, forced), np.zeros(len(self.controls[0])))
-        missed -= removed.ravel() @ flat
-        gram = flat.T @ changes
-        gram[: self.on_x] += of_starts.T @ starts
+        responses = np.einsum("ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
+        of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in (np.abs(signal).max(0) for signal in (x, u)))
+        starts = np.tile(of_x, len(breaks))[:, None] * of_starts
+        gram = self._gram(responses, of_u)
+        gram[: self.on_x, : self.on_x] += of_starts.T @ starts
+        missed = np.append(wanted - self._row_values(costates, forced), np.zeros(len(held[0])))
+        missed -= np.append(self._row_values(responses, removed), removed[held])
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
         lower, info = lapack.dpotrf(gram * scale * scale[:, None], lower=1)
         if info:
             return None
-        weights = lapack.dpotrs(lower, scale * missed, lower=1)[0]
-        du = removed + (changes @ (scale * weights)).reshape(u.shape)
+        weights = scale * lapack.dpotrs(lower, scale * missed, lower=1)[0]
+        along = responses @ weights[: self.on_x]
+        along[held] += weights[self.on_x :]
+        du = removed + of_u * self._project_bins(along[..., None])[..., 0]
         forced[1:] += times_vectors(B, du)
         ends = forced[breaks]
-        forced[breaks] = (starts @ (scale * weights)).reshape(ends.shape)
+        forced[breaks] = (starts @ weights[: self.on_x]).reshape(ends.shape)
         dx = self._simulate(forced, False)
-        reached = np.einsum("tik,ti->k", rows, dx)
+        reached = self._row_values(rows, dx)
         reached[: self.starts] -= ends.ravel()
-        left = np.append(wanted - reached, -du[self.controls])
+        left = np.append(wanted - reached, -du[held])
         if not np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed):
             return None
         return dx, du
+
+    def _gram(self, responses: Array, of_u: Array) -> Array:
+        """Return what the least change of controls for one row adds to each row, (rows, rows)."""
+        t, j = self.controls
+        passed = of_u[:, None] * self._project_bins(responses)
+        pulse = np.zeros((*self.u.shape, 1))
+        pulse[0] = 1.0
+        pulses = of_u * self._project_bins(pulse)[..., 0]  # a later one is shifted: what leaves at the end comes in
+        of_controls = np.where(j[:, None] == j, pulses[(t[:, None] - t) % len(pulses), j], 0.0)
+        on_states = np.tensordot(responses, passed, axes=((0, 1), (0, 1)))
+        return np.block([[on_states, passed[t, j].T], [passed[t, j], of_controls]])
+
+    @staticmethod
+    def _row_values(rows: Array, signal: Array) -> Array:
+        """Return the values of rows, (times, components, rows), of a signal."""
+        return signal.ravel() @ rows.reshape(signal.size, -1)
 
     def _rows(self) -> tuple[Array, Array]:
         """Return the coefficients of the rows on changes of states, (T+1, n, rows), and their wanted values."""
