@@ -7,6 +7,8 @@ minimised but that change, and no multiplier is used: the cost of the repaired t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy import fft
 from scipy.linalg import lapack
@@ -52,9 +54,9 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
 class _Repair:
     """The rows that a change of the controls keeps or corrects, and the projection of changes onto passed bins.
 
-    Rows on states are held states, stopped bins, and at ``breaks`` the difference of a new start from the end of the
-    simulation before, which would otherwise grow beyond all digits. Held controls with stopped bins are rows, too;
-    other held controls do not change.
+    Rows on states are the end of a piece minus the start of the next at ``breaks``, where a simulation would otherwise
+    grow beyond all digits, then held states, then stopped bins. Held controls with stopped bins are rows, too; other
+    held controls do not change.
     """
 
     def __init__(self, problem: OptimalControlProblem, x: Array, u: Array):
@@ -66,35 +68,33 @@ class _Repair:
         self.bins = [
             (j, real_rows(problem.state_samples, stop)) for j, stop in enumerate(problem.state_stop.T) if stop.any()
         ]
-        T, linear = problem.horizon, problem.linear
-        self.A = np.zeros((T + 1, n, n))
+        linear = problem.linear
+        self.A = np.zeros((len(x), n, n))
         self.A[:-1] = linear.A
-        self.breaks = break_times(linear.A, T, PIECE_GROWTH)
+        self.breaks = break_times(linear.A, problem.horizon, PIECE_GROWTH)
         self.starts = len(self.breaks) * n
         self.on_x = self.starts + len(self.states[0]) + sum(len(rows) for _, rows in self.bins)
         self.count = self.on_x + len(self.controls[0])
 
     def solve(self) -> tuple[Array, Array] | None:
         """Return the changes of states and controls; None if rows contradict each other, or growth hides them."""
-        problem, x, u, breaks, held = self.problem, self.x, self.u, self.breaks, self.controls
-        B, forced, removed = problem.linear.B, np.zeros_like(x), np.zeros_like(u)
-        forced[1:] = problem.linear.successors(to_long_double(x), to_long_double(u)) - x[1:]
+        x, u, held, removed = self.x, self.u, self.controls, np.zeros_like(self.u)
         if self.banded.any():
             removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
+        moved = self.problem.linear.successors(to_long_double(x), to_long_double(u))
+        residual = (moved - x[1:]).astype(np.float64)
+        dx, values = self._simulate(residual, removed, np.zeros(self.starts))
         if not self.count:
-            forced[1:] += times_vectors(B, removed)
-            return self._simulate(forced, False), removed
-        rows, wanted = self._rows()
-        costates = self._simulate(rows, True) if self.on_x else rows  # LAPACK takes no empty arrays
-        of_starts = costates[breaks].reshape(self.starts, self.on_x)
-        costates[breaks] = -np.eye(self.starts, self.on_x).reshape(len(breaks), x.shape[1], self.on_x)
-        responses = np.einsum("ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
+            return dx, removed
+        wanted = np.zeros(self.on_x)
+        for rows, (j, waves) in zip(self._bin_rows(), self.bins, strict=True):
+            wanted[rows] = -waves @ x[: waves.shape[1], j]
+        missed = np.append(wanted - values, -removed[held])
+        responses, of_starts = self._responses()
         of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in (np.abs(signal).max(0) for signal in (x, u)))
-        starts = np.tile(of_x, len(breaks))[:, None] * of_starts
+        starts = np.tile(of_x, len(self.breaks))[:, None] * of_starts
         gram = self._gram(responses, of_u)
         gram[: self.on_x, : self.on_x] += of_starts.T @ starts
-        missed = np.append(wanted - self._row_values(costates, forced), np.zeros(len(held[0])))
-        missed -= np.append(self._row_values(responses, removed), removed[held])
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
         lower, info = lapack.dpotrf(gram * scale * scale[:, None], lower=1)
         if info:
@@ -103,16 +103,56 @@ class _Repair:
         along = responses @ weights[: self.on_x]
         along[held] += weights[self.on_x :]
         du = removed + of_u * self._project_bins(along[..., None])[..., 0]
-        forced[1:] += times_vectors(B, du)
-        ends = forced[breaks]
-        forced[breaks] = (starts @ weights[: self.on_x]).reshape(ends.shape)
-        dx = self._simulate(forced, False)
-        reached = self._row_values(rows, dx)
-        reached[: self.starts] -= ends.ravel()
-        left = np.append(wanted - reached, -du[held])
-        if not np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed):
-            return None
-        return dx, du
+        dx, values = self._simulate(residual, du, starts @ weights[: self.on_x])
+        left = np.append(wanted - values, -du[held])
+        return (dx, du) if np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed) else None
+
+    def _simulate(self, residual: Array, du: Array, starts: Array) -> tuple[Array, Array]:
+        """Return the changes of states, with these starts at breaks, and the values of the rows on states."""
+        right, breaks = np.zeros_like(self.x), self.breaks
+        right[1:] = residual + times_vectors(self.problem.linear.B, du)
+        ends = right[breaks]
+        right[breaks] = starts.reshape(ends.shape)
+        dx = simulate(self.A, breaks, right, False)
+        ends += times_vectors(self.A[breaks - 1], dx[breaks - 1]) - dx[breaks]
+        of_bins = (waves @ dx[: waves.shape[1], j] for j, waves in self.bins)
+        return dx, np.concatenate([ends.ravel(), dx[self.states], *of_bins])
+
+    def _bin_rows(self) -> Iterator[slice]:
+        """Yield the places of the rows of stopped bins, component by component."""
+        first = self.starts + len(self.states[0])
+        for _, waves in self.bins:
+            yield slice(first, first + len(waves))
+            first += len(waves)
+
+    def _responses(self) -> tuple[Array, Array]:
+        """Return the responses of the rows on states to controls, (T, m, rows), and to starts, (starts, rows).
+
+        A row on a value depends on its own piece only: one column of a simulation backwards serves a row of each piece.
+        """
+        breaks, B, (t, i), values = self.breaks, self.problem.linear.B, self.states, self.starts + len(self.states[0])
+        (T, m), n, every = self.u.shape, self.x.shape[1], np.full(self.on_x - values, -1)
+        ends = np.repeat(breaks, n) - 1
+        piece = np.concatenate([np.searchsorted(breaks, ends, "right"), np.searchsorted(breaks, t, "right"), every])
+        column = np.tril(piece[:, None] == piece, -1).sum(1)
+        column[values:] += column[:values].max(initial=-1) + 1
+        right = np.zeros((T + 1, n, int(column.max(initial=-1)) + 1))
+        right[ends, :, column[: self.starts]] = self.A[breaks - 1].reshape(-1, n)
+        right[t, i, column[self.starts : values]] = 1.0
+        for rows, (j, waves) in zip(self._bin_rows(), self.bins, strict=True):
+            right[: waves.shape[1], j, column[rows]] = waves.T
+        costates = simulate(self.A, breaks, right, True) if right.size else right  # LAPACK takes no empty arrays
+
+        def of_rows(of_columns: Array, pieces: Indices) -> Array:
+            return of_columns[..., column] * ((pieces[:, None] == piece) | (piece < 0))[:, None]
+
+        through = np.einsum("ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
+        responses = of_rows(through, np.searchsorted(breaks, np.arange(T), "right"))
+        responses[ends] = 0.0  # these controls change the end of their piece alone
+        responses[ends, :, np.arange(self.starts)] = np.broadcast_to(B, (T, n, m))[breaks - 1].reshape(-1, m)
+        of_starts = of_rows(costates[breaks], np.arange(1, len(breaks) + 1)).reshape(self.starts, self.on_x)
+        of_starts[:, : self.starts] -= np.eye(self.starts)
+        return responses, of_starts
 
     def _gram(self, responses: Array, of_u: Array) -> Array:
         """Return what the least change of controls for one row adds to each row, (rows, rows)."""
@@ -125,30 +165,6 @@ class _Repair:
         on_states = np.tensordot(responses, passed, axes=((0, 1), (0, 1)))
         return np.block([[on_states, passed[t, j].T], [passed[t, j], of_controls]])
 
-    @staticmethod
-    def _row_values(rows: Array, signal: Array) -> Array:
-        """Return the values of rows, (times, components, rows), of a signal."""
-        return signal.ravel() @ rows.reshape(signal.size, -1)
-
-    def _rows(self) -> tuple[Array, Array]:
-        """Return the coefficients of the rows on changes of states, (T+1, n, rows), and their wanted values."""
-        rows, first, breaks = np.zeros((*self.x.shape, self.on_x)), self.starts, self.breaks
-        n = self.x.shape[1]
-        of_starts = rows[..., :first].reshape(*self.x.shape, len(breaks), n)
-        at = np.arange(len(breaks))
-        of_starts[breaks, :, at] = np.eye(n)
-        of_starts[breaks - 1, :, at] -= self.A[breaks - 1].swapaxes(1, 2)
-        rows[..., :first] = of_starts.reshape(*self.x.shape, first)
-        rows[*self.states, first + np.arange(len(self.states[0]))] = 1.0
-        wanted = np.zeros(self.on_x)
-        first += len(self.states[0])
-        for j, waves in self.bins:
-            last = first + len(waves)
-            rows[: waves.shape[1], j, first:last] = waves.T
-            wanted[first:last] = -waves @ self.x[: waves.shape[1], j]
-            first = last
-        return rows, wanted
-
     def _project_bins(self, signals: Array) -> Array:
         """Return signals (T, m, k) without stopped bins, and without changes of other held controls."""
         passed = np.where((self.held & ~self.banded)[..., None], 0.0, signals)
@@ -157,10 +173,6 @@ class _Repair:
             spectra[self.stop[:, self.banded]] = 0.0
             passed[:, self.banded] = fft.irfft(spectra, len(passed), axis=0)
         return passed
-
-    def _simulate(self, right: Array, transposed: bool) -> Array:
-        """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, for (T+1, n) or (T+1, n, k)."""
-        return simulate(self.A, self.breaks, right, transposed)
 
 
 def break_times(A: Array, horizon: int, growth: float) -> Indices:
