@@ -266,12 +266,16 @@ def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
 
     Those of J are products of deviations from the references, and linear terms.
     """
-    cost, eta, (x, u) = extremal.problem.quadratic, np.abs(extremal.multipliers.eta), (extremal.x, extremal.u)
-    (of_x, of_u), (a, b) = extremal.cost_terms, cost.deviations(x, u)
-    linear = (np.abs(cost.q * x[:-1]).sum(), np.abs(cost.p * x[-1]).sum(), np.abs(cost.r * u).sum())
-    products = ((in_x - of_x) * np.abs(x) + of_x * np.abs(a)).sum()
-    products += ((in_u - of_u) * np.abs(u) + of_u * np.abs(b)).sum()
-    return float(products + sum(linear) + (eta * np.abs(extremal.problem.linear.offset)).sum())
+    cost, at = extremal.problem.quadratic, extremal.trajectory
+    terms = np.vdot(
+        np.abs(extremal.multipliers.eta), np.abs(np.broadcast_to(extremal.problem.linear.offset, at.x[1:].shape))
+    )
+    linear = (cost.q * at.x[:-1], cost.p * at.x[-1], cost.r * at.u)
+    terms += sum(float(np.abs(part).sum()) for part in linear if part.any())
+    sums = (in_x, in_u), extremal.cost_terms, (at.x, at.u), cost.deviations(at.x, at.u)
+    for all_terms, of_cost, values, deviations in zip(*sums, strict=True):
+        terms += np.vdot(all_terms - of_cost, np.abs(values)) + np.vdot(of_cost, np.abs(deviations))
+    return float(terms)
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:

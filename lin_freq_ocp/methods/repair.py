@@ -13,7 +13,7 @@ import numpy as np
 from scipy import fft
 from scipy.linalg import lapack
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors, to_long_double
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
 from lin_freq_ocp.methods.structured.kkt.recursions import simulate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -40,15 +40,15 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
     change = repair.solve() if repair.count * (repair.count + size) <= MOST_ROW_ENTRIES else None
     if change is None:
         return None
-    x, u = repair.x + change[0], repair.u + change[1]
-    pairs = (states.violation(x), repair.held_states), (controls.violation(u), repair.held)
-    if any(violation[~held].any() for violation, held in pairs):
+    moved = repair.x + change[0], repair.u + change[1]
+    x, u = states.project(moved[0]), controls.project(moved[1])
+    pairs = (x != moved[0], repair.held_states), (u != moved[1], repair.held)
+    if any((beyond & ~held).any() for beyond, held in pairs):
         return None
-    x, u = states.project(x), controls.project(u)
     for term in problem.terms:
         if term.hard and (term.semi_infinite is not None or term.penalty.violation(term.map.values(x, u)).any()):
             return None
-    return Trajectory(x, u)
+    return Trajectory(seal(x), seal(u))
 
 
 class _Repair:
@@ -158,9 +158,7 @@ class _Repair:
         """Return what the least change of controls for one row adds to each row, (rows, rows)."""
         t, j = self.controls
         passed = of_u[:, None] * self._project_bins(responses)
-        pulse = np.zeros((*self.u.shape, 1))
-        pulse[0] = 1.0
-        pulses = of_u * self._project_bins(pulse)[..., 0]  # a later one is shifted: what leaves at the end comes in
+        pulses = of_u * fft.irfft(~self.stop, len(self.u), axis=0)  # a later one is shifted, and comes in at the end
         of_controls = np.where(j[:, None] == j, pulses[(t[:, None] - t) % len(pulses), j], 0.0)
         on_states = np.tensordot(responses, passed, axes=((0, 1), (0, 1)))
         return np.block([[on_states, passed[t, j].T], [passed[t, j], of_controls]])

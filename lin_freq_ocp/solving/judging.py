@@ -102,16 +102,16 @@ def judge_nearest(
     assert multipliers is not None
     if type(problem.dynamics) not in CORRECTED or multipliers.eta_C != 1 or candidate.interrupted:
         return candidate, judge(problem, trajectory, multipliers, allowed)
-    claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
-    if claims:  # a point at a limit of time keeps its controls, which obey the bands
-        trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
-        candidate = replace(candidate, trajectory=trajectory)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
         repaired = repair_trajectory(problem, trajectory)
     if repaired is not None:
         certificate = judge(problem, repaired, multipliers, allowed)
         if certificate.proven_within(allowed):
             return replace(candidate, trajectory=repaired), certificate
+    claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
+    if claims:  # a point at a limit of time keeps its controls, which obey the bands
+        trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
+        candidate = replace(candidate, trajectory=trajectory)
     own = judge(problem, trajectory, multipliers, allowed)
     if not claims and not own.proven_within(allowed):
         return candidate, own
