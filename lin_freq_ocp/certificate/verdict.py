@@ -258,7 +258,7 @@ class Certificate:
             return Status.EXTREMAL
         return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
 
-    @property
+    @cached_property
     def failed(self) -> tuple[Condition, ...]:
         """Return the conditions that fail."""
         return tuple(condition for condition in self.conditions if not condition.passed)

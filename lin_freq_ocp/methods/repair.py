@@ -14,7 +14,7 @@ from scipy import fft
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
-from lin_freq_ocp.methods.structured.kkt.recursions import simulate
+from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -72,6 +72,7 @@ class _Repair:
         self.A = np.zeros((len(x), n, n))
         self.A[:-1] = linear.A
         self.breaks = break_times(linear.A, problem.horizon, PIECE_GROWTH)
+        self.matrix = simulation_matrix(self.A, self.breaks)
         self.starts = len(self.breaks) * n
         self.on_x = self.starts + len(self.states[0]) + sum(len(rows) for _, rows in self.bins)
         self.count = self.on_x + len(self.controls[0])
@@ -113,7 +114,7 @@ class _Repair:
         right[1:] = residual + times_vectors(self.problem.linear.B, du)
         ends = right[breaks]
         right[breaks] = starts.reshape(ends.shape)
-        dx = simulate(self.A, breaks, right, False)
+        dx = simulate(self.matrix, right, False)
         ends += times_vectors(self.A[breaks - 1], dx[breaks - 1]) - dx[breaks]
         of_bins = (waves @ dx[: waves.shape[1], j] for j, waves in self.bins)
         return dx, np.concatenate([ends.ravel(), dx[self.states], *of_bins])
@@ -141,7 +142,7 @@ class _Repair:
         right[t, i, column[self.starts : values]] = 1.0
         for rows, (j, waves) in zip(self._bin_rows(), self.bins, strict=True):
             right[: waves.shape[1], j, column[rows]] = waves.T
-        costates = simulate(self.A, breaks, right, True) if right.size else right  # LAPACK takes no empty arrays
+        costates = simulate(self.matrix, right, True) if right.size else right  # LAPACK takes no empty arrays
 
         def of_rows(of_columns: Array, pieces: Indices) -> Array:
             return of_columns[..., column] * ((pieces[:, None] == piece) | (piece < 0))[:, None]
@@ -160,8 +161,12 @@ class _Repair:
         passed = of_u[:, None] * self._project_bins(responses)
         pulses = of_u * fft.irfft(~self.stop, len(self.u), axis=0)  # a later one is shifted, and comes in at the end
         of_controls = np.where(j[:, None] == j, pulses[(t[:, None] - t) % len(pulses), j], 0.0)
-        on_states = np.tensordot(responses, passed, axes=((0, 1), (0, 1)))
-        return np.block([[on_states, passed[t, j].T], [passed[t, j], of_controls]])
+        on_x, gram = self.on_x, np.empty((self.count, self.count))
+        gram[:on_x, :on_x] = responses.reshape(-1, on_x).T @ passed.reshape(-1, on_x)
+        gram[on_x:, :on_x] = passed[t, j]
+        gram[:on_x, on_x:] = gram[on_x:, :on_x].T
+        gram[on_x:, on_x:] = of_controls
+        return gram
 
     def _project_bins(self, signals: Array) -> Array:
         """Return signals (T, m, k) without stopped bins, and without changes of other held controls."""
