@@ -162,7 +162,7 @@ class _Repair:
         pulses = of_u * fft.irfft(~self.stop, len(self.u), axis=0)  # a later one is shifted, and comes in at the end
         of_controls = np.where(j[:, None] == j, pulses[(t[:, None] - t) % len(pulses), j], 0.0)
         on_x, gram = self.on_x, np.empty((self.count, self.count))
-        gram[:on_x, :on_x] = responses.reshape(-1, on_x).T @ passed.reshape(-1, on_x)
+        gram[:on_x, :on_x] = responses.reshape(self.u.size, on_x).T @ passed.reshape(self.u.size, on_x)
         gram[on_x:, :on_x] = passed[t, j]
         gram[:on_x, on_x:] = gram[on_x:, :on_x].T
         gram[on_x:, on_x:] = of_controls

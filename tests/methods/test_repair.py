@@ -25,16 +25,17 @@ def holds(problem, trajectory):
         assert np.abs(np.fft.rfft(signal[: len(signal)], axis=0)[stop]).max(initial=0.0) < 1e-12
 
 
+@pytest.mark.parametrize("end", [None, [0.6, 0.0]])
 @pytest.mark.parametrize("band", [None, "u", "x"])
-def test_every_constraint_holds(band):
+def test_every_constraint_holds(band, end):
     problem = lfo.OptimalControlProblem(
         DYNAMICS,
         40,
-        lfo.QuadraticCost(R=1.0),
+        lfo.QuadraticCost(R=1.0, P=10.0, x_ref=[0.6, 0.0]),
         lfo.Box(-0.2, 0.2),
-        lfo.Box([-1.0, -0.25], [1.0, 0.25]),
+        None if end is None else lfo.Box([-1.0, -0.25], [1.0, 0.25]),
         [0.0, 0.0],
-        [0.6, 0.0],
+        end,
         control_spectrum=lfo.low_pass(cutoff_hz=2.0) if band == "u" else None,
         state_spectrum=lfo.stop_band(bins=range(17, 21), component=1) if band == "x" else None,
     )

@@ -56,7 +56,7 @@ class SpectralSolution(Candidate):
     rounds: int = 0
 
 
-class Answer(NamedTuple):
+class PricedOutcome(NamedTuple):
     """The outcome of an exchange, with its multipliers."""
 
     outcome: ExchangeOutcome
@@ -262,7 +262,7 @@ class SpectralSolver:
                 "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
             )
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> Answer:
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> PricedOutcome:
         """Exchange from the first working rows, or test cached rays.
 
         From the second solve on, a problem that differs in its ends only has a model of data between other ends.
@@ -285,9 +285,9 @@ class SpectralSolver:
             outcome = exchange.run() if ray is None else exchange.infeasible_by(ray)
             if ray is None and outcome.ray is not None:
                 model.cache_ray(outcome.ray)
-        return Answer(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
+        return PricedOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
 
-    def _solution(self, problem: OptimalControlProblem, answer: Answer, started: float) -> SpectralSolution:
+    def _solution(self, problem: OptimalControlProblem, answer: PricedOutcome, started: float) -> SpectralSolution:
         """Return the solution in the user's units; infinite numbers are a numerical error."""
         outcome, scaled = answer
         status, message = Status(outcome.status), outcome.message

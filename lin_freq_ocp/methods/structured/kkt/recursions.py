@@ -153,7 +153,7 @@ def simulation_matrix(A: Array, breaks: Indices) -> Array:
 
 def simulate(matrix: Array, right: Array, transposed: bool) -> Array:
     """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, for right (T+1, n) or (T+1, n, k)."""
-    trans, columns = "T" if transposed else "N", right.reshape(matrix.shape[1], -1)
+    trans, columns = "T" if transposed else "N", right.reshape(matrix.shape[1], *(right.shape[2:] or (1,)))
     return lapack.dtbtrs(matrix, columns, uplo="L", trans=trans, diag="U")[0].reshape(right.shape)
 
 
