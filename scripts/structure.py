@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_215,
-    "code lines, linear part": 20_162,
+    "code lines": 41_365,
+    "code lines, linear part": 20_306,
     "code lines, hybrid": 8_607,
     SHARE_SAID: 19.5,  # at least
     "files": 301,
@@ -51,8 +51,8 @@ LIMITS: dict[str, float] = {
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.7,
-    "files entered by a solve": 46,
+    "functions used once [%]": 11.9,
+    "files entered by a solve": 47,
     "functions entered by a solve": 373,
     "calls of a solve": 769,
     "imports through the door": 0,
