@@ -32,7 +32,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scale_rows_and_cost
 
-CONTRACTION = 1e-3  # part of the residual that the solve which prices it may leave
+CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 EPSILON = float(np.finfo(float).eps)

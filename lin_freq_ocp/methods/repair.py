@@ -22,7 +22,7 @@ from lin_freq_ocp.program.program_rows import real_rows
 
 HELD_DISTANCE = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
 PIECE_GROWTH = 1e6  # of states between breaks; the square of the digits that it costs must be left
-CONTRACTION = 1e-3  # part of the residuals that a repair may leave
+CONTRACTION = 0.1  # part of the residuals that a repair may leave
 MOST_ROW_ENTRIES = 1e7  # of the rows as signals
 
 

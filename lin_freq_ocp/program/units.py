@@ -2,7 +2,7 @@
 
 Magnitudes come from the optimum without bounds and bands, capped by the bounds: these say what is allowed, not what
 happens. Variables are deviations from the references. Once there is a trajectory, its magnitudes are the units: its
-residuals are measured in them (``point_scaling``), and the program is solved again if its units were very different.
+residuals are measured in them (``point_scaling``), and further solves may be.
 """
 
 from __future__ import annotations

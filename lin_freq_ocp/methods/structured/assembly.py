@@ -133,9 +133,9 @@ class Assembly:
         """Return a view of the entries of y that are controls, (T, m)."""
         return y[:-1, self.problem.state_dim : self.problem.state_dim + self.problem.control_dim]
 
-    def _on_stages(self, values: Array, others: float = 0.0) -> Array:
+    def _on_stages(self, values: Array) -> Array:
         """Return values of the program's variables at their entries of y, and another number elsewhere."""
-        y = np.full(self.stages.h.shape, others)
+        y = np.zeros(self.stages.h.shape)
         y.flat[self.positions] = values
         return y
 
