@@ -25,6 +25,7 @@ NEGLIGIBLE_SIZE = 1e-6  # magnitude, relative to the size in the data, below whi
 UNIT_ROUNDING = 1e-12  # of the previous unit: smaller signals are rounding errors
 UNNOTICED = 1e-3  # least unit of a component, relative to the smallest change that affects others over the horizon
 TERM_SHARE = 0.1  # with terms, which the relaxed optimum ignores, units differ by at most this from the data
+REVISED = 100.0  # factor between a unit and the magnitude of the answer, above which the program is solved again
 COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
 
 
@@ -107,6 +108,11 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
     return scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
+
+
+def is_revision(columns: Array, cost: float) -> bool:
+    """Whether units that change by these factors are worth another solve."""
+    return bool(np.abs(np.log(np.append(columns, cost))).max() > np.log(REVISED))
 
 
 def cost_factor(slopes: Array, priced: Mask) -> float:

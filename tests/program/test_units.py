@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
 from lin_freq_ocp.program.backends.base import backend
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Scaling
-from lin_freq_ocp.program.units import natural_scaling, point_units, scaled_program, stated_scaling
+from lin_freq_ocp.program.units import is_revision, natural_scaling, point_units, scaled_program, stated_scaling
 
 
 @each_problem
@@ -228,3 +228,4 @@ def test_a_point_that_is_no_number_keeps_its_units():
     units = natural_scaling(linear).columns
     point = np.full(len(units), np.nan)
     np.testing.assert_array_equal(point_units(linear, point, units), units)
+    assert not is_revision(point_units(linear, point, units) / units, 1.0)

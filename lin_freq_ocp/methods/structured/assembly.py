@@ -36,6 +36,7 @@ from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Scaling
+from lin_freq_ocp.program.units import is_revision, point_units
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
 PARTS = ("terms", "control_tube", "state_boxes", "state_stop", "control_stop")  # of problems with the same rows
@@ -93,6 +94,18 @@ class Assembly:
             slopes += eta_C * problem.quadratic.gradient(trajectory.x, trajectory.u)[1]
         return replace(multipliers, nu=np.where(self.fixed, -slopes, multipliers.nu))
 
+    def revised(self, y: Array) -> Assembly | None:
+        """Return the stages in units of the size of a solution y, or None if the present units are similar."""
+        old = self.units
+        columns = self._variables(old.columns)
+        new = point_units(self.program, self._variables(old.primal(y)), columns)
+        ratio = self._on_stages(new / columns, 1.0)
+        stages, change = scale_stages(self.stages, ratio, self.priced, y)
+        if not is_revision(ratio, change.cost):
+            return None
+        units = Scaling(old.columns * ratio, old.rows * change.rows, old.cost * change.cost)
+        return replace(self, stages=fix_unused_entries(stages, self.used), units=units)
+
     def exchanged(self, problem: OptimalControlProblem) -> Assembly | None:
         """Return the stages of a problem with other dynamics, references and fixed ends, in the same units.
 
@@ -133,9 +146,9 @@ class Assembly:
         """Return a view of the entries of y that are controls, (T, m)."""
         return y[:-1, self.problem.state_dim : self.problem.state_dim + self.problem.control_dim]
 
-    def _on_stages(self, values: Array) -> Array:
+    def _on_stages(self, values: Array, others: float = 0.0) -> Array:
         """Return values of the program's variables at their entries of y, and another number elsewhere."""
-        y = np.zeros(self.stages.h.shape)
+        y = np.full(self.stages.h.shape, others)
         y.flat[self.positions] = values
         return y
 

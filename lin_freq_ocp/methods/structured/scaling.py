@@ -14,14 +14,14 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.methods.structured.stages import Stages, inverse_sizes
 from lin_freq_ocp.program.program import Scaling
-from lin_freq_ocp.program.units import cost_factor
+from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor
 
 
-def scale_stages(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, Scaling]:
+def scale_stages(stages: Stages, columns: Array, priced: Mask, y: Array | None = None) -> tuple[Stages, Scaling]:
     """Return the stages with y in units ``columns`` (T+1, n+k), and the change of units.
 
     Its factors of rows are flat: x_0, stages, equations, inequalities, balls. The cost is scaled by its slopes in the
-    priced entries at the point whose entries are one unit.
+    priced entries at y; without y, at the point whose entries are one unit.
     """
     n = stages.states
     G = stages.G * columns[:, None]
@@ -40,7 +40,11 @@ def scale_stages(stages: Stages, columns: Array, priced: Mask) -> tuple[Stages, 
     )
     of_coupling = [1 / end, *(factors for _, factors in (*equations, *inequalities, *balls))]
     H, h = stages.H * columns[:, :, None] * columns[:, None, :], stages.h * columns
-    slopes = np.abs(H).sum(2) + np.abs(h)
+    typical = np.ones(h.shape)
+    if y is not None:  # in the new units; a component that moves is floored at the smallest change that affects others
+        size = np.abs(y)
+        typical = np.where(size.max(axis=0) > UNIT_ROUNDING, np.maximum(size / columns, UNNOTICED), 0.0)
+    slopes = np.einsum("tij,tj->ti", np.abs(H), typical) + np.abs(h)
     cost = cost_factor(slopes, priced)
     A, B, d = scale_dynamics(stages.A, stages.B, stages.d, columns)
     changed = replace(

@@ -329,6 +329,8 @@ def _judge_candidate(inverse: FixedModes, candidate: Candidate) -> Iterator[Judg
     if candidate.trajectory is None or candidate.multipliers is None:
         return
     candidate, _ = judge_nearest(inverse.problem, candidate, CONDITION_TOLERANCE)
+    assert candidate.trajectory is not None
+    assert candidate.multipliers is not None
     for trajectory in inverse.trajectories(candidate.trajectory):
         first = inverse.multipliers(candidate.multipliers, trajectory)
         certificate, multipliers = best_multipliers(inverse.given, trajectory, first)

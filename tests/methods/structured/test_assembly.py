@@ -156,6 +156,27 @@ def test_a_conic_form_that_joins_times_is_refused(kind):
         assemble_stages(problem)
 
 
+@pytest.mark.parametrize("kind", ["LInf cost", "soft mask", "soft linear constraint"])
+def test_a_small_solution_has_units_of_its_own(kind):
+    problem, rng = KINDS[kind](), np.random.default_rng(1)
+    assembly, cost = assemble_stages(problem), problem.quadratic
+    assert assembly.revised(np.ones(assembly.stages.h.shape)) is None
+    x = cost.x_ref + 1e-6 * rng.standard_normal((T + 1, 2))
+    u = cost.u_ref + np.array([1e-5, 1e-3]) * rng.standard_normal((T, 2))
+    small = lfo.Trajectory(x, u)
+    revised = assembly.revised(assembly.point(small))
+    assert revised is not None
+    y = revised.point(small)
+    np.testing.assert_allclose(np.abs(y[:, 2:4]).max(axis=0), 1.0, rtol=1e-6)
+    assert (np.abs(y[:, :2]).max(axis=0) < 1 + 1e-9).all()  # those that controls would notice are larger
+    assert cost_of(revised.stages, y) / revised.units.cost == pytest.approx(problem.value(x, u), rel=1e-12)
+    np.testing.assert_allclose(revised.trajectory(y).x, x, rtol=1e-14)
+    status, y, z = solved_stages(revised.stages)
+    assert status in ("Solved", "AlmostSolved")
+    back = revised.trajectory(y), revised.multipliers(z, 1.0, y)
+    assert lfo.certify(problem, *back).globally_optimal
+
+
 @pytest.mark.parametrize("kind", ["fixed ends", "partly fixed ends", "end boxes", "mask", "soft rows", "time-varying"])
 def test_numbers_of_dynamics_and_fixed_ends_are_exchanged(kind):
     problem = KINDS[kind]()
@@ -188,6 +209,18 @@ def test_other_changes_are_not_exchanged():
     assert assembly.exchanged(problem.with_ends([0.5, 0.2])) is not None
     boxed = KINDS["end boxes"]()
     assert assemble_stages(boxed).exchanged(boxed.with_ends(lfo.Box(0.4, 1.0))) is None
+
+
+def test_what_never_moves_does_not_measure_the_cost():
+    idle = lfo.LinearDynamics(A, B * [1.0, 0.0])
+    cost = lfo.QuadraticCost(Q=1.0, R=np.diag([0.1, 1e12]))
+    assembly = assemble_stages(lfo.OptimalControlProblem(idle, T, cost, initial_state=[1.0, -0.5]))
+    _, y, _ = solved_stages(assembly.stages)
+    y[:, 3] = 0.0
+    revised = assembly.revised(y)
+    assert revised is not None
+    assert assembly.units.cost < 1e-10
+    assert revised.units.cost > 0.1
 
 
 def banded(unit: float) -> lfo.OptimalControlProblem:
