@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import Direction, InfeasibilityProof, prove_infeasible, unbounded_direction
@@ -15,6 +16,10 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERAN
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
+from lin_freq_ocp.methods.correction import Correction, correct
+from lin_freq_ocp.methods.repair import repair_trajectory
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
@@ -22,6 +27,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
+CORRECTED = LinearDynamics, FrequencyResponse  # dynamics of problems whose points are corrected
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
 
@@ -41,7 +47,7 @@ def judge_candidate(
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
-        certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
+        candidate, certificate = judge_nearest(problem, candidate, allowed)
         if not candidate.interrupted:
             status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else verified_direction(problem, candidate.descent)
@@ -80,6 +86,71 @@ def judge_candidate(
         interrupted=candidate.interrupted,
         direction=direction,
     )
+
+
+def judge_nearest(
+    problem: OptimalControlProblem, candidate: Candidate, allowed: float
+) -> tuple[Candidate, Certificate]:
+    """Return the candidate with a feasible trajectory near its own, and the certificate of that.
+
+    An optimum is proven by a bound, and by the cost of a trajectory that satisfies every constraint. The repaired
+    trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
+    multipliers may be wrong, as those of a solver are that takes a small residual for rounding. Where that fails, too,
+    the point is judged as it is, and is no optimum.
+    """
+    trajectory, multipliers = candidate.trajectory, candidate.multipliers
+    assert trajectory is not None
+    assert multipliers is not None
+    if type(problem.dynamics) not in CORRECTED or multipliers.eta_C != 1 or candidate.interrupted:
+        return candidate, judge(problem, trajectory, multipliers, allowed)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
+        repaired = repair_trajectory(problem, trajectory)
+    if repaired is not None:
+        certificate = judge(problem, repaired, multipliers, allowed)
+        if certificate.proven_within(allowed):
+            return replace(candidate, trajectory=repaired), certificate
+    claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
+    if claims:  # a point at a limit of time keeps its controls, which obey the bands
+        trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
+        candidate = replace(candidate, trajectory=trajectory)
+    own = judge(problem, trajectory, multipliers, allowed)
+    if not claims and not own.proven_within(allowed):
+        return candidate, own
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            correction = correct(problem, trajectory, multipliers)
+    except UnsupportedError:  # it does not fit into memory, or would take too long
+        return candidate, own
+    corrected = None
+    if correction is not None and np.isfinite(correction.price):
+        for point in _corrected_points(problem, candidate, correction, allowed):
+            if point[1].proven_within(allowed):
+                return point
+            corrected = corrected or point
+    # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
+    if any(term.semi_infinite is not None for term in problem.terms):
+        return candidate, own
+    if corrected is not None and own.pmp == "satisfied":  # a correction refines an extremal, and makes none
+        return corrected
+    return candidate, replace(own, worth_of_residuals=np.inf)
+
+
+def _corrected_points(
+    problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
+) -> Iterator[tuple[Candidate, Certificate]]:
+    """Yield the corrected candidate with the corrected multipliers, then with its former ones, which may prove more.
+
+    Then rounding of the data may decide: both come again, with its worth.
+    """
+    judged = list[tuple[Candidate, Certificate]]()
+    for multipliers in (correction.multipliers, candidate.multipliers):
+        assert multipliers is not None
+        point = replace(candidate, trajectory=correction.trajectory, multipliers=multipliers)
+        certificate = judge(problem, correction.trajectory, multipliers, allowed)
+        judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
+        yield judged[-1]
+    for point, certificate in judged:
+        yield point, replace(certificate, data_rounding=correction.data_rounding)
 
 
 def candidate_of(outcome: Outcome) -> Candidate:
@@ -159,6 +230,8 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
         missing = "there is no bound"
     elif certificate.bound.kind != RIGOROUS:
         missing = "the bound holds near the trajectory only, as something is not bounded"
+    elif certificate.worth_of_residuals == np.inf:
+        missing = "no trajectory that satisfies every constraint is known to cost about as much as the bound"
     else:
         worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
         missing = f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"

@@ -11,7 +11,7 @@ from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import proof_margin, prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
@@ -19,7 +19,6 @@ from lin_freq_ocp.methods.convex.sparse_program import (
     solve_convex,
     structured_first,
     trajectory_without_cost,
-    trajectory_without_slope,
 )
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -31,13 +30,6 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import solve_spectral
 
 PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness that any backend reports
-
-SMALL_MARGIN = 1e-5
-"""Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
-point that satisfies every constraint within the judge's tolerance."""
-
-REPLACED_VIOLATION = 1e-8
-"""Violation, relative to its scale, up to which an answer may replace one with less: accurate solvers leave as much."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
@@ -114,19 +106,14 @@ class _Trial:
         return outcome if outcome.status == Status.INFEASIBLE else None
 
     def try_without_cost(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of a trajectory nearby without cost or slope if that is optimal, else the outcome."""
-        problem, near = self.problem, outcome.trajectory
-        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+        """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
+        if outcome.status not in SEEKS_DIRECTION or outcome.trajectory is None:
             return outcome
-        for candidate in (
-            trajectory_without_cost(problem, near),
-            trajectory_without_slope(problem, near, seconds_left(self.end)),
-        ):
-            if candidate is not None:
-                optimum = self.judge(candidate)
-                if optimum.status == Status.OPTIMAL and not _violates_more(optimum, outcome):
-                    return replace(optimum, seconds=outcome.seconds)
-        return outcome
+        candidate = trajectory_without_cost(self.problem, outcome.trajectory)
+        optimum = None if candidate is None else self.judge(candidate)
+        if optimum is None or optimum.status != Status.OPTIMAL:
+            return outcome
+        return replace(optimum, seconds=outcome.seconds)
 
 
 class _Linear(ABC):
@@ -239,7 +226,7 @@ class Structured(_Linear):
     shorthand: ClassVar[str] = "structured"
 
     def _run(self, trial: _Trial, request: Request) -> Outcome:
-        problem, first, certified = trial.problem, None, 0.0
+        problem = trial.problem
         stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
         candidate = solve_from_warm_start(problem, stage_cache, trial.options)
         if candidate is not None:
@@ -250,19 +237,12 @@ class Structured(_Linear):
 
         def accept_ray(ray: Multipliers) -> bool:
             proof = prove_infeasible(problem, ray)
-            return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
+            return proof is not None and proof.bound.kind == RIGOROUS
 
-        for candidate in solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache):
-            outcome = trial.judge_point(candidate)
-            certified += outcome.seconds["certify"]
-            if first is None or _rank(outcome) > _rank(first):
-                first = outcome
-            if _is_final(outcome):
-                break
-        assert first is not None  # the method yields an answer, or raises
-        if first.status == Status.OPTIMAL:
-            stage_cache.warm_start = first.trajectory
-        return trial.try_without_cost(replace(first, seconds=first.seconds | {"certify": certified}))
+        outcome = trial.judge_point(solve_structured(problem, trial.options, accept_ray, stage_cache))
+        if outcome.status == Status.OPTIMAL:
+            stage_cache.warm_start = outcome.trajectory
+        return trial.try_without_cost(outcome)
 
 
 @dataclass(frozen=True)
@@ -331,14 +311,7 @@ def _is_better(outcome: Outcome, best: Outcome) -> bool:
     # a claim with a ray says how far it holds; a failed solve refutes it by a feasible point only
     fails = best.infeasibility is not None and outcome.status in UNPROVEN and not outcome.primal
     counts = outcome.status != Status.LIMIT and not fails
-    return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
-
-
-def _violates_more(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer violates constraints by more than a feasible one before it, rounding aside."""
-    if outcome.certificate is None or best.certificate is None or not best.certificate.feasible:
-        return False
-    return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
+    return counts and _rank(outcome) >= _rank(best)
 
 
 def _is_final(outcome: Outcome) -> bool:
@@ -346,8 +319,6 @@ def _is_final(outcome: Outcome) -> bool:
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
     excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
-    if excluded and outcome.ray is not None:
-        excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 

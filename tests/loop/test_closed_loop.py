@@ -204,3 +204,16 @@ def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp
     assert f"7.81 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
     assert len(log.plot().axes) == 8  # with a panel for the windows
     assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()
+
+
+def test_a_loop_at_its_set_point_stays_optimal():
+    """Within 3e-6 of it, J is 4e-10: rounding counts by distances from the reference, not by the states' values."""
+    step = 0.1
+    dynamics = lfo.LinearDynamics([[1.0, step], [0.0, 1.0]], [[step * step / 2], [step]], sampling_time=step)
+    cost = lfo.QuadraticCost(Q=[10.0, 1.0] * np.eye(2), P=[100.0, 10.0] * np.eye(2), R=1.0, x_ref=[1.0, 0.0])
+    problem = lfo.OptimalControlProblem(dynamics, 60, cost, lfo.Box(-2, 2), initial_state=[0.0, 0.0])
+    controller = lfo.RecedingHorizon(problem)
+    for state in ([0.0, 0.0], [1.0 - 3e-6, 0.0]):
+        controller.step(state)
+        assert controller.log.steps[-1].status == "optimal"
+        assert controller.log.steps[-1].gap < 1e-7

@@ -12,11 +12,6 @@ import lin_freq_ocp as lfo
 from helpers.checks import translation
 from helpers.rounded_products import exact_optimum
 from helpers.seeds import seeds
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.solving import linear
-from lin_freq_ocp.solving.judging import judge_candidate
-from lin_freq_ocp.solving.solve import solve_judged
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
@@ -121,32 +116,6 @@ def test_where_nothing_moves_rounding_is_no_residual():
     trajectory = lfo.simulate(problem, np.zeros((20, 1)))
     assert (trajectory.x != centre).any()
     assert lfo.certify(problem, trajectory).feasible
-
-
-def test_no_answer_is_replaced_by_one_that_violates_more(monkeypatch):
-    """Of two methods, the first ends at the optimum without a proof, the second beside it with one."""
-    problem = move(0.0)
-    first = solve_judged(problem, "spectral")
-    x = first.trajectory.x.copy()
-    x[10:] += [3e-7, 0.0]
-    beside = Candidate(Status.OPTIMAL, lfo.Trajectory(x, first.trajectory.u), first.multipliers)
-    second = judge_candidate(problem, beside, "structured", None, None)
-    assert second.certificate.feasible
-
-    def ending(outcome):
-        class Method:
-            def __init__(self, *options):
-                pass
-
-            def solve(self, problem, request):
-                return outcome
-
-        return Method
-
-    monkeypatch.setattr(linear, "Spectral", ending(replace(first, status=Status.LOCALLY_OPTIMAL)))
-    for name in ("Structured", "Convex"):
-        monkeypatch.setattr(linear, name, ending(replace(second, status=Status.OPTIMAL)))
-    np.testing.assert_array_equal(lfo.solve(problem).trajectory.x, first.trajectory.x)
 
 
 def test_rounding_that_hides_a_move_is_named():

@@ -10,13 +10,11 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
-from lin_freq_ocp.methods.convex.polish import polish_point
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.units import point_scaling, point_sizes
 
-ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
 FAR_BOUND = 1e4  # size, in expected units, from which bounds disturb solvers and are left out at first
 
@@ -47,33 +45,32 @@ class ScaledSolver:
     tolerance: float | None  # that the user asks for
     solver_tolerance: float
     end: float  # by clock.now
-    target: float  # residuals from which an answer is not improved
 
     @property
     def over(self) -> bool:
         """Whether there is no time left."""
         return now() >= self.end
 
-    def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
+    def attempt(self, scaling: Scaling) -> Attempt:
         """Solve in the given units, at first without far bounds."""
         program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
         if near is None:
-            return self._solve(program, scaling, tolerance)
-        attempt = self._solve(near, scaling, tolerance)
+            return self._solve(program, scaling)
+        attempt = self._solve(near, scaling)
         if attempt.ended or attempt.candidate.status in (Status.OPTIMAL, Status.INFEASIBLE) or self.over:
             return attempt
-        complete = self._solve(program, scaling, tolerance)
+        complete = self._solve(program, scaling)
         return complete if attempt.candidate.status == Status.UNBOUNDED else better_of(attempt, complete)
 
     def solve_with_all_bounds(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds."""
-        return self._solve(self.linear.sparse.scaled(scaling), scaling, None)
+        return self._solve(self.linear.sparse.scaled(scaling), scaling)
 
     def solve_without_far_bounds(self, scaling: Scaling) -> Attempt | None:
         """Solve without far bounds; None if no bound is far, or if the program is unbounded without them."""
         near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
-        attempt = None if near is None else self._solve(near, scaling, None)
+        attempt = None if near is None else self._solve(near, scaling)
         return None if attempt is None or attempt.candidate.status == Status.UNBOUNDED else attempt
 
     def recover(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
@@ -103,7 +100,8 @@ class ScaledSolver:
         if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
             units = point_scaling(self.linear, point, scaling.columns)
             scaled, sizes = units.scaled_primal(point), units.scaled_primal(point_sizes(self.linear, point))
-            residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
+            with np.errstate(over="ignore", invalid="ignore"):  # residuals that are not finite are no small ones
+                residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = Status.LIMIT
         else:
@@ -122,18 +120,9 @@ class ScaledSolver:
             point, duals = None, None
         return Attempt(candidate, scaling, residuals.worst, point, duals, late)
 
-    def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
-        solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
-        attempt = self.recover(scaling, program, solution)
-        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
-            return attempt
-        assert solution.z is not None
-        assert solution.y is not None
-        polished = polish_point(program, solution.z, solution.y)
-        if polished is None:
-            return attempt
-        claimed = replace(solution, claim=Claim.SOLVED, z=polished[0], y=polished[1])
-        return better_of(attempt, self.recover(scaling, program, claimed))
+    def _solve(self, program: Program, scaling: Scaling) -> Attempt:
+        solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
+        return self.recover(scaling, program, solution)
 
 
 def better_of(first: Attempt, second: Attempt) -> Attempt:

@@ -2,8 +2,6 @@
 
 # Spaces of the bins (model.py, spaces.py)
 LEAST_SIZE = 1e-4  # components that should be zero hold rounding: they are not measured more finely than this
-WRONG_UNIT = 1e-5  # largest value of a component, in its unit, below which that unit was wrong
-ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds rounding only
 MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
 NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent
@@ -58,7 +56,6 @@ NEARLY_FEASIBLE = 1e-3  # ... below which longer steps are taken along direction
 EQUATION_TOLERANCE = 1e-9  # residual of the bordered system's equations, relative to the largest signal
 EQUATION_CONFLICT = 1e-7  # ... from which the dependent equations are tested for infeasibility
 SLOPE_TOLERANCE = 1e-10  # slope left in the bordering unknowns, relative to its terms
-STRICT_SLOPE = 1e-13  # ... for a point with the former slope whose residuals were too large
 ACCEPTED_SLOPE = 1e-7  # ... that is accepted where it no longer improves
 SLACK_TOLERANCE = 1e-9  # <multipliers, slacks> left, relative to the cost
 ACCEPTED_SLACK = 1e-7  # ... that is accepted where it no longer improves

@@ -6,7 +6,7 @@ active rows and pivots among them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MATRICES, VECTORS = 12, 100  # of the size of a stage that are in memory at the same time
 LATE = 2.0  # a step may take so many times as long as estimated
-MOST_REVISIONS = 3  # of the units by the size of the answer: if nothing has a size, each answer has other units
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, by default
 
 
@@ -34,8 +33,8 @@ def solve_structured(
     options: SolveOptions = DEFAULTS,
     accept_ray: Callable[[Multipliers], bool] = lambda ray: False,
     stage_cache: StageCache | None = None,
-) -> Iterator[Candidate]:
-    """Solve a problem with linear dynamics and a convex cost; yield the answer, then answers in units of its size.
+) -> Candidate:
+    """Solve a problem with linear dynamics and a convex cost.
 
     ``accept_ray`` tells whether a ray that is still rough proves infeasibility; ``stage_cache`` holds the stages of a
     similar problem. UnsupportedError if the cost is not convex, a term of the problem does not fit, or too many rows
@@ -54,20 +53,12 @@ def solve_structured(
     setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and now() + needed > end:
-        yield Candidate(Status.LIMIT, message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
-        return
-    for _ in range(MOST_REVISIONS + 1):
-        system = System(assembly.stages, recursions)
-        step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
-        answer = Embedding(
-            system, step, targets, lambda z, assembly=assembly: accept_ray(assembly.multipliers(z, 0.0))
-        ).run()
-        seconds = {"setup": setup, "solve": now() - started - setup}
-        yield _candidate(answer, assembly, seconds)
-        revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
-        if revised is None or now() + needed > end:
-            return
-        assembly = revised
+        message = f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s"
+        return Candidate(Status.LIMIT, message=message)
+    system = System(assembly.stages, recursions)
+    step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
+    answer = Embedding(system, step, targets, lambda z: accept_ray(assembly.multipliers(z, 0.0))).run()
+    return _candidate(answer, assembly, {"setup": setup, "solve": now() - started - setup})
 
 
 def solve_from_warm_start(
