@@ -61,7 +61,7 @@ class MinimumTime:
     verdicts : dict
         The verdict on each solved horizon: "feasible", "infeasible" (by a verified proof) or "undecided".
     rays : dict
-        The ray of each horizon that a ray proves infeasible, and no search tree. The file of an earlier run has none.
+        The ray of each horizon that is proven infeasible by one. The file of an earlier run has no rays.
     interrupted : bool
         Whether Ctrl-C ended the search; the attributes then hold the state at that time.
 

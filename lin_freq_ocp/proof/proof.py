@@ -256,7 +256,7 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
 def unchecked_proof(outcome: Outcome) -> Proof:
     """Return a proof of an answer for linear dynamics, without a check; errors are those of ``proof_of``.
 
-    It claims a little less than the certificate, and no lower end where the multipliers prove none for all trajectories.
+    It claims a little less than the certificate, and a lower end only where its multipliers bound all trajectories.
     """
     bare, at = _bound_proof(outcome)
     if outcome.ray is not None:

@@ -274,7 +274,7 @@ def test_ends_of_the_range():
     assert at_once.proof == "5 is feasible; shorter horizons are outside of the range"
     with pytest.raises(
         lfo.errors.InfeasibleError,
-        match="No horizon from 1 to 3 is feasible: 3 is proven.*At 3: .* In conflict: .*initial state",
+        match=r"No horizon from 1 to 3 is feasible: 3 is proven.*At 3: .* In conflict: .*initial state",
     ) as caught:
         lfo.minimum_time(integrator(), horizons=(1, 3))
     assert caught.value.result.problem.horizon == 3
@@ -332,7 +332,7 @@ def test_proofs_by_search_trees_count(tmp_path):
     assert (found.horizon, found.proven, dict(found.rays)) == (6, True, {})
     assert found.proof == "6 is feasible; each of 2 to 5 is proven infeasible"
     assert lfo.minimum_time(decay, horizons=(2, 12), path=path).proof == found.proof
-    with pytest.raises(lfo.errors.InfeasibleError, match="each of 2 to 5 is .*At 5: proven by a search tree"):
+    with pytest.raises(lfo.errors.InfeasibleError, match=r"each of 2 to 5 is .*At 5: proven by a search tree"):
         lfo.minimum_time(decay, horizons=(2, 5))
 
 
