@@ -47,6 +47,7 @@ FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first 
 UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
+CURVATURE = 1e-3  # of the cost of a delta in units of its size: it bounds the deltas that cost no more
 LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
@@ -253,7 +254,8 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
         hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
     )
     elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
-    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), p=np.append(np.zeros_like(x), zero + 1 / limit.size))
+    p = np.append(np.zeros_like(x), zero + 1 / limit.size)
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(CURVATURE * p**2), p=p)
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 
