@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_365,
-    "code lines, linear part": 20_306,
+    "code lines": 41_401,
+    "code lines, linear part": 20_329,
     "code lines, hybrid": 8_607,
     SHARE_SAID: 19.5,  # at least
     "files": 301,

@@ -204,13 +204,12 @@ def minimum_time(
         rays=search.rays,
         interrupted=search.interrupted,
     )
-    if throw and horizon is None and not search.interrupted:
-        if shortest.proven and shortest.result is not None:
+    if throw and horizon is None and shortest.result is not None and not search.interrupted:
+        if shortest.proven:
             text = f"No horizon from {low} to {high} is feasible: {shortest.proof}. Allow longer ones. "
             text += f"At {high}: {shortest.result.message}.{conflict_in_words(shortest.result)}"
             raise InfeasibleError(text, shortest.result)
-        if shortest.result is not None:
-            raise_for(shortest.result)
+        raise_for(shortest.result)
     return shortest
 
 

@@ -84,10 +84,8 @@ class Search:
     def without_evidence(self) -> list[int]:
         """Return the decisive horizons whose verdict was read from a file, which has no trajectory or ray."""
         least = self.horizon
-        if least is None:
-            return sorted({max(self.verdicts, default=0)} & self.recorded)
-        shorter = {least - 1} & set(self.of(Verdict.INFEASIBLE))
-        return sorted(({least} | shorter) & self.recorded)
+        infeasible = {T for T in self.of(Verdict.INFEASIBLE) if least is not None and T == least - 1}
+        return sorted({max(self.verdicts, default=0) if least is None else least, *infeasible} & self.recorded)
 
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
         """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided."""

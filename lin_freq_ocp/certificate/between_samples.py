@@ -162,12 +162,11 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
     peaks = _LargestValues(np.where(rows < n, 1.0, -1.0), components, limits[:, rows], RESOLUTION * sizes)
     error = peaks.search(plant, trajectory.x[:-1, :n], trajectory.u, step / parts, parts)
     at_most = peaks.proven + error
-    loose = at_most > MUCH * np.maximum(peaks.values, CONDITION_TOLERANCE * sizes)
+    loose = components[at_most > MUCH * np.maximum(peaks.values, CONDITION_TOLERANCE * sizes)]
     figures = np.stack([peaks.values, at_most, peaks.values / sizes, peaks.times], axis=1).tolist()
     named = [(int(row % n), problem.state_names[row % n], "upper" if row < n else "lower") for row in rows]
-    simulated = dict.fromkeys(problem.state_names[i] for i in components[loose])
     bounds = (BoundPeak(*name, *values) for name, values in zip(named, figures, strict=True))
-    return BetweenSamples(tuple(bounds), tuple(simulated))
+    return BetweenSamples(tuple(bounds), tuple(problem.state_names[i] for i in np.unique(loose)))
 
 
 def _size(problem: OptimalControlProblem, x: Array, i: int) -> float:

@@ -29,6 +29,7 @@ from lin_freq_ocp.problem.limits import (
     intersection,
     map_constraints,
     map_sets,
+    replace_bounds,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import AddedStates, add_states
@@ -47,7 +48,7 @@ FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first 
 UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
-CURVATURE = 1e-3  # of the cost of a delta in units of its size: it bounds the deltas that cost no more
+DELTA_CURVATURE = 1e-3  # of the cost of a delta in units of its size: it bounds the deltas that cost no more
 LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
@@ -204,18 +205,21 @@ def _least_by_delta(
     result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
-    least = np.maximum(result.trajectory.x[-1, problem.state_dim :], 0.0)
+    n, sizes = problem.state_dim, stated_sizes(problem)
+    least = np.maximum(result.trajectory.x[-1, n:], 0.0)
     least[least <= UNMOVED * least.sum()] = 0.0
-    if least.sum() > LARGEST * max(map(np.max, stated_sizes(problem))):
+    if least.sum() > LARGEST * max(map(np.max, sizes)):
         return None
     for margin in MARGINS:
-        relaxed = limit.relaxed(problem, least * (1 + margin))
+        amount, reached = float(least.sum()) * (1 + margin), np.zeros(0)
+        if limit.end is None:
+            relaxed = limit.relaxed(problem, amount)
+        else:  # a component that needs no change gets none
+            box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * sizes[0]
+            end = Box(box.lower - by, box.upper + by)
+            relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
+            reached = end.project(result.trajectory.x[limit.end, :n])
         if feasible(relaxed):
-            amount, reached = float(least.sum()) * (1 + margin), np.zeros(0)
-            if limit.end is not None:
-                reached = (relaxed.initial_box, relaxed.terminal_box)[limit.end].project(
-                    result.trajectory.x[limit.end, : problem.state_dim]
-                )
             return amount, reached
     return None
 
@@ -255,7 +259,7 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
     )
     elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
     p = np.append(np.zeros_like(x), zero + 1 / limit.size)
-    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(CURVATURE * p**2), p=p)
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(DELTA_CURVATURE * p**2), p=p)
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 

@@ -164,12 +164,10 @@ def _sweep_lines(path: Path) -> list[FileTable]:
         elif number > 1:
             line.setdefault("bound", None)  # rows of earlier versions have none
             require_keys(location, line, ("parameters", *MEASURED))
-            for key, kind in ROW_KINDS.items():
-                _require_kind(location, line, key, kind)
+            _require_kinds(location, line, ROW_KINDS)
         lines.append(line)
     require_keys(path.name, lines[0], HEAD_KEYS)
-    for key, kind in HEAD_KINDS.items():
-        _require_kind(path.name, lines[0], key, kind)
+    _require_kinds(path.name, lines[0], HEAD_KINDS)
     return lines
 
 
@@ -177,10 +175,12 @@ def _no_sweep_error(path: Path) -> ProblemError:
     return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
 
 
-def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
-    value = line[key]
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
-        raise ProblemError(f"{location}.{key}", brief(value), "a value as this package writes it there")
+def _require_kinds(location: str, line: Mapping[str, object], kinds: Mapping[str, FileValue]) -> None:
+    """Raise ProblemError unless the values of a line have these types; True and False are no numbers."""
+    for key, kind in kinds.items():
+        value = line[key]
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+            raise ProblemError(f"{location}.{key}", brief(value), "a value as this package writes it there")
 
 
 def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
@@ -257,12 +257,10 @@ class ManyFile(Log[Item]):
         for number, line in enumerate(lines[1:], 2):
             location = f"{self._path.name}, line {number}"
             require_keys(location, line, ITEM_KEYS)
-            for key, kind in ITEM_KINDS.items():
-                _require_kind(location, line, key, kind)
-            values: FileTable = {name: line[name] for name in ITEM_KEYS if name != "key"}
-            signals = {name: shape for name, shape in self._shapes.items() if line[name] is not None}
-            values |= {name: to_shape(f"{location}.{name}", line[name], shape) for name, shape in signals.items()}
-            items[line["key"]] = Item(**values)
+            _require_kinds(location, line, ITEM_KINDS)
+            for name, shape in self._shapes.items():
+                line[name] = None if line[name] is None else to_shape(f"{location}.{name}", line[name], shape)
+            items |= {line.pop("key"): Item(**line)}
         return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
     def append(self, key: str, answer: Item) -> None:

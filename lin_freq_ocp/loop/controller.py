@@ -301,9 +301,7 @@ class Controller:
         if references is None or not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references
         own = self.problem.quadratic.x_ref
-        complete = np.array(
-            np.broadcast_to(own, (*np.broadcast_shapes(own.shape[:-1], given.shape[:-1]), len(self._known)))
-        )
+        complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
         complete[..., ~self._known] = given
         return {**references, "x_ref": complete}
 

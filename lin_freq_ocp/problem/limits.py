@@ -68,11 +68,8 @@ class Limit(ABC):
         """The size of the limited quantity, the unit of amounts."""
 
     @abstractmethod
-    def relaxed(self, problem: OptimalControlProblem, amount: float | Array) -> OptimalControlProblem:
-        """Return a problem with this limit relaxed by an amount, or without it if the amount is infinite.
-
-        An end takes an amount for each component, too.
-        """
+    def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
+        """Return a problem with this limit relaxed by an amount, or without it if the amount is infinite."""
 
     @abstractmethod
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str] | None:
@@ -134,7 +131,7 @@ class BoundLimit(Limit):
     def size(self) -> float:
         return float(stated_sizes(self.problem)[self.field == "control_set"][self.index])
 
-    def relaxed(self, problem: OptimalControlProblem, amount: float | Array) -> OptimalControlProblem:
+    def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
         box, sizes = getattr(problem, BOXES[self.field]), self.sizes
         by = np.zeros(box.lower.shape[-1])
         by[list(sizes)] = amount * np.array(list(sizes.values()))

@@ -178,8 +178,8 @@ def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
     if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
         given = at_frequencies(given, multipliers.frequencies)
         region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
-        lower = min(_subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
-        enclosure = replace(enclosure, lower=lower)
+        lower = _subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region))
+        enclosure = replace(enclosure, lower=min(lower, region.level))
     return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
@@ -261,11 +261,11 @@ def unchecked_proof(outcome: Outcome) -> Proof:
     bare, at = _bound_proof(outcome)
     if outcome.ray is not None:
         return replace(bare, claim=Enclosure(np.inf, np.inf))
-    certificate = outcome.certificate
+    certificate, lower = outcome.certificate, -np.inf
     bound, scale = (None, 0.0) if certificate is None else (certificate.bound, certificate.cost_scale)
     slack = UNCHECKED_SLACK * scale
-    proven = bound is not None and bound.kind == RIGOROUS and bound.sets != NEVER_NEGATIVE
-    lower = bound.value - slack if proven else -np.inf
+    if bound is not None and bound.kind == RIGOROUS and bound.sets != NEVER_NEGATIVE:
+        lower = bound.value - slack
     for point, moved in points(bare.problem, outcome, at, UNCHECKED_MARGIN):
         upper = bare.problem.value(moved.x, moved.u) + slack
         return replace(bare, point=point, claim=Enclosure(lower, upper))

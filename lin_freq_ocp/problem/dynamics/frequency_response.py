@@ -397,18 +397,16 @@ def read_response(path: Path) -> Array:
         raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
     heads = [line for line in lines if line.lstrip().startswith("#") and line.count(",") == 2]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if polar := [head for head in [*heads, *lines[:1]] if POLAR.search(head)]:
+        advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
+        expected = "columns of frequency in Hz, real part and imaginary part"
+        raise ProblemError(f"{path.name}: header", brief(polar[0]), expected, advice)
     rows = list[list[float]]()
     for i, line in enumerate(lines):
         try:
             row = [float(entry) for entry in line.split(",")]
         except ValueError:
             row = []
-        if i == 0 and not row:
-            heads.append(line)
-        if i == 0 and (polar := [head for head in heads if POLAR.search(head)]):
-            advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
-            expected = "columns of frequency in Hz, real part and imaginary part"
-            raise ProblemError(f"{path.name}: header", brief(polar[0]), expected, advice)
         if i == 0 and not row:
             continue
         if len(row) != 3 or not np.isfinite(row).all():

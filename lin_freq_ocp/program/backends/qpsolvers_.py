@@ -40,9 +40,9 @@ TIME_LIMITS = {
 def solver(member: str) -> Solver:
     """Return a solver function that calls qpsolvers with ``member``."""
     installed = f"Installed: {', '.join(sorted(qpsolvers.available_solvers))}."
-    extras = metadata("qpsolvers").get_all("Provides-Extra") or []
-    if member not in (*qpsolvers.available_solvers, *extras):
-        advice = suggestion(member, [*qpsolvers.available_solvers, *extras]) or installed
+    known = [*qpsolvers.available_solvers, *(metadata("qpsolvers").get_all("Provides-Extra") or [])]
+    if member not in known:
+        advice = suggestion(member, known) or installed
         raise UnsupportedError(f"backend: got 'qpsolvers:{member}', which is no solver of qpsolvers. {advice}")
     if member not in qpsolvers.available_solvers:
         advice = f"Install it with: pip install 'qpsolvers[{member}]'."
