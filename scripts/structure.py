@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_355,
-    "code lines, linear part": 20_303,
-    "code lines, hybrid": 8_600,
+    "code lines": 41_393,
+    "code lines, linear part": 20_322,
+    "code lines, hybrid": 8_601,
     SHARE_SAID: 19.5,  # at least
     "files": 301,
     "folders": 40,

@@ -2,6 +2,7 @@ import gc
 import os
 import signal
 import sys
+from importlib.util import find_spec
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -21,9 +22,15 @@ from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
+from helpers.without_flint import SkippedModule
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.explanation import explanation
 from lin_freq_ocp.testing import PENDULUM, reference_problem
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    """Return a module that is skipped if it needs python-flint, where that is missing; None is the default."""
+    return None if find_spec("flint") else SkippedModule.from_parent(parent, path=module_path)
 
 
 def pytest_configure(config):

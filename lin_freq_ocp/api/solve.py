@@ -163,12 +163,7 @@ def raise_for(result: Result) -> None:
             message = f"{name}: {result.message}. Larger ones are not excluded: bound all states and controls."
         elif result.status == Status.INFEASIBLE_CLAIMED:
             message = f"{name}: {result.solver} claims infeasibility without a proof ({result.message})."
-        if result.conflict is not None:
-            of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
-            family = result.explanation.family if result.explanation else of_ray
-            cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
-            advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
-            message += f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
+        message += conflict_in_words(result)
     elif result.status == Status.UNBOUNDED:
         message = f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     elif result.status == Status.LIMIT:
@@ -185,6 +180,17 @@ def raise_for(result: Result) -> None:
             "its last point is in .result. Try another backend or method."
         )
     raise ERRORS[result.status](message, result)
+
+
+def conflict_in_words(result: Result) -> str:
+    """Return a sentence with the constraints in conflict and the advice on them; empty where no ray names them."""
+    if result.conflict is None:
+        return ""
+    of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
+    family = result.explanation.family if result.explanation else of_ray
+    cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
+    advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
+    return f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
 
 
 def with_explanation(

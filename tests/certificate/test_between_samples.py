@@ -325,6 +325,19 @@ def test_the_proven_value_is_a_bound_when_cells_are_not_halved_to_the_end(monkey
     assert bound.at_most >= np.exp(-1) - 0.1
 
 
+@pytest.mark.parametrize(("frequency", "loose"), [(10.0, False), (200.0, True)])
+def test_a_bound_far_above_the_simulation_is_told(frequency, loose):
+    """Over 32 oscillations in a period, the errors of cells add up to more than any state."""
+    plant = lfo.LinearDynamics.from_continuous([[0, frequency], [-frequency, 0]], [[0.0], [1.0]], 1.0)
+    box = lfo.Box([-1, -9], [1, 9])
+    problem = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), state_set=box)
+    found = between_samples(problem, lfo.simulate(problem, np.zeros((2, 1)), [0.5, 0.5]))
+    assert (max(bound.at_most for bound in found.bounds) > 10) == loose
+    assert found.simulated == (("x_0", "x_1") if loose else ())
+    assert str(found).startswith("all state bounds hold between the samples")
+    assert ("by a simulation (the rigorous at_most of x_0 and x_1 is" in str(found)) == loose
+
+
 @pytest.mark.parametrize(("start", "limit"), [(1e6, 1e6), (1 / 3, -1e6)])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_proven_value_covers_rounding(start, limit, seed):

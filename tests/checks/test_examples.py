@@ -19,7 +19,7 @@ SAYS = {
     "certify_another_tool": "maximum principle: satisfied",
     "problem_files": "saved answer: satisfied",
     "long_horizons": "10000 steps by method spectral",
-    "minimum_time": "114 is proven infeasible by a ray, and with it all shorter horizons",
+    "minimum_time": "114 is proven infeasible, and with it all shorter horizons",
     "oscillating_mass_in_c": "25 unknowns in float",
     "printer_move": "optimal   40 samples, 0.16 s",
     "kinks": "maximum principle satisfied",

@@ -314,6 +314,17 @@ def test_a_horizon_that_fits_the_memory(tmp_path):
         lfo.generate(given, tmp_path, "double", memory=written.ram + written.stack)
 
 
+def test_states_that_no_sensor_measures_are_named(tmp_path):
+    lfo.generate(controller(LOOPS["rate limit"]()), tmp_path / "limited")
+    lfo.generate(controller(LOOPS["two controls"]()), tmp_path / "plain")
+    for name, words in (
+        ("controller.h", "more than a plant without x[4]: "),
+        ("README.md", "No sensor measures x[4]:"),
+    ):
+        assert words in (tmp_path / "limited" / name).read_text()
+        assert words[:20] not in (tmp_path / "plain" / name).read_text()
+
+
 def test_names_of_a_problem_end_no_comment(tmp_path):
     problem = replace(pendulum(20), name="end */ of\\ a ☃ comment")
     lfo.generate(controller(problem), tmp_path)

@@ -142,7 +142,7 @@ class TestChoiceOfMethod:
     @pytest.mark.parametrize("ray", [None, lambda honest: replace(honest, eta_C=0.0)])
     def test_a_false_ray_of_spectral_alone_is_not_believed(self, ray, monkeypatch):
         monkeypatch.setattr(SpectralSolver, "solve", claiming(infeasible_with(ray)))
-        with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
+        with pytest.raises(lfo.errors.InfeasibleError, match=r"without a proof .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(), method="spectral")
         assert not caught.value.proven
         result = caught.value.result

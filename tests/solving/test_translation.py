@@ -51,6 +51,14 @@ def test_a_move_costs_the_same_from_everywhere(method, origin, band):
     np.testing.assert_allclose(far.trajectory.x[-1], [origin + 1.0, 0.0], atol=1e-15 * origin)
 
 
+def test_a_state_that_never_moves_is_not_blamed():
+    cost = lfo.QuadraticCost() + lfo.costs.SmoothCost(stage="u_0 - 0.2*u_0**2")
+    dynamics, ends = lfo.LinearDynamics([[1.0]], [[1.0]]), {"initial_state": [1.0]}
+    problem = lfo.OptimalControlProblem(dynamics, 1, cost, lfo.Box(0, 1), lfo.Box(-3, 3), **ends)
+    result = lfo.solve(problem, throw=False, global_bound=False)
+    assert result.message == "no global bound was asked for"
+
+
 def test_the_bound_of_a_search_tree_is_that_of_the_given_cost():
     """A price on the position costs more where zero is farther away: the tree's bounds are raised by as much."""
     levels, cost = lfo.FiniteSet([-1, 0, 1]), lfo.QuadraticCost(R=1.0, q=[1e-3, 0.0])

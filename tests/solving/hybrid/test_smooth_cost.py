@@ -232,6 +232,11 @@ def test_a_terminal_formula_beside_kinks_is_declined():
         lfo.solve(problem, "nonsmooth")
 
 
+def test_a_norm_with_a_constant_component_has_no_kink():
+    problem = cart(SmoothCost(stage="norm(x_0, 0.3) + u_0**2", terminal="cosh(x_0)"), 3)
+    assert lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False)).status == "optimal"
+
+
 @pytest.mark.parametrize(("terminal", "least"), [("-2*x_0**2", -1650.0), ("cos(3*x_0)", -0.8237636916)])
 def test_the_curvature_of_a_terminal_cost_counts_at_a_saddle(terminal, least):
     """At rest the cost is stationary, and falls along a direction: that of the last state alone says so."""
