@@ -356,8 +356,9 @@ def _scales(terms: Array, least: Array) -> Array:
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
     """Return the condition at its worst entry, relative to the scale of the component; residual (times, components)."""
-    relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
-    t, component = first_largest(relative)
+    largest = residual.max(axis=0)
+    (component,) = first_largest(np.divide(largest, scales, out=np.zeros_like(largest), where=scales > 0))
+    (t,) = first_largest(residual[:, component])
     return Condition(
         label, name, float(residual[t, component]), float(scales[component]), CONDITION_TOLERANCE, first + t, component
     )

@@ -18,8 +18,6 @@ from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
 from lin_freq_ocp.methods.correction import Correction, correct
 from lin_freq_ocp.methods.repair import repair_trajectory
-from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
@@ -27,7 +25,6 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 
-CORRECTED = LinearDynamics, FrequencyResponse  # dynamics of problems whose points are corrected
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
 
@@ -101,7 +98,7 @@ def judge_nearest(
     trajectory, multipliers = candidate.trajectory, candidate.multipliers
     assert trajectory is not None
     assert multipliers is not None
-    if type(problem.dynamics) not in CORRECTED or multipliers.eta_C != 1 or candidate.interrupted:
+    if problem.dynamics.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
         return candidate, judge(problem, trajectory, multipliers, allowed)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
         repaired = repair_trajectory(problem, trajectory)
