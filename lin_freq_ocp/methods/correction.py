@@ -25,6 +25,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import at_frequencies
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import ZERO_GAP, ActiveSystem, solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
@@ -34,6 +35,7 @@ from lin_freq_ocp.program.units import scale_rows_and_cost
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
+RESTING = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 EPSILON = float(np.finfo(float).eps)
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
@@ -112,13 +114,16 @@ class _Deviations:
         duals = scaling.dual(y)
         if not np.isfinite(duals).all():  # too large for the units of the problem
             return None
-        change = linear.direction(scaling.primal(z))
-        corrected = _within_bounds(problem, self.trajectory.x + change.x, self.trajectory.u + change.u)
+        change, (_, of_u) = linear.direction(scaling.primal(z)), linear.split_signals(scaling.columns)
+        origin = 0.0 if problem.origin is None else problem.origin  # digits of x are those of the user's coordinates
+        x, u = (self.trajectory.x + change.x + origin) - origin, self.trajectory.u + change.u
+        corrected = _within_bounds(problem, x, np.where(np.abs(u) <= EPSILON * of_u, 0.0, u))
         after = LinearProgram(problem, corrected.extended)
         after.share_matrices(linear)
         point = after.point(corrected)
         system = replace(system, program=after.sparse.scaled(scaling))
-        sizes = np.abs(np.concatenate([corrected.x.ravel(), corrected.u.ravel(), point[linear.signals :]]))
+        sizes = np.abs(corrected.x) + np.abs(origin), np.abs(corrected.u), np.abs(point[linear.signals :])
+        sizes = np.concatenate([part.ravel() for part in sizes])
         terms = scaling.rows * (abs(linear.sparse.A) @ sizes)
         return Correction(
             corrected,
@@ -161,10 +166,7 @@ def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajec
 
 def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
-    x, u, tube = trajectory.x, np.abs(trajectory.u).max(0), problem.control_tube
-    width = tube.upper - tube.lower
-    of_u = np.where(u > 0, u, np.where(np.isfinite(width), width, 0.0).max(0))
-    of_u = np.where(of_u > 0, of_u, 1.0)
+    x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING * stated_sizes(problem)[1])
     reach = np.ptp(x, axis=0)
     if problem.dynamics.response(problem.horizon) is None:
         steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)

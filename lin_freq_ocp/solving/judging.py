@@ -127,7 +127,9 @@ def judge_nearest(
     # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
     if any(term.semi_infinite is not None for term in problem.terms):
         return candidate, own
-    if corrected is not None and own.pmp == "satisfied":  # a correction refines an extremal, and makes none
+    # a correction refines an extremal, and makes none: it costs no more than the residuals that it removes are worth
+    dearer = np.inf if corrected is None else corrected[1].cost - own.cost - own.worth_of_residuals
+    if corrected and own.pmp == "satisfied" and dearer <= allowed * own.cost_scale:
         return corrected
     return candidate, replace(own, worth_of_residuals=np.inf)
 
@@ -180,7 +182,8 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
     before, outcome = outcome.certificate, replace(outcome, trajectory=trajectory, multipliers=multipliers)
     if before is None or multipliers is None:
         return outcome
-    after = replace(judge(*inverse.judged_at(trajectory), multipliers, allowed), descent=before.descent)
+    after = judge(*inverse.judged_at(trajectory), multipliers, allowed)
+    after = replace(after, descent=before.descent, data_rounding=before.data_rounding)
     if inverse.given.dynamics.mode_names:
         after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message

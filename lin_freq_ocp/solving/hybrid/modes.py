@@ -18,10 +18,9 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates, trajectory_without_cost
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
@@ -35,7 +34,6 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fixed_modes
 from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search
-from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
@@ -312,12 +310,20 @@ def _judge_search(
 def _solve_sequence(
     problem: OptimalControlProblem, sequence: Indices, time_limit: float | None, programs: ProgramCache | None
 ) -> Judged | None:
-    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all."""
+    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all.
+
+    In place of one that violates the theorem comes a trajectory nearby that costs nothing: solvers approach it to the
+    root of their tolerance only.
+    """
     first = None
     inverse = fixed_modes(problem, sequence)
     options = SolveOptions(time_limit=time_limit)
     for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, options, programs):
         for point in _judge_candidate(inverse, candidate):
+            if point[2].feasible and point[2].pmp == "violated":
+                resting = trajectory_without_cost(inverse.problem, point[0])
+                points = () if resting is None else _judge_candidate(inverse, resting)
+                return next((one for one in points if one[2].cost <= point[2].cost and not one[2].failed), point)
             if point[2].feasible:
                 return point
             first = first or point
@@ -328,9 +334,6 @@ def _judge_candidate(inverse: FixedModes, candidate: Candidate) -> Iterator[Judg
     """Yield the trajectories of a candidate for a mode sequence, judged with the best multipliers."""
     if candidate.trajectory is None or candidate.multipliers is None:
         return
-    candidate, _ = judge_nearest(inverse.problem, candidate, CONDITION_TOLERANCE)
-    assert candidate.trajectory is not None
-    assert candidate.multipliers is not None
     for trajectory in inverse.trajectories(candidate.trajectory):
         first = inverse.multipliers(candidate.multipliers, trajectory)
         certificate, multipliers = best_multipliers(inverse.given, trajectory, first)
