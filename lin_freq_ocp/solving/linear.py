@@ -11,7 +11,7 @@ from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.certificate.rays import proof_margin, prove_infeasible
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import (
@@ -30,6 +30,10 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import solve_spectral
 
 PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness that any backend reports
+
+SMALL_MARGIN = 1e-5
+"""Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
+point that satisfies every constraint within the judge's tolerance."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
@@ -226,7 +230,7 @@ class Structured(_Linear):
     shorthand: ClassVar[str] = "structured"
 
     def _run(self, trial: _Trial, request: Request) -> Outcome:
-        problem = trial.problem
+        problem, first, certified = trial.problem, None, 0.0
         stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
         candidate = solve_from_warm_start(problem, stage_cache, trial.options)
         if candidate is not None:
@@ -237,12 +241,19 @@ class Structured(_Linear):
 
         def accept_ray(ray: Multipliers) -> bool:
             proof = prove_infeasible(problem, ray)
-            return proof is not None and proof.bound.kind == RIGOROUS
+            return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
 
-        outcome = trial.judge_point(solve_structured(problem, trial.options, accept_ray, stage_cache))
-        if outcome.status == Status.OPTIMAL:
-            stage_cache.warm_start = outcome.trajectory
-        return trial.try_without_cost(outcome)
+        for candidate in solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache):
+            outcome = trial.judge_point(candidate)
+            certified += outcome.seconds["certify"]
+            if first is None or _rank(outcome) > _rank(first):
+                first = outcome
+            if _is_final(outcome):
+                break
+        assert first is not None  # the method yields an answer, or raises
+        if first.status == Status.OPTIMAL:
+            stage_cache.warm_start = first.trajectory
+        return trial.try_without_cost(replace(first, seconds=first.seconds | {"certify": certified}))
 
 
 @dataclass(frozen=True)
@@ -319,6 +330,8 @@ def _is_final(outcome: Outcome) -> bool:
     certificate = outcome.certificate
     proven = outcome.status == Status.OPTIMAL and certificate is not None and certificate.pmp == "satisfied"
     excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
+    if excluded and outcome.ray is not None:
+        excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 

@@ -52,7 +52,7 @@ def test_a_softened_plan_is_that_of_the_softened_problem(seed):
 def test_the_structured_method_takes_few_steps_whatever_a_price_is(penalty):
     """Rows with a price of 1e6 begin with products of slacks and multipliers as large as those of the mask."""
     problem = soften(replace(random_problem(1), initial_state=[4.0, 4.0]), {"state_set": penalty})
-    candidate = solve_structured(problem)
+    (candidate,) = solve_structured(problem)
     assert candidate.status == "optimal"
     assert int(candidate.message.split()[2]) <= 15
 

@@ -251,6 +251,21 @@ def _control_sizes(tube: Box, stated: Array) -> Array:
     return np.where(larger, bounds, stated)
 
 
+def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
+    """Return units from a solution y (n+m, T) in the given units, or None if those were right.
+
+    If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
+    """
+    reached = np.abs(y).max(1)
+    wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
+    if not wrong.any():
+        return None
+    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
+    n = len(units.x)
+    smallest = float(factor[n:].max()) ** 2
+    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
+
+
 def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic

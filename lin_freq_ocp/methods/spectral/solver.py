@@ -19,7 +19,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import Exchange, ExchangeOutcome, Stop, deadline, first_working_set
-from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
@@ -129,6 +129,14 @@ class SpectralSolver:
         self._ends_model: EndsModel | None = None
         self.setup_seconds = now() - started
 
+    @classmethod
+    def _in_units(cls, problem: OptimalControlProblem, units: LtiUnits) -> SpectralSolver:
+        """Return a solver for the same problem, set up in other units."""
+        solver = cls.__new__(cls)
+        solver.problem = problem
+        solver._set_up(units)
+        return solver
+
     def solve(
         self,
         initial_state: ArrayLike | ConvexSet | None = None,
@@ -183,6 +191,14 @@ class SpectralSolver:
             with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
                 answer = self._exchange(lti, first, allowed, stop)
+                y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
+                units = revised_units(self._units, y) if optimal else None
+                if units is not None:  # the first units were wrong
+                    better = SpectralSolver._in_units(self.problem, units)
+                    second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                    if second.outcome.status == "optimal":
+                        self.__dict__.update(better.__dict__)
+                        answer = second
                 return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
     def changed_problem(
@@ -294,7 +310,7 @@ class SpectralSolver:
 
     @property
     def units(self) -> LtiUnits:
-        """Return the units of the method."""
+        """Return the units of the method: revised ones after a solve that showed others to be wrong."""
         return self._units
 
     @property

@@ -2,6 +2,8 @@
 
 # Spaces of the bins (model.py, spaces.py)
 LEAST_SIZE = 1e-4  # components that should be zero hold rounding: they are not measured more finely than this
+WRONG_UNIT = 1e-5  # largest value of a component, in its unit, below which that unit was wrong
+ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds rounding only
 MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
 NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent

@@ -6,7 +6,7 @@ active rows and pivots among them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 MATRICES, VECTORS = 12, 100  # of the size of a stage that are in memory at the same time
 LATE = 2.0  # a step may take so many times as long as estimated
+MOST_REVISIONS = 3  # of the units by the size of the answer: if nothing has a size, each answer has other units
 RESIDUAL, GAP = 1e-10, 1e-9  # relative, by default
 
 
@@ -33,8 +34,8 @@ def solve_structured(
     options: SolveOptions = DEFAULTS,
     accept_ray: Callable[[Multipliers], bool] = lambda ray: False,
     stage_cache: StageCache | None = None,
-) -> Candidate:
-    """Solve a problem with linear dynamics and a convex cost.
+) -> Iterator[Candidate]:
+    """Solve a problem with linear dynamics and a convex cost; yield the answer, then answers in units of its size.
 
     ``accept_ray`` tells whether a ray that is still rough proves infeasibility; ``stage_cache`` holds the stages of a
     similar problem. UnsupportedError if the cost is not convex, a term of the problem does not fit, or too many rows
@@ -53,12 +54,20 @@ def solve_structured(
     setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and now() + needed > end:
-        message = f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s"
-        return Candidate(Status.LIMIT, message=message)
-    system = System(assembly.stages, recursions)
-    step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
-    answer = Embedding(system, step, targets, lambda z: accept_ray(assembly.multipliers(z, 0.0))).run()
-    return _candidate(answer, assembly, {"setup": setup, "solve": now() - started - setup})
+        yield Candidate(Status.LIMIT, message=f"time limit of {time_limit:.3g} s; one step may need {needed:.2g} s")
+        return
+    for _ in range(MOST_REVISIONS + 1):
+        system = System(assembly.stages, recursions)
+        step = StepSystem(system, choose_kkt_solver(assembly.stages, recursions))
+        answer = Embedding(
+            system, step, targets, lambda z, assembly=assembly: accept_ray(assembly.multipliers(z, 0.0))
+        ).run()
+        seconds = {"setup": setup, "solve": now() - started - setup}
+        yield _candidate(answer, assembly, seconds)
+        revised = assembly.revised(answer.y) if answer.end in (End.OPTIMAL, End.STALLED) else None
+        if revised is None or now() + needed > end:
+            return
+        assembly = revised
 
 
 def solve_from_warm_start(

@@ -24,7 +24,7 @@ def compiled(request):
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_solved(kind, compiled):
     problem = KINDS[kind]()
-    found = solve_structured(problem, SolveOptions(compiled=compiled))
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "optimal"
     certificate = lfo.certify(problem, found.trajectory, found.multipliers)
     assert certificate.globally_optimal
@@ -38,7 +38,7 @@ def test_every_kind_is_solved(kind, compiled):
 )
 def test_every_kind_of_ray_proves(kind, compiled):
     problem = infeasible(kind)
-    found = solve_structured(problem, SolveOptions(compiled=compiled))
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "infeasible"
     assert prove_infeasible(problem, found.ray) is not None
 
@@ -51,5 +51,5 @@ def test_an_end_that_is_just_out_of_reach_is_no_fault(further, compiled):
         lfo.library.double_integrator(cutoff_hz=0.3),
         terminal_state=lfo.Box([reached[0] + further, reached[1]], [2 - reached[0], -reached[1]]),
     )
-    found = solve_structured(problem, SolveOptions(compiled=compiled), lambda ray: False)
+    found = next(solve_structured(problem, SolveOptions(compiled=compiled), lambda ray: False))
     assert found.status in ("infeasible", "numerical_error")

@@ -82,7 +82,7 @@ def test_it_is_solved_and_certified(order):
     problem = lfo.OptimalControlProblem(
         PLANT, T, COST + Variation(order), initial_state=[1.0, -0.5], control_set=lfo.Box(-0.5, 0.5)
     )
-    found = solve_structured(problem, SolveOptions(compiled=False))
+    (found,) = solve_structured(problem, SolveOptions(compiled=False))
     assert found.status == "optimal"
     assert found.trajectory is not None
     assert lfo.certify(problem, found.trajectory, found.multipliers).globally_optimal

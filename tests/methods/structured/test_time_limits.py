@@ -34,7 +34,7 @@ def test_no_step_is_begun_that_would_end_late(limit):
 
 def test_the_best_point_is_returned_with_what_it_reached():
     with use_clock(Clock(1.0)):
-        candidate = solver.solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
+        (candidate,) = solver.solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
     assert candidate.status == "limit"
     assert candidate.message.startswith("time limit after 4 steps: relative residuals of ")
     assert np.isfinite(candidate.trajectory.x).all()
@@ -46,7 +46,7 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
 
     monkeypatch.setattr(solver, "Embedding", never)
     monkeypatch.setattr(solver, "step_seconds", lambda *given: 4.0)
-    candidate = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
+    (candidate,) = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
     assert candidate.status == "limit"
     assert candidate.trajectory is None
     assert "time limit of 7.9 s; one step may need 8 s" in candidate.message
