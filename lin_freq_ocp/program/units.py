@@ -110,6 +110,12 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     return scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
 
 
+def revised_scaling(linear: LinearProgram, scaling: Scaling, z: Array) -> Scaling | None:
+    """Return units from a solution z (in the program's own units), or None if they differ little from its own."""
+    revised = point_scaling(linear, z, scaling.columns)
+    return revised if is_revision(revised.columns / scaling.columns, revised.cost / scaling.cost) else None
+
+
 def is_revision(columns: Array, cost: float) -> bool:
     """Whether units that change by these factors are worth another solve."""
     return bool(np.abs(np.log(np.append(columns, cost))).max() > np.log(REVISED))

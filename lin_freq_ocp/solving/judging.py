@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -118,38 +117,33 @@ def judge_nearest(
             correction = correct(problem, trajectory, multipliers)
     except UnsupportedError:  # it does not fit into memory, or would take too long
         return candidate, own
-    corrected = None
-    if correction is not None and np.isfinite(correction.price):
-        for point in _corrected_points(problem, candidate, correction, allowed):
-            if point[1].proven_within(allowed):
-                return point
-            corrected = corrected or point
+    proof = None if correction is None else _judge_correction(problem, candidate, correction, allowed)
+    if proof is not None:
+        return proof
     # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
-    if any(term.semi_infinite is not None for term in problem.terms):
-        return candidate, own
-    # a correction refines an extremal, and makes none: it costs no more than the residuals that it removes are worth
-    dearer = np.inf if corrected is None else corrected[1].cost - own.cost - own.worth_of_residuals
-    if corrected and own.pmp == "satisfied" and dearer <= allowed * own.cost_scale:
-        return corrected
-    return candidate, replace(own, worth_of_residuals=np.inf)
+    known = any(term.semi_infinite is not None for term in problem.terms)
+    return candidate, own if known else replace(own, worth_of_residuals=np.inf)
 
 
-def _corrected_points(
+def _judge_correction(
     problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
-) -> Iterator[tuple[Candidate, Certificate]]:
-    """Yield the corrected candidate with the corrected multipliers, then with its former ones, which may prove more.
+) -> tuple[Candidate, Certificate] | None:
+    """Return the corrected candidate with the multipliers that prove it, its own or the former; None if none do.
 
-    Then rounding of the data may decide: both come again, with its worth.
+    Where no bound is close enough, rounding of the data may decide.
     """
+    if not np.isfinite(correction.price):
+        return None
     judged = list[tuple[Candidate, Certificate]]()
     for multipliers in (correction.multipliers, candidate.multipliers):
         assert multipliers is not None
         point = replace(candidate, trajectory=correction.trajectory, multipliers=multipliers)
         certificate = judge(problem, correction.trajectory, multipliers, allowed)
         judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
-        yield judged[-1]
-    for point, certificate in judged:
-        yield point, replace(certificate, data_rounding=correction.data_rounding)
+        if judged[-1][1].proven_within(allowed):
+            return judged[-1]
+    judged = [(point, replace(k, data_rounding=correction.data_rounding)) for point, k in judged]
+    return next((one for one in judged if one[1].proven_within(allowed)), None)
 
 
 def candidate_of(outcome: Outcome) -> Candidate:

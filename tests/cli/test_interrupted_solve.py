@@ -32,20 +32,24 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
     assert (status, out, err.strip()) == (130, "", "")
 
 
-def test_ctrl_c_keeps_the_best_point(monkeypatch):
+@pytest.mark.parametrize("passes", [0, 1])
+def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
+    """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
     finished = []
+    monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
+    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
         answer = clarabel_.solve(program, tolerance, time_limit)
         finished.append(answer)
-        return Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
+        return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
 
     monkeypatch.setattr(convex, "backend", lambda name: impatient)
     status, out, _ = run("solve", "pendulum", "--method", "convex", "--json")
     summary = parsed(out)
     require(summary, SOLVE)
     require_words(summary)
-    assert len(finished) == 1
+    assert len(finished) == passes + 1
     assert summary["cost"] == pytest.approx(3199.186, rel=1e-3)
     assert status == 130
 

@@ -15,6 +15,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.units import point_scaling, point_sizes
 
+ACCURATE_ANSWER = 1e-8  # relative residuals up to which an answer of Clarabel is not improved by other units
 DIVERGED_SIZE = 1e100  # size, in expected units, of a diverged point
 FAR_BOUND = 1e4  # size, in expected units, from which bounds disturb solvers and are left out at first
 
@@ -45,32 +46,33 @@ class ScaledSolver:
     tolerance: float | None  # that the user asks for
     solver_tolerance: float
     end: float  # by clock.now
+    target: float  # residuals from which an answer is not improved
 
     @property
     def over(self) -> bool:
         """Whether there is no time left."""
         return now() >= self.end
 
-    def attempt(self, scaling: Scaling) -> Attempt:
+    def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
         """Solve in the given units, at first without far bounds."""
         program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
         if near is None:
-            return self._solve(program, scaling)
-        attempt = self._solve(near, scaling)
+            return self._solve(program, scaling, tolerance)
+        attempt = self._solve(near, scaling, tolerance)
         if attempt.ended or attempt.candidate.status in (Status.OPTIMAL, Status.INFEASIBLE) or self.over:
             return attempt
-        complete = self._solve(program, scaling)
+        complete = self._solve(program, scaling, tolerance)
         return complete if attempt.candidate.status == Status.UNBOUNDED else better_of(attempt, complete)
 
     def solve_with_all_bounds(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds."""
-        return self._solve(self.linear.sparse.scaled(scaling), scaling)
+        return self._solve(self.linear.sparse.scaled(scaling), scaling, None)
 
     def solve_without_far_bounds(self, scaling: Scaling) -> Attempt | None:
         """Solve without far bounds; None if no bound is far, or if the program is unbounded without them."""
         near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
-        attempt = None if near is None else self._solve(near, scaling)
+        attempt = None if near is None else self._solve(near, scaling, None)
         return None if attempt is None or attempt.candidate.status == Status.UNBOUNDED else attempt
 
     def recover(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
@@ -120,8 +122,8 @@ class ScaledSolver:
             point, duals = None, None
         return Attempt(candidate, scaling, residuals.worst, point, duals, late)
 
-    def _solve(self, program: Program, scaling: Scaling) -> Attempt:
-        solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
+    def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
+        solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
         return self.recover(scaling, program, solution)
 
 

@@ -16,8 +16,15 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
-from lin_freq_ocp.methods.candidate import DEFAULTS, Candidate, SolveOptions, require_convex, zero_multipliers
-from lin_freq_ocp.methods.convex.attempts import Attempt, ScaledSolver, better_of
+from lin_freq_ocp.methods.candidate import (
+    DEFAULTS,
+    SOLVED_TOLERANCE,
+    Candidate,
+    SolveOptions,
+    require_convex,
+    zero_multipliers,
+)
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -27,12 +34,20 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
-from lin_freq_ocp.program.units import bounds_scaling, natural_scaling, plain_scaling, point_scaling, stated_scaling
+from lin_freq_ocp.program.units import (
+    bounds_scaling,
+    natural_scaling,
+    plain_scaling,
+    point_scaling,
+    revised_scaling,
+    stated_scaling,
+)
 
 REDUCTIONS = (ABSORBED_COST,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
 LARGEST_ERROR = 1e-3  # relative residuals up to which a point is rounded
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point
+REVISIONS = 2  # of the units by the size of the answer, at most
 MOST_PROGRAMS = 32  # in a cache
 # The sparse program has a dense row for every frequency constraint, and its time grows with the entries of these rows;
 # the structured method has none, but needs more time for a small problem. Measured by scripts/benchmark.py choice.
@@ -44,13 +59,15 @@ VARIABLES = 9e3  # of a program without dense rows, above which it is a little f
 def solve_convex(problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS) -> Candidate:
     """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
 
-    UnsupportedError if the cost is not convex, the backend is unknown, or the program does not fit into memory.
+    If the answer has other sizes, or is inaccurate, the problem is solved in further units, and the answer with the
+    smallest residuals is returned. UnsupportedError if the cost is not convex, the backend is unknown, or the program
+    does not fit into memory.
     """
     return next(convex_candidates(problem, backend_name, options))
 
 
 class ProgramCache:
-    """Programs of like problems, with their units: one with the same matrices lends both to the next.
+    """Programs of like problems, with their units: one with the same matrices lends these to the next.
 
     In a control loop with windows over applied samples, as many programs take turns as there are steps in a hop.
     """
@@ -68,6 +85,10 @@ class ProgramCache:
         scaling = natural_scaling(linear) if known is None else known[1]
         self._known.append((linear, scaling))
         return linear, scaling
+
+    def revise_units(self, scaling: Scaling) -> None:
+        """Replace the units of the last program: those were not of order 1."""
+        self._known.append((self._known.pop()[0], scaling))
 
 
 def convex_candidates(
@@ -103,15 +124,47 @@ def convex_candidates(
         message = f"time limit of {time_limit:.3g} s, over before the solver began"
         yield Candidate(Status.LIMIT, message=message, seconds={"setup": ready - started, "solve": 0.0})
         return
+    interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
+    target = max(ACCURATE_ANSWER if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
     solver_tolerance = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    if backend_name == "clarabel":  # its last steps cost little, and often lead to a proof
+    if interior:
         solver_tolerance = min(solver_tolerance, DEFAULT_TOLERANCE)
-    solves = ScaledSolver(linear, solver, tolerance, solver_tolerance, end)
-    best = solves.attempt(scaling)
+    solves = ScaledSolver(linear, solver, tolerance, solver_tolerance, end, target)
+    best = _revise_units(solves, solves.attempt(scaling))
+    # as long as the best attempt is inaccurate, other units
+    further_attempts: list[Callable[[Attempt], Attempt]] = [
+        lambda best: solves.attempt(_units_of_point(solves, best, scaling, per_time=True) or scaling),
+        lambda best: solves.attempt(stated_scaling(linear)),
+        lambda best: solves.attempt(plain_scaling(linear)),
+    ]
+    if solver_tolerance > DEFAULT_TOLERANCE:
+        further_attempts.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
+    for attempt in further_attempts:
+        if best.ended or best.error <= max(SOLVED_TOLERANCE, tolerance or 0.0) or solves.over:
+            break
+        best = better_of(best, _revise_units(solves, attempt(best)))
+    if best.z is not None and best.scaling is not scaling:
+        programs.revise_units(best.scaling)
     seconds = {"setup": ready - started, "solve": now() - ready}
     yield replace(best.candidate, seconds=seconds)
     for candidate in other_candidates(solves, scaling, best):
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
+
+
+def _revise_units(solves: ScaledSolver, attempt: Attempt) -> Attempt:
+    """Return the attempt, or a better one in the units of its point."""
+    best = attempt
+    for _ in range(REVISIONS):
+        if best.ended or best.z is None or best.error <= solves.target or solves.over:
+            break
+        revised = revised_scaling(solves.linear, best.scaling, best.z)
+        if revised is None:
+            break
+        attempt = solves.attempt(revised)
+        if not attempt.ended and attempt.error >= best.error:
+            break
+        best = better_of(best, attempt)
+    return best
 
 
 def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
