@@ -35,7 +35,7 @@ from lin_freq_ocp.program.units import scale_rows_and_cost
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
-RESTING = 1e-6  # unit of a control that rests, relative to its size in the data
+RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 EPSILON = float(np.finfo(float).eps)
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
@@ -166,7 +166,7 @@ def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajec
 
 def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
-    x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING * stated_sizes(problem)[1])
+    x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     reach = np.ptp(x, axis=0)
     if problem.dynamics.response(problem.horizon) is None:
         steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)
