@@ -91,9 +91,12 @@ def test_a_small_gain_on_a_state_that_is_not_small(gain, method):
     assert result.cost == pytest.approx(10.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("gain", [1e6, 1e10, 1e14, 1e20, 1e100])
+@pytest.mark.parametrize("gain", [1e6, 1e10, 1e14, 1e100])
 def test_what_large_gains_make_of_a_state_is_no_scale_of_its_residuals(gain):
-    """x_1 - x_2 changes by B u alone, by 5e-2 at most: no control leads to (1, 0)."""
+    """x_1 - x_2 changes by B u alone, by 5e-2 at most: no control leads to (1, 0).
+
+    At 1e20, a trajectory ends there whose every equation holds to half a rounding error of its terms.
+    """
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[gain, gain], [gain, gain]], [[5e-5], [0.01]]),
         10,
