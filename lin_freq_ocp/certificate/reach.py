@@ -259,10 +259,14 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
     Rows that share no unknown component with others say what they say without these.
     """
     unknown = np.flatnonzero(np.isinf(values[0]))
+    bounds = _radii_of_block(columns, residual, values, unknown)
+    if bounds is not None:
+        values[:, unknown] = bounds
+        return True
     present = (columns[:, unknown] != 0).astype(float)
     count, block_of = connected_components(present.T @ present, directed=False)
     filled = False
-    for block in range(count):
+    for block in range(count) if count > 1 else ():
         chosen = block_of == block
         rows = present[:, chosen].any(axis=1)
         bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])
