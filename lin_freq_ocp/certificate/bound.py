@@ -155,8 +155,10 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
 
     if multiple is not None:
         return bound_within(multiple)
-    proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem, at, region), 0.0, RIGOROUS)
     farthest = farthest_bound(bound_within)
+    if farthest.value <= 0:  # nor over any box around the trajectory
+        return farthest
+    proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem), 0.0, RIGOROUS)
     return replace(proven, multiple=farthest.multiple) if proven.value > 0 else farthest
 
 

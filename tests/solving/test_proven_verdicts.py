@@ -193,8 +193,7 @@ def test_other_constraints_bound_signals_as_boxes_do(name):
     result = lfo.solve(replace(far, **BOUNDED[name]), throw=False)
     assert (result.status, result.bound) == ("infeasible", "rigorous")
     problem = replace(far, terminal_state=None, **BOUNDED[name])
-    rest = lfo.simulate(problem, np.zeros((20, 1)))
-    region = implied_bounds(problem, rest, reachable_bounds(problem))
+    region = implied_bounds(problem)
     assert all(np.isfinite(side).all() for side in (*region.x, *region.u))
     for r, q in (([1.0], [0.0, 0.0]), ([0.0], [-1.0, 0.0]), ([0.0], [0.0, 1.0])):
         extreme = lfo.solve(replace(problem, cost=lfo.QuadraticCost(r=r, q=q)), throw=False).trajectory
