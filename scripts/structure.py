@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_691,
-    "code lines, linear part": 20_615,
+    "code lines": 41_696,
+    "code lines, linear part": 20_620,
     "code lines, hybrid": 8_606,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
