@@ -154,8 +154,7 @@ def _repair_price(system: ActiveSystem, z: Array, terms: Array) -> float:
     program, values = system.program, system.program.A @ (z + change)
     others = program.alone & ~system.active.above & ~system.active.below
     outside = np.maximum(values - program.upper, program.lower - values)[others]
-    of_cones = [np.linalg.norm(s[1:]) - s[0] for s in (values[c] - program.lower[c] for c in program.cones)]
-    holds = max(outside.max(initial=0.0), *of_cones, 0.0) <= ZERO_GAP
+    holds = max(outside.max(initial=0.0), program.outside_cones(values - program.lower)) <= ZERO_GAP
     return _price(system, change) if (left <= CONTRACTION or rounded) and holds else np.inf
 
 

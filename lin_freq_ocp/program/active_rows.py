@@ -48,9 +48,8 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     """Return the rows whose multipliers exceed their slacks; after a step, violated ones, and those that press."""
     values, equal = program.A @ z, program.equality & program.alone
     over, under = values - program.upper, program.lower - values
-    cones = [(program.A[cone] @ z - program.lower[cone], -y[cone.start]) for cone in program.cones]
-    excess = np.array([float(np.linalg.norm(s[1:]) - s[0]) for s, _ in cones])
-    price = np.array([w for _, w in cones])
+    (_, heads, tails), price = program.of_cones(-under), -y[program.in_cones[program.heads]]
+    excess = tails - heads
     if before is None:
         above, below, edges = y > -over, -y > -under, price > -excess
     else:
@@ -58,7 +57,7 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
         below = np.where(before.below, y < ZERO_GAP, under > ZERO_GAP)
         edges = np.where(before.edges, price > -ZERO_GAP, excess > ZERO_GAP)
     above = equal | (program.alone & above & np.isfinite(program.upper))
-    return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges)
+    return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges & (tails > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,22 +66,22 @@ class ActiveSystem:
 
     program: Program
     active: _Active
-    normals: tuple[tuple[slice, Array], ...]  # of the cones at whose edge the point lies
     M: sp.csc_array
     H: sp.csc_array
     factor: SuperLU
+    proximal: float
 
     def gaps(self, of_rows: Array) -> Array:
         """Return one number for each row of M from one of each row of the program."""
-        return np.append(of_rows[self.active.rows], [of_rows[cone].max() for cone, _ in self.normals])
+        of_cones = np.maximum.reduceat(of_rows[self.program.in_cones], self.program.heads)
+        return np.append(of_rows[self.active.rows], of_cones[self.active.edges])
 
     def residual(self, z: Array) -> Array:
         """Return b - M z."""
-        program, rows = self.program, self.active.rows
-        limits = np.where(self.active.above, program.upper, program.lower)[rows]
-        slacks = [program.A[cone] @ z - program.lower[cone] for cone, _ in self.normals]
-        of_cones = [s[0] - np.linalg.norm(s[1:]) for s in slacks]
-        return np.append(limits - program.A[rows] @ z, of_cones)
+        program, values = self.program, self.program.A @ z
+        limits = np.where(self.active.above, program.upper, program.lower)
+        _, heads, tails = program.of_cones(values - program.lower)
+        return np.append((limits - values)[self.active.rows], (heads - tails)[self.active.edges])
 
     def solve(self, of_z: Array, of_rows: Array) -> tuple[Array, Array, bool]:
         """Return the solution (dz, dy) for a right-hand side, refined, and whether it converges."""
@@ -112,7 +111,7 @@ def solve_active(program: Program, z: Array, y: Array) -> tuple[Array, Array, Ac
     """Return the point that satisfies the conditions of its active rows, its multipliers, and the last system."""
     active, system = _active_at(program, z, y, None), None
     for _ in range(ACTIVE_ROUNDS):
-        step = _newton_step(program, z, y, active)
+        step = _newton_step(program, z, y, active, 0.0 if system is None else system.proximal)
         if step is None:
             return None
         moved = float(np.abs(step[0] - z).max())
@@ -126,46 +125,50 @@ def solve_active(program: Program, z: Array, y: Array) -> tuple[Array, Array, Ac
     return z, np.where(system.active.below, np.minimum(signs, 0.0), signs), system
 
 
-def _newton_step(program: Program, z: Array, y: Array, active: _Active) -> tuple[Array, Array, ActiveSystem] | None:
-    """Return z and y after one step on the conditions of the active rows, and the system; None if none converges."""
-    rows = active.rows
-    held, weights = np.zeros_like(y), np.array([max(-y[cone.start], 0.0) for cone in program.cones])
-    held[rows] = y[rows]
-    parts, normals, curved = [sp.csr_array(program.A[rows])], list[tuple[slice, Array]](), list[sp.csr_array]()
-    for cone, weight, at_edge in zip(program.cones, weights, active.edges, strict=True):
-        s = program.A[cone] @ z - program.lower[cone]
-        size = float(np.linalg.norm(s[1:]))
-        if not at_edge or size == 0:
-            continue
-        tail = s[1:] / size
-        normal = np.append(-1.0, tail)
-        normals.append((cone, normal))
-        held[cone] = weight * normal
-        parts.append(sp.csr_array(normal[None] @ program.A[cone]))
-        bend = np.sqrt(weight / size) * (np.eye(len(tail)) - np.outer(tail, tail))
-        curved.append(sp.csr_array(bend @ program.A[cone][1:]))
-    M = sp.csc_array(sp.vstack(parts))
-    C = sp.csc_array(sp.vstack(curved)) if curved else None
-    H = program.P if C is None else sp.csc_array(program.P + C.T @ C)
+def _newton_step(
+    program: Program, z: Array, y: Array, active: _Active, least: float
+) -> tuple[Array, Array, ActiveSystem] | None:
+    """Return z and y after one step on the conditions of the active rows, and the system; None if it is singular.
+
+    Smaller proximal weights than ``least`` are not tried.
+    """
+    rows, edges, in_cones = active.rows, active.edges, program.in_cones
+    at_edge, held, A = edges[program.cone_of], np.zeros_like(y), sp.csr_array(program.A)
+    weights, (normals, sizes) = np.maximum(-y[in_cones[program.heads]], 0.0), _normals(program, z)
+    held[rows], held[in_cones[at_edge]] = y[rows], (weights[program.cone_of] * normals)[at_edge]
+    M, H = A[rows], program.P
+    if edges.any():
+        tails = at_edge.copy()
+        tails[program.heads] = False
+        cone = (np.cumsum(edges) - 1)[program.cone_of[tails]]
+        N = sp.csr_array((normals[tails], (cone, np.arange(len(cone)))), shape=(int(edges.sum()), len(cone)))
+        along, across = N @ A[in_cones[tails]], A[in_cones[tails]]
+        across = across - N.T @ along
+        M = sp.vstack([M, along - A[in_cones[program.heads[edges]]]])
+        H = program.P + across.T @ sp.diags_array((weights / sizes)[edges][cone]) @ across
+    M, H = sp.csc_array(M), sp.csc_array(H)
     slope = program.P @ z + program.q + program.A.T @ held
-    found: tuple[ActiveSystem, Array, Array] | None = None
-    for proximal in PROXIMAL_WEIGHTS:
+    system, dz, dy = None, z, y
+    for proximal in (weight for weight in PROXIMAL_WEIGHTS if weight >= least):
         try:
             factor = splu(regularised_kkt(H, M, proximal, proximal))
         except RuntimeError:  # exactly singular
             continue
-        system = ActiveSystem(program, active, tuple(normals), M, H, factor)
-        *step, converged = system.solve(-slope, system.residual(z))
-        found = system, step[0], step[1]
+        system = ActiveSystem(program, active, M, H, factor, proximal)
+        dz, dy, converged = system.solve(-slope, system.residual(z))
         if converged:
             break
-    if found is None:
+    if system is None:
         return None
-    system, dz, dy = found
     z, held[rows] = z + dz, held[rows] + dy[: len(rows)]
-    for (cone, normal), change in zip(normals, dy[len(rows) :], strict=True):
-        s = program.A[cone] @ z - program.lower[cone]
-        size = float(np.linalg.norm(s[1:]))
-        weight = -held[cone.start] + change
-        held[cone] = weight * (np.append(-1.0, s[1:] / size) if size > 0 else normal)
+    weights[edges] += dy[len(rows) :]
+    held[in_cones[at_edge]] = (weights[program.cone_of] * _normals(program, z)[0])[at_edge]
     return z, held, system
+
+
+def _normals(program: Program, z: Array) -> tuple[Array, Array]:
+    """Return (-1, s_1/|s|, s_2/|s|, ...) for each cone, one after the other, and |s| = |(s_1, s_2, ...)|."""
+    s, _, sizes = program.of_cones(program.A @ z - program.lower)
+    normals = s / np.where(sizes > 0, sizes, 1.0)[program.cone_of]
+    normals[program.heads] = -1.0
+    return normals, sizes

@@ -133,6 +133,28 @@ class Program:
         return rows_of(self.cones)
 
     @cached_property
+    def cone_of(self) -> Indices:
+        """The number of the cone of each row of all cones."""
+        return np.repeat(np.arange(len(self.cones)), np.array([c.stop - c.start for c in self.cones], dtype=np.intp))
+
+    @cached_property
+    def heads(self) -> Indices:
+        """The places of the first rows of cones among the rows of all cones."""
+        return np.flatnonzero(np.diff(self.cone_of, prepend=-1))
+
+    def of_cones(self, of_rows: Array) -> tuple[Array, Array, Array]:
+        """Return the entries s of a vector (rows,) in all cones, and s_0 and |(s_1, ...)| of each cone."""
+        s = of_rows[self.in_cones]
+        tails = s.copy()
+        tails[self.heads] = 0.0
+        return s, s[self.heads], np.sqrt(np.add.reduceat(tails**2, self.heads))
+
+    def outside_cones(self, of_rows: Array) -> float:
+        """Return by how much |(s_1, ...)| exceeds s_0 at most."""
+        _, heads, tails = self.of_cones(of_rows)
+        return float((tails - heads).max(initial=0.0))
+
+    @cached_property
     def alone(self) -> Mask:
         """Which rows are in no cone."""
         alone = np.ones(len(self.lower), dtype=bool)
@@ -213,15 +235,13 @@ class Program:
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
         violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
-        above = Az - self.lower
-        outside = max((_outside_cone(above[cone]) for cone in self.cones), default=0.0)
-        outside_polar = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
+        outside, outside_polar = self.outside_cones(Az - self.lower), self.outside_cones(-y)
         bound, carried = self._bound_of(y)
         impossible = ~carried & (y != 0)
         slope, apart = Pz + self.q + Aty, bound - Az
         with np.errstate(over="ignore", invalid="ignore"):  # divergence gives large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
-            wrong += sum(abs(float(y[cone] @ apart[cone])) for cone in self.cones)
+            wrong += float(np.abs(np.add.reduceat((y * apart)[self.in_cones], self.heads)).sum())
             rounding = CONIC_UNIT_SHARE if self.cones else UNIT_SHARE
             ones = np.ones(len(z))
             least = TYPICAL_SHARE * self._magnitude(sizes * ones), rounding * self._magnitude(ones)
@@ -254,9 +274,8 @@ class Program:
         support = float((y * bound).sum())
         if support >= 0:
             return np.inf
-        outside = max((_outside_cone(-y[cone]) for cone in self.cones), default=0.0)
         lost = np.abs(y[~carried]).max(initial=0.0)
-        return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, outside)) / -support
+        return float(max(np.abs(self.A.T @ y).max(initial=0.0), lost, self.outside_cones(-y))) / -support
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,8 +328,3 @@ def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_ro
     i = np.concatenate([hessian.coords[0], rows.coords[0] + variables, rows.coords[1], every])
     j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + variables, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))
-
-
-def _outside_cone(s: Array) -> float:
-    """Return by how much |(s_1, ...)| exceeds s_0."""
-    return max(float(np.linalg.norm(s[1:]) - s[0]), 0.0)
