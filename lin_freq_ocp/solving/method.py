@@ -24,7 +24,8 @@ class Request:
 
     ``tolerance`` loosens the tolerance of the judge, which is CONDITION_TOLERANCE by default. ``cached`` is the solver
     cache of the same problem, with the change from that problem to this one; ``tree`` is the cache of the search of the
-    step before in a control loop.
+    step before in a control loop. Without ``proof``, an optimum may be what a solver claims: that of an intermediate
+    problem, or a first guess.
     """
 
     time_limit: float = np.inf
@@ -33,6 +34,7 @@ class Request:
     start: Start | None = None
     cached: tuple[SolverCache, Change] | None = None
     tree: SearchCache | None = None
+    proof: bool = True
 
     def with_end(self, end: float) -> Request:
         """Return the request with the time left until the end, by ``clock.now``, as its limit."""

@@ -59,8 +59,9 @@ def solve_judged(
     node_limit: int | None = None,
     executor: Executor | None = None,
     global_bound: bool | None = None,
+    proof: bool = True,
 ) -> Outcome:
-    """Solve a problem and judge the answer; ``lfo.solve`` documents parameters and errors."""
+    """Solve a problem and judge the answer; ``lfo.solve`` documents parameters and errors, ``Request`` proof."""
     require_problem(problem)
     limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
     require_options(method, backend, time_limit=time_limit, **limits)
@@ -68,7 +69,7 @@ def solve_judged(
     chosen = choose_method(problem, method, {"backend": None if backend == "auto" else backend, **options})
     first = None if start is None else start_of(problem, start)
     allowed = tolerance or getattr(chosen, "tolerance", None)
-    request = Request(np.inf if time_limit is None else time_limit, allowed, progress, first)
+    request = Request(np.inf if time_limit is None else time_limit, allowed, progress, first, proof=proof)
     translation = translation_of(problem)
     outcome = reduce_fractional_samples(solve_translated(chosen, translation, request), tolerance)
     outcome = restore_outcome(translation, outcome, allowed)
@@ -154,13 +155,13 @@ class _Round(NamedTuple):
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by exchange, and judge the answer."""
     request = replace(request, cached=None, tree=None)
-    end = now() + request.time_limit
+    relaxed, end = replace(request, proof=False), now() + request.time_limit
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
     frequencies = {term.name: term.map.locations for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
         inverse = sampled_masks(problem, frequencies)
-        outcome = method.solve(inverse.problem, request.with_end(end))
+        outcome = method.solve(inverse.problem, relaxed.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(inverse, outcome, np.inf))
@@ -186,12 +187,15 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
             joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
             frequencies[term.name] = joined if len(joined) else known
-    proven = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
-    best = min(proven, key=lambda item: item.violation) if proven else rounds[-1]
+    solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
+    best = min(solved, key=lambda item: item.violation) if solved else rounds[-1]
     outcome = replace(best.outcome, seconds=seconds)
     if problem.dynamics.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
         return recover_outcome(best.inverse, outcome, CONDITION_TOLERANCE, shortfall)
+    if request.proof and outcome.trajectory is not None and outcome.certificate is None:
+        proven = method.solve(best.inverse.problem, request.with_end(end))
+        outcome = outcome if proven.trajectory is None else replace(proven, seconds=seconds)
     candidate = best.inverse.recover(candidate_of(outcome))
     return replace(
         judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance), reason=outcome.reason
