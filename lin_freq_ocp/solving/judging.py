@@ -109,19 +109,20 @@ def judge_nearest(
     if claims:  # a point at a limit of time keeps its controls, which obey the bands
         trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
         candidate = replace(candidate, trajectory=trajectory)
-    own = judge(problem, trajectory, multipliers, allowed)
-    if not claims and not own.proven_within(allowed):
+    own = None if claims else judge(problem, trajectory, multipliers, allowed)
+    if own is not None and not own.proven_within(allowed):
         return candidate, own
+    # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
+    known = any(term.semi_infinite is not None for term in problem.terms)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             correction = correct(problem, trajectory, multipliers)
     except UnsupportedError:  # it does not fit into memory, or would take too long
-        return candidate, own
+        correction, known = None, True
     proof = None if correction is None else _judge_correction(problem, candidate, correction, allowed)
     if proof is not None:
         return proof
-    # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
-    known = any(term.semi_infinite is not None for term in problem.terms)
+    own = own or judge(problem, trajectory, multipliers, allowed)
     return candidate, own if known else replace(own, worth_of_residuals=np.inf)
 
 
