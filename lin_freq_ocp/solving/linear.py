@@ -68,7 +68,7 @@ class _Trial:
 
     def judge(self, candidate: Candidate) -> Outcome:
         """Judge a candidate; if no proof is asked for, an optimum is what the solver claims."""
-        if not self.proof and candidate.status == Status.OPTIMAL:
+        if not self.proof and candidate.status == Status.OPTIMAL and candidate.multipliers is not None:
             point, seconds = (candidate.trajectory, candidate.multipliers), {**candidate.seconds, "certify": 0.0}
             return Outcome(self.problem, candidate.status, self.method, self.backend, seconds, *point)
         return judge_candidate(self.problem, candidate, self.method, self.backend, self.tolerance)
@@ -331,7 +331,7 @@ def _is_better(outcome: Outcome, best: Outcome) -> bool:
 
 def _is_final(outcome: Outcome) -> bool:
     """Whether no other method follows this outcome: it is proven, or the time is over."""
-    proven = outcome.status == Status.OPTIMAL and not _fails_conditions(outcome)
+    proven = outcome.status == Status.OPTIMAL and outcome.multipliers is not None and not _fails_conditions(outcome)
     excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
     if excluded and outcome.ray is not None:
         excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN

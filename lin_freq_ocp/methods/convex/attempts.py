@@ -53,26 +53,26 @@ class ScaledSolver:
         """Whether there is no time left."""
         return now() >= self.end
 
-    def attempt(self, scaling: Scaling, tolerance: float | None = None) -> Attempt:
+    def attempt(self, scaling: Scaling) -> Attempt:
         """Solve in the given units, at first without far bounds."""
         program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
         if near is None:
-            return self._solve(program, scaling, tolerance)
-        attempt = self._solve(near, scaling, tolerance)
+            return self._solve(program, scaling)
+        attempt = self._solve(near, scaling)
         if attempt.ended or attempt.candidate.status in (Status.OPTIMAL, Status.INFEASIBLE) or self.over:
             return attempt
-        complete = self._solve(program, scaling, tolerance)
+        complete = self._solve(program, scaling)
         return complete if attempt.candidate.status == Status.UNBOUNDED else better_of(attempt, complete)
 
     def solve_with_all_bounds(self, scaling: Scaling) -> Attempt:
         """Solve in the given units with all bounds."""
-        return self._solve(self.linear.sparse.scaled(scaling), scaling, None)
+        return self._solve(self.linear.sparse.scaled(scaling), scaling)
 
     def solve_without_far_bounds(self, scaling: Scaling) -> Attempt | None:
         """Solve without far bounds; None if no bound is far, or if the program is unbounded without them."""
         near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
-        attempt = None if near is None else self._solve(near, scaling, None)
+        attempt = None if near is None else self._solve(near, scaling)
         return None if attempt is None or attempt.candidate.status == Status.UNBOUNDED else attempt
 
     def recover(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
@@ -122,8 +122,8 @@ class ScaledSolver:
             point, duals = None, None
         return Attempt(candidate, scaling, residuals.worst, point, duals, late)
 
-    def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
-        solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
+    def _solve(self, program: Program, scaling: Scaling) -> Attempt:
+        solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
         return self.recover(scaling, program, solution)
 
 

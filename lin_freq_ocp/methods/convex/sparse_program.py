@@ -59,9 +59,9 @@ VARIABLES = 9e3  # of a program without dense rows, above which it is a little f
 def solve_convex(problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS) -> Candidate:
     """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
 
-    If the answer has other sizes, or is inaccurate, the problem is solved in further units, and the answer with the
-    smallest residuals is returned. UnsupportedError if the cost is not convex, the backend is unknown, or the program
-    does not fit into memory.
+    If the answer has other sizes, the problem is solved in the units of these, too, and the answer with the smaller
+    residuals is returned. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not
+    fit into memory.
     """
     return next(convex_candidates(problem, backend_name, options))
 
@@ -131,18 +131,6 @@ def convex_candidates(
         solver_tolerance = min(solver_tolerance, DEFAULT_TOLERANCE)
     solves = ScaledSolver(linear, solver, tolerance, solver_tolerance, end, target)
     best = _revise_units(solves, solves.attempt(scaling))
-    # as long as the best attempt is inaccurate, other units
-    further_attempts: list[Callable[[Attempt], Attempt]] = [
-        lambda best: solves.attempt(_units_of_point(solves, best, scaling, per_time=True) or scaling),
-        lambda best: solves.attempt(stated_scaling(linear)),
-        lambda best: solves.attempt(plain_scaling(linear)),
-    ]
-    if solver_tolerance > DEFAULT_TOLERANCE:
-        further_attempts.insert(0, lambda best: solves.attempt(best.scaling, DEFAULT_TOLERANCE))
-    for attempt in further_attempts:
-        if best.ended or best.error <= max(SOLVED_TOLERANCE, tolerance or 0.0) or solves.over:
-            break
-        best = better_of(best, _revise_units(solves, attempt(best)))
     if best.z is not None and best.scaling is not scaling:
         programs.revise_units(best.scaling)
     seconds = {"setup": ready - started, "solve": now() - ready}
