@@ -331,7 +331,8 @@ def _is_better(outcome: Outcome, best: Outcome) -> bool:
 
 def _is_final(outcome: Outcome) -> bool:
     """Whether no other method follows this outcome: it is proven, or the time is over."""
-    proven = outcome.status == Status.OPTIMAL and outcome.multipliers is not None and not _fails_conditions(outcome)
+    satisfied = outcome.certificate is None or outcome.certificate.pmp == "satisfied"
+    proven = outcome.status == Status.OPTIMAL and outcome.multipliers is not None and satisfied
     excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
     if excluded and outcome.ray is not None:
         excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN

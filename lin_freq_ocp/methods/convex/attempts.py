@@ -57,10 +57,9 @@ class ScaledSolver:
         """Solve in the given units, at first without far bounds."""
         program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
-        if near is None:
-            return self._solve(program, scaling)
-        attempt = self._solve(near, scaling)
-        if attempt.ended or attempt.candidate.status in (Status.OPTIMAL, Status.INFEASIBLE) or self.over:
+        attempt = self._solve(near or program, scaling)
+        final = attempt.ended or attempt.candidate.status in (Status.OPTIMAL, Status.INFEASIBLE) or self.over
+        if near is None or final:
             return attempt
         complete = self._solve(program, scaling)
         return complete if attempt.candidate.status == Status.UNBOUNDED else better_of(attempt, complete)

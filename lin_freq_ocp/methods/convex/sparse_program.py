@@ -124,12 +124,10 @@ def convex_candidates(
         message = f"time limit of {time_limit:.3g} s, over before the solver began"
         yield Candidate(Status.LIMIT, message=message, seconds={"setup": ready - started, "solve": 0.0})
         return
-    interior = backend_name == "clarabel"  # its last steps cost little, and often lead to a proof
-    target = max(ACCURATE_ANSWER if interior else SOLVED_TOLERANCE, 0.0 if interior else tolerance or 0.0)
-    solver_tolerance = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    if interior:
-        solver_tolerance = min(solver_tolerance, DEFAULT_TOLERANCE)
-    solves = ScaledSolver(linear, solver, tolerance, solver_tolerance, end, target)
+    target, asked = max(SOLVED_TOLERANCE, tolerance or 0.0), tolerance or DEFAULT_TOLERANCE
+    if backend_name == "clarabel":  # its last steps cost little, and often lead to a proof
+        target, asked = ACCURATE_ANSWER, min(asked, DEFAULT_TOLERANCE)
+    solves = ScaledSolver(linear, solver, tolerance, asked, end, target)
     best = _revise_units(solves, solves.attempt(scaling))
     if best.z is not None and best.scaling is not scaling:
         programs.revise_units(best.scaling)
