@@ -114,9 +114,8 @@ class Cells:
         """Return the parts first <= y <= last of the cells."""
         centre, scale = (first + last) / 2, (last - first) / 2
         a = self.a.copy()  # by Horner's scheme, the coefficients in z of polynomials in y = centre + scale z
-        for k in range(TERMS - 1):
-            for j in range(TERMS - 2, k - 1, -1):
-                a[:, j] += centre * a[:, j + 1]
+        for j in (*reversed(range(TERMS - 1)), *range(1, TERMS - 1)):  # several passes at a time, two terms apart
+            a[:, j : TERMS - 1 : 2] += centre[:, None] * a[:, j + 1 :: 2]
         return Cells(
             a * scale[:, None] ** np.arange(TERMS),
             self.middle + self.half * centre,
@@ -331,7 +330,7 @@ def _cells_on_edge(
     total = float(np.abs(values).sum())
     rest = 4 * total * np.exp(CIRCLE_GROWTH) * (radius / R) ** TERMS / (1 - radius / R)
     near = 2 * total * np.exp(W * np.expm1(radius))  # a bound of Q on the small circles
-    rounding = (2 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
+    rounding = (7 * np.sqrt(len(values)) + 30 + 4 * W) * EXTENDED + (TERMS + 4 * W) * DOUBLE
     phi = np.array([start.imag, *(start + (end - start) * (np.arange(count) + 1) / count).imag])
     sines = np.ones(count + 1) if box.map.relative else np.sin(phi)
     below, slope = limit * (sines[:-1] + sines[1:]) / 2, limit * np.diff(sines) / 2
@@ -348,9 +347,15 @@ def _evaluate_vibration(values: Array, points: ComplexArray, sampling_time: floa
     A = -(-N // B)
     powers = np.zeros(A * B, dtype=values.dtype)
     powers[:N] = values[::-1]
-    inner = np.exp(sh * np.arange(B)) @ powers.reshape(A, B).T
-    total = (np.exp(sh * (B * np.arange(A))) * inner).sum(axis=1)
+    inner = _powers(np.exp(sh), B) @ powers.reshape(A, B).T
+    total = (_powers(np.exp(sh * B), A) * inner).sum(axis=1)
     return (total if relative else np.expm1(sh[:, 0]) * total).astype(np.complex128)
+
+
+def _powers(z: ComplexArray, count: int) -> ComplexArray:
+    """Return z^0 .. z^(count - 1) of numbers (points, 1), each product with an error of sqrt(5)/2 of EXTENDED."""
+    powers = np.hstack([np.ones_like(z), np.broadcast_to(z, (len(z), count - 1))])
+    return np.cumprod(powers, axis=1, out=powers)
 
 
 @singledispatch

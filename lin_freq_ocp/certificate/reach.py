@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
@@ -26,6 +25,7 @@ from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 Pair = tuple[Array, Array]
+TwoSided = dict[int, list[tuple[Array, float]]]  # per time, rows of (x_t, u_t) and the distance that they can move
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,8 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _two_sided_rows(problem, trajectory)
-    _propagate_one_step(problem.linear, residual, rows, 0, radii)
+    left = np.zeros(problem.horizon, dtype=int)
+    _propagate_one_step(problem.linear, residual, rows, 0, radii, left)
     if np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
@@ -182,19 +183,18 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     if problem.horizon > MAX_STEPS:
         return False
     steps = range(problem.horizon)
-    for times in (steps, reversed(steps), steps):
-        for t in times:
-            _propagate_one_step(problem.linear, residual, rows, t, radii)
+    for t in (*steps, *reversed(steps), *steps):
+        _propagate_one_step(problem.linear, residual, rows, t, radii, left)
     _solve_all_steps(problem, trajectory, residual, radii)
     return all(bool(np.isfinite(part).all()) for part in radii)
 
 
-def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> dict[int, list[tuple[Array, float]]]:
+def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> TwoSided:
     """Return, per time, rows of (x_t, u_t) with the largest distance that their values can move.
 
     These are the rows around norm balls, and pairs of opposite half-spaces.
     """
-    two_sided: dict[int, list[tuple[Array, float]]] = {}
+    two_sided: TwoSided = {}
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
@@ -215,19 +215,23 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> d
 
 
 def _propagate_one_step(
-    dynamics: LinearDynamics, residual: Array, rows: dict[int, list[tuple[Array, float]]], t: int, radii: Pair
+    dynamics: LinearDynamics, residual: Array, rows: TwoSided, t: int, radii: Pair, left: Indices
 ) -> None:
-    """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply."""
+    """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply.
+
+    ``left`` (T,) says how many stay unknown: with so many, the step implies no more.
+    """
     A, B, _ = dynamics.at(t)
     n, m = B.shape
     x, u = radii
     values = np.concatenate([x[:, t], u[:, t], x[:, t + 1]], axis=1)
-    if not np.isinf(values[0]).any():
+    if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
         return
     rows_here = rows.get(t, [])
     columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in rows_here)])
     if _determine_radii(columns, np.append(residual[t], [distance for _, distance in rows_here]), values):
         x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
+    left[t] = np.count_nonzero(np.isinf(values[0]))
 
 
 def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, residual: Array, radii: Pair) -> None:
@@ -266,10 +270,12 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
     if bounds is not None:
         values[:, unknown] = bounds
         return True
-    present = (columns[:, unknown] != 0).astype(float)
-    count, block_of = connected_components(present.T @ present, directed=False)
-    filled = False
-    for block in range(count) if count > 1 else ():
+    present = columns[:, unknown] != 0
+    block_of = np.arange(len(unknown))  # the last component of each block
+    for row in present:
+        block_of[(block_of[:, None] == block_of[row]).any(axis=1)] = block_of[row].max(initial=0)
+    blocks, filled = np.unique(block_of), False
+    for block in blocks if len(blocks) > 1 else ():
         chosen = block_of == block
         rows = present[:, chosen].any(axis=1)
         bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])
@@ -288,7 +294,7 @@ def _radii_of_block(columns: Array, residual: Array, values: Array, unknown: Ind
     inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
     if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
         return None
-    known = np.setdiff1d(np.flatnonzero(columns.any(axis=0)), unknown)
+    known = columns.any(axis=0) & ~np.isinf(values[0])
     bounds = values[:, known] @ np.abs(columns[:, known]).T + np.stack([residual, np.zeros_like(residual)])
     return bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
 

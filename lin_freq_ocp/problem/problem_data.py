@@ -251,11 +251,11 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
     Where the signal is ``fixed`` (time to value), a hard part that the value satisfies, up to rounding, has no term.
     """
     per_time = isinstance(given, Sequence)
-    sets = given if per_time else [given] * len(times)
+    sets = given if per_time else [given] * len(times) if given and given.members else ()
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
     parts_of: dict[int, tuple[Part, ...]] = {}
-    for i, (one, t) in enumerate(zip(sets, times, strict=True)):
-        if one is None or not one.members:
+    for i, (one, t) in enumerate(zip(sets, times, strict=False)):
+        if not one.members:
             continue
         if one.dimension not in (None, dimension):
             where = f"{field}[{i}]" if per_time else field

@@ -60,8 +60,7 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
     sides = [_median_size(np.stack([tube.lower, tube.upper], 1)) for tube in (problem.state_tube, problem.control_tube)]
-    # Of a lower and an upper bound that are far apart, the larger one may stand for none
-    smaller, larger = (np.concatenate([extreme(side, axis=0) for side in sides]) for extreme in (np.min, np.max))
+    smaller, larger = np.sort(np.hstack(sides), axis=0)  # if they are far apart, the larger one may stand for none
     bounds = np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
     others = np.where(stated > 0, stated, bounds)
     implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)

@@ -28,9 +28,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsqr
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, with_columns
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.maps import sparse_rows
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
 from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
@@ -43,7 +44,6 @@ SECONDS_PER_VARIABLE = 5e-6  # of one factorisation without dense rows, or of me
 LEAST_FACTORISATIONS = 5.0  # of an interior-point method
 
 BLOCKS = Block.STATE_SET, Block.CONTROL_SET, Block.STATE_SPECTRUM, Block.CONTROL_SPECTRUM, Block.TERMS
-Entries = tuple[Array, Indices, Indices]  # of a matrix: values, rows and columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,6 @@ class LinearProgram:
         )
         origin, dynamics = self.origin, self.dynamics
         A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
-        A.eliminate_zeros()
         blocks, cones, first = {Block.DYNAMICS: slice(0, dynamics.shape[0])}, list[slice](), dynamics.shape[0]
         for block in BLOCKS:
             begin = first
@@ -266,46 +265,36 @@ class LinearProgram:
     @property
     def dynamics(self) -> sp.csr_array:
         """Return the coefficients of all variables in the rows of the dynamics, (T n, variables)."""
-        (T, n, m), after = self.layout.shape, np.arange(self.problem.state_dim, self.states)
-        rows, response = np.arange(T * n).reshape(T, n, 1), self.problem.dynamics.response(T)
-        parts = [_entries(np.ones(T * n), rows.ravel(), after)]
+        (T, n, m), first = self.layout.shape, 0
+        response = self.problem.dynamics.response(T)
         if response is not None:  # x_{t+1} is a sum over all controls
-            parts.append(_entries(-response.matrix[n:], rows.reshape(-1, 1), np.arange(self.states, self.signals)))
+            values = -response.matrix[n:]
+            columns = np.broadcast_to(np.arange(self.states, self.signals), values.shape)
         else:
-            columns, linear = signal_columns(T, n, m)[:, None], self.problem.linear
-            parts += [_entries(-linear.A, rows, columns[:, :, :n]), _entries(-linear.B, rows, columns[:, :, n:])]
-        return sp.csr_array(_sparse_matrix(parts, (T * n, self.variables)))
+            linear, first = self.problem.linear, n
+            parts = np.broadcast_to(linear.A, (T, n, n)), np.broadcast_to(linear.B, (T, n, m))
+            values = -np.concatenate(parts, axis=2).reshape(T * n, n + m)
+            columns = np.repeat(signal_columns(T, n, m), n, axis=0)
+        columns = np.insert(columns, first, np.arange(n, self.states), axis=1)  # of x_{t+1}
+        return sparse_rows(np.insert(values, first, 1.0, axis=1), columns, self.variables)
 
     @property
     def hessian(self) -> sp.csc_array:
         """Return the second derivatives of the cost, (variables, variables)."""
-        cost, columns = self.problem.quadratic, signal_columns(*self.layout.shape)
-        last = np.arange(self.states - self.problem.state_dim, self.states)
-        parts = [
-            _entries(cost.stage_hessians(), columns[:, :, None], columns[:, None]),
-            _entries(cost.P, last[:, None], last),
-        ]
-        return _sparse_matrix(parts, (self.variables, self.variables))
+        cost, (T, n, m) = self.problem.quadratic, self.layout.shape
+        stages = np.broadcast_to(np.swapaxes(cost.stage_hessians(), 1, 2), (T, n + m, n + m))
+        rows, last = signal_columns(T, n, m), np.arange(self.states - n, self.states + m)
+        values = [stages[:, :n].reshape(T * n, -1), with_columns(cost.P.T, m), stages[:, n:].reshape(T * m, -1)]
+        rows = [np.repeat(rows, n, axis=0), np.broadcast_to(last, (n, n + m)), np.repeat(rows, m, axis=0)]
+        of_signals = sparse_rows(np.vstack(values), np.vstack(rows), self.variables)  # transposed
+        pointers = np.append(of_signals.indptr, np.full(len(self.prices), of_signals.nnz))
+        return sp.csc_array((of_signals.data, of_signals.indices, pointers), shape=(self.variables, self.variables))
 
 
 def signal_columns(horizon: int, n: int, m: int) -> Indices:
     """Return the columns of (x_t, u_t), (T, n + m), in a program whose variables begin with all x, then all u."""
     x, u = np.arange(horizon * n), (horizon + 1) * n + np.arange(horizon * m)
     return np.hstack([x.reshape(horizon, n), u.reshape(horizon, m)])
-
-
-def _entries(values: Array, rows: Indices, columns: Indices) -> Entries:
-    """Return values with their rows and columns, of shapes that broadcast."""
-    values, rows, columns = np.broadcast_arrays(values, rows, columns)
-    return values.ravel(), rows.ravel(), columns.ravel()
-
-
-def _sparse_matrix(parts: Sequence[Entries], shape: tuple[int, int]) -> sp.csc_array:
-    """Return the matrix of these entries; joining sparse matrices takes several times as long."""
-    values, i, j = (np.concatenate(part) for part in zip(*parts, strict=True))
-    matrix = sp.csc_array((values, (i, j)), shape=shape)
-    matrix.eliminate_zeros()
-    return matrix
 
 
 def stack_rows(parts: Sequence[tuple[sp.csr_array, int]], columns: int) -> sp.csr_array:

@@ -322,9 +322,9 @@ def scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_ar
 def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_rows: float) -> sp.csc_array:
     """Return [[P, A'], [A, 0]] with one number added to the diagonal of P, and another taken from that of 0."""
     variables, count = P.shape[0], A.shape[0]
-    every, hessian, rows = np.arange(variables + count), sp.coo_array(P), sp.coo_array(A)
+    every, rows = np.arange(variables + count), A.indices + variables
+    of_P, of_A = (np.repeat(every[:variables], np.diff(matrix.indptr)) for matrix in (P, A))
     diagonal = np.append(np.full(variables, of_variables), np.full(count, -of_rows))
-    values = np.concatenate([hessian.data, rows.data, rows.data, diagonal])
-    i = np.concatenate([hessian.coords[0], rows.coords[0] + variables, rows.coords[1], every])
-    j = np.concatenate([hessian.coords[1], rows.coords[1], rows.coords[0] + variables, every])
+    values = np.concatenate([P.data, A.data, A.data, diagonal])
+    i, j = np.concatenate([P.indices, rows, of_A, every]), np.concatenate([of_P, of_A, rows, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))

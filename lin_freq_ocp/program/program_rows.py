@@ -54,7 +54,10 @@ class ProgramRows:
             return sp.csr_array((np.ones(count), self.entries, np.arange(count + 1)), shape=shape)
         L = self.map.rows(T, n, m)[0]
         if not np.array_equal(self.entries, np.arange(L.shape[0])):
-            L = sp.csr_array(sp.vstack([L, sp.csr_array((1, L.shape[1]))]))[self.entries]  # -1: the row of zeros
+            first, last = (np.append(ends, L.nnz)[self.entries] for ends in (L.indptr[:-1], L.indptr[1:]))  # -1: none
+            at = cone_members(np.stack([first, last], axis=1))[0]
+            pointers = np.append(0, np.cumsum(last - first))
+            L = sp.csr_array((L.data[at], L.indices[at], pointers), shape=(len(first), L.shape[1]))
         if self.weights is not None:
             L.data *= np.repeat(self.weights, np.diff(L.indptr))
         return L
@@ -119,7 +122,7 @@ class ProgramRows:
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:
-    """Return the rows of all cones (first, after the last), and the cone of each of them."""
+    """Return the rows of all cones (first, after the last), (cones, 2), and the cone of each of them."""
     sizes = cones[:, 1] - cones[:, 0]
     cone = np.repeat(np.arange(len(cones)), sizes)
     return np.arange(len(cone)) + np.repeat(cones[:, 0] - np.cumsum(sizes) + sizes, sizes), cone

@@ -269,7 +269,7 @@ class QuadraticCost(Cost):
                 got = f"a matrix that differs from its transpose by {asymmetry:g}"
                 advice = f"Only the symmetric part counts: pass ({field} + {field}')/2."
                 raise ProblemError(f"cost.{field}", got, "a symmetric matrix", advice)
-        return QuadraticCost(**complete)
+        return _cost_of_checked(**complete)
 
     @cached_property
     def weighs(self) -> Mask:
@@ -350,11 +350,8 @@ class QuadraticCost(Cost):
 
     @cached_property
     def _magnitudes(self) -> QuadraticCost:
-        cost = object.__new__(QuadraticCost)
-        assign(
-            cost, **{field: np.abs(getattr(self, field)) for field in WEIGHTS}, x_ref=np.zeros(()), u_ref=np.zeros(())
-        )
-        return cost
+        weights = {field: np.abs(getattr(self, field)) for field in WEIGHTS}
+        return _cost_of_checked(**weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
     def gradient_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, products with deviations, as there."""
@@ -394,6 +391,13 @@ class QuadraticCost(Cost):
         if smallest[worst] == 0:
             return None
         return (worst if worst < len(stage) else -1), float(smallest[worst])
+
+
+def _cost_of_checked(**fields: Array) -> QuadraticCost:
+    """Return a cost of arrays that need no check."""
+    cost = object.__new__(QuadraticCost)
+    assign(cost, **fields)
+    return cost
 
 
 @dataclass(frozen=True, eq=False, init=False)

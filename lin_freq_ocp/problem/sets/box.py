@@ -116,7 +116,7 @@ class Box(ConvexSet):
     def at_dimension(self, dimension: int, field: str) -> Box:
         """Return the box with bounds of shape (dimension,) or (times, dimension)."""
         if self.lower.ndim == 0:
-            return Box(np.full(dimension, self.lower), np.full(dimension, self.upper))
+            return _box_of_checked(*(freeze(np.full(dimension, side)) for side in self.bounds))
         if self.lower.shape[-1] != dimension:
             got = plural(self.lower.shape[-1], "component")
             raise ProblemError(field, f"bounds for {got}", f"bounds for {dimension}")
@@ -201,7 +201,7 @@ class Everything(Box):
     """
 
     def __init__(self):
-        super().__init__(None, None)
+        assign(self, lower=freeze(np.array(-np.inf)), upper=freeze(np.array(np.inf)))
 
 
 def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:

@@ -213,8 +213,14 @@ class StageMap(MatrixMap):
         return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        of_x, of_u = self._blocks(self.C, horizon + 1, n), self._blocks(self.D, horizon, m)
-        return joined_rows(of_x, of_u), np.broadcast_to(self.constant, self.shape).ravel()
+        values, columns, count = *self.entries(horizon, n, m), self.shape[0] * self.shape[1]
+        values, columns = (part.reshape(count, n + m) for part in np.broadcast_arrays(values, columns))
+        return sparse_rows(values, columns, (horizon + 1) * n + horizon * m), np.ravel(self.stage_form(n, m)[1])
+
+    def entries(self, horizon: int, n: int, m: int) -> tuple[Array, Indices]:
+        """Return C and D, (groups or 1, dim, n + m), and their columns among all states and controls."""
+        of_x, of_u = self.times[:, None] * n + np.arange(n), self.times[:, None] * m + np.arange(m)
+        return self.stage_form(n, m)[0], np.hstack([of_x, (horizon + 1) * n + of_u])[:, None]
 
     def repeated(self, count: int, samples: int) -> StageMap:
         C, D = (part if part is None or part.ndim == 2 else np.tile(part, (count, 1, 1)) for part in (self.C, self.D))
@@ -233,13 +239,6 @@ class StageMap(MatrixMap):
     def magnitudes(self) -> StageMap:
         C, D = (None if part is None else np.abs(part) for part in (self.C, self.D))
         return StageMap(self.times, C, D, np.abs(self.constant))
-
-    def _blocks(self, matrix: Array | None, samples: int, columns: int) -> sp.csr_array:
-        (groups, dim), total = self.shape, samples * columns
-        if matrix is None:
-            return sp.csr_array((groups * dim, total))
-        blocks = np.broadcast_to(matrix, (groups, dim, columns))
-        return sp.csr_array(sp.bsr_array((blocks, self.times, np.arange(groups + 1)), shape=(groups * dim, total)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,18 +272,19 @@ class SumMap(MatrixMap):
         return np.sum(of_x, axis=0), np.sum(of_u, axis=0)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        total, dim = sp.csr_array((len(self.constant), (horizon + 1) * n + horizon * m)), len(self.constant)
-        for stage in self.stages:
-            over_times = sp.kron(np.ones((1, len(stage.times))), sp.eye_array(dim))
-            total = total + over_times @ stage.rows(horizon, n, m)[0]
-        return sp.csr_array(total), self.constant
+        pairs = [np.broadcast_arrays(*stage.entries(horizon, n, m)) for stage in self.stages]
+        pairs = [[part.swapaxes(0, 1).reshape(len(self.constant), -1) for part in pair] for pair in pairs]
+        values, columns = map(np.hstack, zip(*pairs, strict=True))
+        total = sparse_rows(values, columns, (horizon + 1) * n + horizon * m)
+        total.sum_duplicates()
+        total.eliminate_zeros()
+        return total, self.constant
 
     def magnitudes(self) -> AffineMap:
         return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
 
 
-def joined_rows(of_x: sp.csr_array, of_u: sp.csr_array) -> sp.csr_array:
-    """Return rows on (x, u) from rows on x and rows on u."""
-    rows = sp.csr_array(sp.hstack([of_x, of_u]))
-    rows.eliminate_zeros()
-    return rows
+def sparse_rows(values: Array, columns: Array | Indices, width: int) -> sp.csr_array:
+    """Return rows with these values in these columns, (rows, k); scipy joins matrices in several times the time."""
+    kept = values != 0
+    return sp.csr_array((values[kept], columns[kept], np.append(0, kept.sum(1).cumsum())), shape=(len(values), width))

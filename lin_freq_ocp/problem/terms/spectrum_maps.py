@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal
-from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, joined_rows
+from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, sparse_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +66,19 @@ class OutputMap(AffineMap):
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         waves = self.waves()
-        return self.signal_rows(sp.csr_array(waves), horizon, n, m), np.zeros(len(waves))
+        return self.signal_rows(waves, np.arange(self.samples), horizon, n, m), np.zeros(len(waves))
 
-    def signal_rows(self, of_y: sp.csr_array, horizon: int, n: int, m: int) -> sp.csr_array:
-        """Return rows on y, (rows, samples), as rows on (x, u)."""
-        of_x = _rows_of_output(of_y, self.C, horizon + 1, n)
-        return joined_rows(of_x, _rows_of_output(of_y, self.D, horizon, m))
+    def signal_rows(self, of_y: Array, times: Indices, horizon: int, n: int, m: int) -> sp.csr_array:
+        """Return rows on (x, u) from rows on y, (rows, samples), at these times, (samples,) or (rows, samples)."""
+        values, columns = list[Array](), list[Indices]()
+        for row, first, width in ((self.C, 0, n), (self.D, (horizon + 1) * n, m)):
+            if row is not None:
+                used = np.flatnonzero(row)
+                parts = np.broadcast_arrays(of_y[..., None] * row[used], first + times[..., None] * width + used)
+                shape = len(of_y), of_y.shape[1] * len(used)
+                values.append(parts[0].reshape(shape))
+                columns.append(parts[1].reshape(shape))
+        return sparse_rows(np.hstack(values), np.hstack(columns), (horizon + 1) * n + horizon * m)
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the typical size of a bin, the Euclidean norm of w y, for every entry, (groups, dim)."""
@@ -319,13 +326,10 @@ class SpectrogramMap(AffineMap):
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         base = self.spectrum
         times = self.starts[:, None] + np.arange(base.samples)
-        waves = base.waves_at(times)
-        rows = np.arange(waves.size // base.samples).reshape(*waves.shape[:2], 1)
-        row, column = np.broadcast_arrays(rows, times[:, None])
-        ahead = column >= 0
-        of_y = sp.csr_array((waves[ahead], (row[ahead], column[ahead])), shape=(rows.size, base.length(horizon)))
+        waves = np.where(times[:, None] >= 0, base.waves_at(times), 0.0)
+        each = np.repeat(times, waves.shape[1], axis=0)
         constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
-        return base.signal_rows(of_y, horizon, n, m), constant
+        return base.signal_rows(waves.reshape(each.shape), each, horizon, n, m), constant
 
     def sizes(self, x: Array, u: Array) -> Array:
         y = self.spectrum.magnitudes().output(np.abs(x), np.abs(u))
@@ -369,13 +373,3 @@ class SpectrogramMap(AffineMap):
         signal = np.zeros(P + samples, dtype=frames.dtype)
         np.add.at(signal, P + self.starts[:, None] + np.arange(frames.shape[1]), frames)
         return signal[P:]
-
-
-def _rows_of_output(of_y: sp.csr_array, row: Array | None, samples: int, columns: int) -> sp.csr_array:
-    """Return rows on y_t = row'v_t, (rows, samples), as rows on v, (rows, samples * columns)."""
-    if row is None:
-        return sp.csr_array((of_y.shape[0], samples * columns))
-    used = np.flatnonzero(row)  # by hand: scipy's Kronecker product takes several times as long
-    indices = of_y.indices[:, None] * columns + used.astype(of_y.indices.dtype)
-    data, pointers = of_y.data[:, None] * row[used], of_y.indptr * len(used)
-    return sp.csr_array((data.ravel(), indices.ravel(), pointers), shape=(of_y.shape[0], samples * columns))
