@@ -356,10 +356,9 @@ def constant_radii(dynamics: LinearDynamics, radius_0: Array, largest: Array, T:
     """
     A, B, _ = dynamics.at(0)
     n, count = len(A), min(POWER_BLOCK, T + 1)
-    powers = np.empty((count, n, n))
-    powers[0] = np.eye(n)
-    for k in range(1, count):
-        powers[k] = A @ powers[k - 1]
+    powers = np.eye(n)[None]
+    while len(powers) < count:
+        powers = np.concatenate([powers, powers[: count - len(powers)] @ (A @ powers[-1])])
     inputs, whole, first = np.hstack([B, np.eye(n)]), A @ powers[-1], np.eye(n)
     of_inputs, of_start = np.empty((T + 1, *radius_0.shape)), np.empty((T + 1, *radius_0.shape))
     for start in range(0, T + 1, count):
