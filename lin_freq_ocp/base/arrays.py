@@ -217,10 +217,10 @@ def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, .
 
     Answers name it: which of equal entries is larger by rounding depends on the processor.
     """
-    largest = values.max()
+    largest = float(values.max())
     equal = values >= min((1 - SAME) * largest, (1 + SAME) * largest)
-    first = np.argmax(equal) if order is None else np.argmin(np.where(equal, order, np.inf))
-    return tuple(map(int, np.unravel_index(first, values.shape)))
+    first = int(equal.argmax() if order is None else np.where(equal, order, np.inf).argmin())
+    return (first,) if values.ndim == 1 else tuple(map(int, np.unravel_index(first, values.shape)))
 
 
 def with_columns(array: Array, columns: int) -> Array:

@@ -261,7 +261,9 @@ class Repeated:
         problem = change.apply(self.problem)
         located = self.located(problem)
         change = located.translated(change, problem)
-        translation = Translation(problem, change.apply(located.translation.problem), located.origin)
+        base = located.translation.problem
+        moved = problem if base is self.problem else change.apply(base)
+        translation = Translation(problem, moved, located.origin)
         cached = None if located.kept is None else (located.kept, change)
         if located.kept is not None and start is not None:
             located.kept.stage_cache.warm_start = translation.translated(start)
