@@ -9,15 +9,15 @@ f_t> is regular there iff c <= 0; with c > 0 the printed form has no solution, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.bound import NUMERICAL, Bound
+from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS, Bound, unit_rounding
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
     SwitchingFacts,
@@ -28,18 +28,19 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 )
 from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
-from lin_freq_ocp.certificate.response_bound import best_bound
+from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
 from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import jets, rounding_errors
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
@@ -120,7 +121,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
     over the sets and the trajectory, which may be outside of them. A path constraint is at least its tangent. The
     problem with these in their place has a quadratic cost and rows, and the bound of one: a lower bound for the given
-    problem, which is close if its multipliers fit.
+    problem, which is close if its multipliers fit. Rounding errors of values and slopes are those of enclosures.
     """
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
@@ -134,13 +135,15 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         if curvature is None:
             return None
         slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
-    declared, of_rows = list[str](), 0.0
+    declared, proven, of_rows = list[str](), list[PathConstraint](), 0.0
     for one in problem.path_constraints:
         tangents = one.linearised(trajectory.x, trajectory.u)
         if not is_proven_convex(problem, one, trajectory):
             if not one.convex or one.bends_down(trajectory.x, trajectory.u):
                 return None
             declared.append(f"{one.name!r} is convex, as declared")
+        else:
+            proven.append(one)
         terms = tangents.sizes_along(trajectory.x, trajectory.u)
         of_rows += float((np.maximum(multipliers.stage.get(one.name, 0.0 * terms), 0.0) * terms).sum())
     x, u = cost.deviations(trajectory.x, trajectory.u)
@@ -156,17 +159,54 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     )
     costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
     below = replace(problem, dynamics=stated, cost=costs, stage_rows=rows)
-    extremal = extremal_at(below, trajectory, replace(multipliers, weights=None))
+    at_tangents = extremal_at(below, trajectory, replace(multipliers, weights=None))
+    extremal, lost = with_errors_of_tangents(at_tangents, problem.cost.formulas, proven)
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)
     if bound is None:
         return None
     constant = problem.value(trajectory.x, trajectory.u) - extremal.cost
-    rounding = ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
+    rounding = lost + ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
     bound = replace(bound, value=bound.value + constant - rounding)
     return (
         replace(bound, kind=NUMERICAL, sets="; ".join([*filter(None, [bound.sets]), *declared])) if declared else bound
     )
+
+
+def tangents_exclude(
+    problem: OptimalControlProblem, tangents: OptimalControlProblem, at: Trajectory, ray: Multipliers
+) -> bool:
+    """Whether a ray proves that path constraints leave no trajectory, by a problem with their tangents at one."""
+    first = extremal_at(tangents, at, replace(ray, eta_C=0.0, weights=None))
+    extremal, lost = with_errors_of_tangents(first, (), problem.path_constraints)
+    bound = farkas_bound(extremal, stated_sizes(tangents))
+    return bound.kind == RIGOROUS and bound.value > lost
+
+
+def with_errors_of_tangents(
+    extremal: Extremal, costs: Sequence[Formula | None], constraints: Sequence[PathConstraint]
+) -> tuple[Extremal, float]:
+    """Return an extremal of tangents with the rounding errors of their slopes, and what those of values may cost.
+
+    ``costs`` are the formulas of the stage cost and of the terminal cost, if any.
+    """
+    problem, trajectory, multipliers = extremal.problem, extremal.trajectory, extremal.multipliers
+    T, n, lost = problem.horizon, problem.state_dim, 0.0
+    points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))]).astype(np.float64)
+    steep, times = np.zeros_like(points), (np.arange(T), np.arange(T, T + 1))
+    pairs = [(formula, own) for formula, own in zip(costs, times, strict=False) if formula is not None]
+    priced = [((formula,), own, np.ones((len(own), 1))) for formula, own in pairs]
+    for one in constraints:
+        if one.name in multipliers.stage:
+            priced.append((one.formulas, one.map.times, np.maximum(multipliers.stage[one.name], 0.0)))
+    for formulas, own, weights in priced:
+        values, slopes = rounding_errors(formulas, points[own], own)
+        acts = weights > 0
+        lost += float((weights[acts] * values[acts]).sum())
+        steep[own] += np.where(acts[..., None], weights[..., None] * slopes, 0.0).sum(axis=1)
+    terms = steep / unit_rounding(problem)
+    in_x_terms, in_u_terms = extremal.in_x_terms + terms[:, :n], extremal.in_u_terms + terms[:-1, n:]
+    return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
 
 
 def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint, trajectory: Trajectory) -> bool:

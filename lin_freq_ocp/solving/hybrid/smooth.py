@@ -16,7 +16,7 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex
+from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -382,7 +382,10 @@ def _proof_of_infeasibility(
         relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))
         if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
-            return EXCLUDED_BY_TANGENTS if problem.path_constraints else EXCLUDED_BY_RAY
+            if not problem.path_constraints:
+                return EXCLUDED_BY_RAY
+            if at is None or found.ray is None or tangents_exclude(problem, relaxed, at, found.ray):
+                return EXCLUDED_BY_TANGENTS
     try:
         none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
         levels = value_bounds(problem, none, np.inf, loss, deadline, scale=loss) if intervals else []
