@@ -268,3 +268,15 @@ def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     explanation = lfo.explain(problem)
     assert explanation.family == ("initial state", "terminal state", "control bound on u_0")
     assert "[-1, 1] -> [-2, 2]" in str(explanation)
+
+
+@pytest.mark.parametrize(("stage", "cost"), [("cosh(x_0 - 1)", 4.0), ("abs(x_0 - 1)", 0.0)])
+def test_periodic_ends_keep_their_name_with_a_cost_by_formulas(stage, cost):
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage=stage),
+        lfo.Box(-1, 1), state_set=lfo.Box(-3, 3), terminal_state=lfo.Periodic(),
+    )  # fmt: skip
+    result = lfo.solve(problem, global_bound=False)
+    assert result.cost == pytest.approx(cost, abs=1e-9)
+    assert set(result.multipliers.stage) == {"periodic ends"}
+    assert lfo.certify(problem, lfo.results.Trajectory(np.ones((5, 1)), np.zeros((4, 1)))).pmp == "satisfied"
