@@ -176,7 +176,7 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
         residual = np.abs(difference).astype(np.float64)
         worth = None if curvature is None else _worth(residual, scales, curvature, tube, signal)
         for label, name, first, end in blocks:
-            condition = worst_condition(label, name, residual[first:end], scales, first)
+            condition = worst_condition(label, name, residual[first:end], scales[first:end], first)
             total = np.inf if worth is None else float(worth[first:end].sum())
             by_worth = total < condition.relative * least.level
             conditions.append(replace(condition, residual=total, scale=least.level) if by_worth else condition)
@@ -355,9 +355,16 @@ def _scales(terms: Array, least: Array) -> Array:
 
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
-    """Return the condition at its worst entry, relative to the scale of the component; residual (times, components)."""
+    """Return the condition at its worst entry, relative to its scale; residual (times, components)."""
+    scales = np.broadcast_to(scales, residual.shape)
     relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
     t, component = first_largest(relative)
     return Condition(
-        label, name, float(residual[t, component]), float(scales[component]), CONDITION_TOLERANCE, first + t, component
+        label,
+        name,
+        float(residual[t, component]),
+        float(scales[t, component]),
+        CONDITION_TOLERANCE,
+        first + t,
+        component,
     )

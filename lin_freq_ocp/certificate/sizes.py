@@ -7,6 +7,7 @@ stand for no bound. Sizes change with the units of the components and with nothi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -116,6 +117,21 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
     return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
+class Scales(NamedTuple):
+    """Sizes of states (n,) and controls (m,), S, and slopes of the cost for such sizes, (T+1, n) and (T, m)."""
+
+    sizes: tuple[Array, Array]
+    cost: float
+    slopes: tuple[Array, Array]
+
+
+def scales_of(problem: OptimalControlProblem, trajectory: Trajectory) -> Scales:
+    """Return the scales along a trajectory, without costs by formulas."""
+    x, u = sizes = trajectory_sizes(problem, trajectory)
+    steady = np.ones((problem.horizon + 1, 1)) * x, np.ones((problem.horizon, 1)) * u
+    return Scales(sizes, cost_scale(problem, trajectory, sizes), problem.quadratic.gradient_magnitudes(*steady))
+
+
 @dataclass(frozen=True, eq=False)
 class Floors:
     """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
@@ -125,10 +141,11 @@ class Floors:
     x : (n,), u : (m,)
         Of states and controls. For states at rest, x is at least their rounding divided by CONDITION_TOLERANCE.
     level : float
-        Of multipliers times signals: S, but at least SCALE_FLOOR of the cost of a stage with states and controls of
-        their sizes. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the Hamiltonian.
-    in_x : (n,), in_u : (m,)
-        Of multipliers in the adjoint equation and in D_u H.
+        Of multipliers times signals: S, but at least SCALE_FLOOR of the least cost of a component of its size. With
+        eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the Hamiltonian.
+    in_x : (T+1, n), in_u : (T, m)
+        Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
+        component or time says nothing of others.
     terms : tuple of (dim,)
         Of the values of each term.
     rounding : (n,)
@@ -144,25 +161,25 @@ class Floors:
     rounding: Array
 
 
-def floors(
-    extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None, origin: Array | None = None
-) -> Floors:
-    """Return the least scales along a trajectory with these sizes of states (n,) and controls (m,), and S = ``cost``.
+def floors(extremal: Extremal, scales: Scales | None = None, origin: Array | None = None) -> Floors:
+    """Return the least scales along a trajectory with these scales.
 
     ``origin`` (n,) is the zero of the states' coordinates. Defaults follow from the problem of the extremal; of a
     problem with modes, that is only the average over modes.
     """
     problem, T = extremal.problem, extremal.problem.horizon
-    x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
+    (x, u), cost, (in_x, in_u) = scales or scales_of(problem, extremal.trajectory)
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
+        in_x, in_u = 0.0 * in_x, 0.0 * in_u
     else:
-        in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
-        stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
-        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
+        priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
+        costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
+        costs = np.sort(costs[costs > 0])
+        stage = SCALE_FLOOR * float(costs[len(costs) // 2]) if len(costs) else 0.0
+        level = max(cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     given = np.abs(extremal.trajectory.x) + (0.0 if start is None else np.abs(start))
@@ -171,4 +188,8 @@ def floors(
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
-    return Floors(least, SCALE_FLOOR * u, level, stage / x, stage / u, terms, rounding)
+    floor_x, floor_u = (
+        np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x),
+        np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u),
+    )
+    return Floors(least, SCALE_FLOOR * u, level, floor_x, floor_u, terms, rounding)

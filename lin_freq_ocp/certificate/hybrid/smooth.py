@@ -29,7 +29,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
-from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, scales_of, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
@@ -37,8 +37,9 @@ from lin_freq_ocp.formulas.jets import jets, rounding_errors
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
+from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -47,12 +48,17 @@ OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose comp
 
 
 def judge_smooth(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array | None = None
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    terminal: Array | None = None,
+    scales: Scales | None = None,
 ) -> Judgement:
     """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
     problem.require(trajectory)
-    selections, norms = _judge_norms(problem, trajectory, multipliers)
-    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, linearised=True)
+    scales = scales or scales_of(problem, trajectory)
+    selections, norms = _judge_norms(problem, trajectory, multipliers, scales)
+    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, scales)
     facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
     if not isinstance(facts, SwitchingFacts):
         return judgement
@@ -70,7 +76,7 @@ def judge_smooth(
         test = (
             SecondOrder(None, "modes meet or norms are zero")
             if kinked
-            else second_order_test(problem, trajectory, multipliers, terminal)
+            else second_order_test(problem, trajectory, multipliers, np.concatenate(scales.sizes), terminal)
         )
     return replace(judgement, borders=facts, second_order=test)
 
@@ -88,11 +94,47 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     if terminal is not None:
         last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))
         hessian[:n, :n] = jets([terminal], last[None]).curvatures[0, 0, :n, :n]
-    found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers), hessian)
+    at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory, np.abs(hessian[:n, :n]))
+    found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), hessian, scales)
     own, test = own_conditions(problem, found.conditions), found.second_order
     if test is not None and test.direction is not None:
         test = replace(test, direction=inverse.trajectory(test.direction))
-    return replace(found, conditions=own, second_order=test, bound=convex_bound(problem, trajectory, multipliers))
+    bound = convex_bound(problem, trajectory, multipliers)
+    return replace(found, conditions=own, second_order=test, bound=bound, cost_scale=scales.cost)
+
+
+def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array) -> Scales:
+    """Return the scales of a problem with its cost by formulas as a state, which has no size of its own.
+
+    A cost by a formula, and its slopes, change by so much at most within the sizes of states and controls, to second
+    order: constants in it do not count. ``bent_end`` is the Hessian of the terminal cost, in absolute values.
+    """
+    problem, n, T = inverse.given, inverse.given.state_dim, inverse.given.horizon
+    x, u = sizes = trajectory_sizes(problem, trajectory)
+    dynamics, y, y_size = (
+        piecewise_smooth(inverse.problem),
+        inverse.with_cost(trajectory),
+        np.concatenate([x, [0.0], u]),
+    )
+    found, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])).f, dynamics.sequence_of(y.x, y.u)
+    steep, bent = (
+        np.abs(np.stack([getattr(jet, part)[:, n] for jet in found])[modes, np.arange(T)])
+        for part in ("slopes", "curvatures")
+    )
+    steep[:, n] = 0.0
+    slopes, within = steep + bent @ y_size, steep @ y_size + 0.5 * np.einsum("tij,i,j->t", bent, y_size, y_size)
+    quadratic = inverse.problem.quadratic
+    end = np.abs(quadratic.p[:n] - problem.quadratic.p)
+    within = np.append(within, end @ x + 0.5 * x @ bent_end @ x)
+    values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
+    plain = problem.cost.without_formulas.at_dimensions(n, problem.control_dim, T)
+    stripped = replace_fields(problem, cost=plain)
+    cost = cost_scale(stripped, trajectory, sizes) + float(values.sum())
+    steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
+    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+    by_cost = np.vstack([slopes[:, :n], end + bent_end @ x])
+    in_x, in_u = np.column_stack([in_x + by_cost, np.arange(T + 1) == T]), in_u + slopes[:, n + 1 :]
+    return Scales((np.append(x, within.max() or 1.0), u), cost, (in_x, in_u))
 
 
 def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
@@ -225,7 +267,7 @@ def _signals_with_bounds(problem: OptimalControlProblem, trajectory: Trajectory)
 
 
 def _judge_norms(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, scales: Scales
 ) -> tuple[dict[Formula, Array], tuple[NormKink, ...]]:
     """Return the selection of every norm at the times at which its arguments are zero, not a number elsewhere."""
     selections: dict[Formula, Array] = {}
@@ -241,19 +283,19 @@ def _judge_norms(
         sequence = modes.sequence_of(trajectory.x, trajectory.u)
         alone = replace(linear, dynamics=modes.along(sequence))
         extremal = extremal_at(alone, trajectory, multipliers)
-        least = floors(extremal, trajectory_sizes(linear, trajectory))
+        least = floors(extremal, scales)
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         base, columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)
         for t in np.flatnonzero(active):
             own = np.asarray(columns[:, t].any(axis=(0, 2)))  # each mode may have a copy of the norm, which is one kink
             mode = int(sequence[t]) if own[sequence[t]] else int(np.argmax(own))
-            missing = (required[t] - base[t, mode]) / scale
-            selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
+            missing = (required[t] - base[t, mode]) / scale[t]
+            selection[t] = nearest_in_ball((columns[:, t, mode] / scale[t]).T, missing)
             if own.any() and not own[sequence[t]]:
                 continue
             signals = np.append(trajectory.x[t], trajectory.u[t])
             pull = dynamics.pull_of_norm(norm, signals, int(t), mode, multipliers.eta[t])
-            rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
+            rate = pull if pull > CONDITION_TOLERANCE * float(scale[t].max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return selections, tuple(kinks)
 

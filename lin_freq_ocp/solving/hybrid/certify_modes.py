@@ -34,6 +34,8 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
             return best
         certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
         descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
+        if certificate.normal:  # in the scales of the given problem
+            return replace(best, borders=certificate.borders, descent=descent)
         return replace(own_certificate(problem, trajectory, certificate), descent=descent)
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)

@@ -272,7 +272,7 @@ def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | N
         return judged
     cost = problem.value(start.trajectory.x, start.trajectory.u)
     saved = judged[2].cost - cost if judged is not None and judged[2].feasible else np.inf
-    if saved <= SAVED_BY_TOLERANCE * abs(cost):
+    if judged is not None and saved <= SAVED_BY_TOLERANCE * judged[2].cost_scale:
         return judged
     if not judge(problem, start.trajectory, zero_multipliers(problem, 1.0)).feasible:
         return judged
