@@ -86,7 +86,10 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
 
 
 def cost_scale(
-    problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    sizes: tuple[Array, Array] | None = None,
+    by_formulas: Array | None = None,
 ) -> float:
     """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
@@ -94,7 +97,8 @@ def cost_scale(
     cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
     of its size: squares are taken from the references, all else from the trajectory. A control with levels moves by
     whole levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of
-    its entries with deviations. ``sizes`` are those of the trajectory, if known.
+    its entries with deviations. ``sizes`` are those of the trajectory, if known; ``by_formulas`` (T+1,) is what counts of
+    costs by formulas, by default all.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
@@ -107,29 +111,28 @@ def cost_scale(
     for term in problem.terms:
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
-    return max(_sum_of_terms(problem, trajectory), rounding / GAP_TOLERANCE)
+    return max(_sum_of_terms(problem, trajectory, by_formulas), rounding / GAP_TOLERANCE)
 
 
-def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
+def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory, by_formulas: Array | None = None) -> float:
     """Return the sum of the absolute values of the terms of the cost."""
     x, u = trajectory.x, trajectory.u
-    parts = problem.cost.formula_values(x, u), *(term.cost(x, u) for term in problem.terms)
+    parts = (
+        problem.cost.formula_values(x, u) if by_formulas is None else by_formulas,
+        *(term.cost(x, u) for term in problem.terms),
+    )
     return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
 class Scales(NamedTuple):
-    """Sizes of states (n,) and controls (m,), S, and slopes of the cost for such sizes, (T+1, n) and (T, m)."""
+    """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
+
+    The slopes (T+1, n + m) are those for such sizes.
+    """
 
     sizes: tuple[Array, Array]
-    cost: float
-    slopes: tuple[Array, Array]
-
-
-def scales_of(problem: OptimalControlProblem, trajectory: Trajectory) -> Scales:
-    """Return the scales along a trajectory, without costs by formulas."""
-    x, u = sizes = trajectory_sizes(problem, trajectory)
-    steady = np.ones((problem.horizon + 1, 1)) * x, np.ones((problem.horizon, 1)) * u
-    return Scales(sizes, cost_scale(problem, trajectory, sizes), problem.quadratic.gradient_magnitudes(*steady))
+    cost: float | None = None
+    slopes: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +171,11 @@ def floors(extremal: Extremal, scales: Scales | None = None, origin: Array | Non
     problem with modes, that is only the average over modes.
     """
     problem, T = extremal.problem, extremal.problem.horizon
-    (x, u), cost, (in_x, in_u) = scales or scales_of(problem, extremal.trajectory)
+    (x, u), cost, slopes = scales or Scales(trajectory_sizes(problem, extremal.trajectory))
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
+    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+    if slopes is not None:
+        in_x, in_u = in_x + slopes[:, : len(x)], in_u + slopes[:-1, len(x) :]
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
@@ -179,7 +185,7 @@ def floors(extremal: Extremal, scales: Scales | None = None, origin: Array | Non
         costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
         costs = np.sort(costs[costs > 0])
         stage = SCALE_FLOOR * float(costs[len(costs) // 2]) if len(costs) else 0.0
-        level = max(cost, stage)
+        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     given = np.abs(extremal.trajectory.x) + (0.0 if start is None else np.abs(start))

@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
-from lin_freq_ocp.certificate.sizes import cost_scale, floors, scales_of
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -358,9 +358,10 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
     if multipliers.weights is not None:
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
-    scales = scales_of(problem, trajectory)
-    conditions = all_conditions(extremal, floors(extremal, scales))
-    return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scales.cost)
+    sizes = trajectory_sizes(problem, trajectory)
+    scale = cost_scale(problem, trajectory, sizes)
+    conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
+    return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scale)
 
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {

@@ -29,7 +29,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
-from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, scales_of, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
@@ -39,7 +39,6 @@ from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -56,7 +55,7 @@ def judge_smooth(
 ) -> Judgement:
     """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
     problem.require(trajectory)
-    scales = scales or scales_of(problem, trajectory)
+    scales = scales or Scales(trajectory_sizes(problem, trajectory))
     selections, norms = _judge_norms(problem, trajectory, multipliers, scales)
     judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, scales)
     facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
@@ -109,32 +108,19 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array
     A cost by a formula, and its slopes, change by so much at most within the sizes of states and controls, to second
     order: constants in it do not count. ``bent_end`` is the Hessian of the terminal cost, in absolute values.
     """
-    problem, n, T = inverse.given, inverse.given.state_dim, inverse.given.horizon
-    x, u = sizes = trajectory_sizes(problem, trajectory)
-    dynamics, y, y_size = (
-        piecewise_smooth(inverse.problem),
-        inverse.with_cost(trajectory),
-        np.concatenate([x, [0.0], u]),
-    )
+    problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
+    (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
     found, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])).f, dynamics.sequence_of(y.x, y.u)
     steep, bent = (
-        np.abs(np.stack([getattr(jet, part)[:, n] for jet in found])[modes, np.arange(T)])
+        np.abs(np.stack([getattr(jet, part)[:, n] for jet in found])[modes, np.arange(len(modes))])
         for part in ("slopes", "curvatures")
     )
     steep[:, n] = 0.0
-    slopes, within = steep + bent @ y_size, steep @ y_size + 0.5 * np.einsum("tij,i,j->t", bent, y_size, y_size)
-    quadratic = inverse.problem.quadratic
-    end = np.abs(quadratic.p[:n] - problem.quadratic.p)
-    within = np.append(within, end @ x + 0.5 * x @ bent_end @ x)
+    size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
+    slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
+    within = np.append((steep + 0.5 * bent @ size) @ size, (end + 0.5 * bent_end @ x) @ x)
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
-    plain = problem.cost.without_formulas.at_dimensions(n, problem.control_dim, T)
-    stripped = replace_fields(problem, cost=plain)
-    cost = cost_scale(stripped, trajectory, sizes) + float(values.sum())
-    steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-    by_cost = np.vstack([slopes[:, :n], end + bent_end @ x])
-    in_x, in_u = np.column_stack([in_x + by_cost, np.arange(T + 1) == T]), in_u + slopes[:, n + 1 :]
-    return Scales((np.append(x, within.max() or 1.0), u), cost, (in_x, in_u))
+    return Scales((np.append(x, within.max() or 1.0), u), cost_scale(problem, trajectory, (x, u), values), slopes)
 
 
 def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
