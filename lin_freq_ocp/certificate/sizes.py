@@ -97,8 +97,8 @@ def cost_scale(
     cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
     of its size: squares are taken from the references, all else from the trajectory. A control with levels moves by
     whole levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of
-    its entries with deviations. ``sizes`` are those of the trajectory, if known; ``by_formulas`` (T+1,) is what counts of
-    costs by formulas, by default all.
+    its entries with deviations. ``sizes`` are those of the trajectory, if known; of costs by formulas,
+    ``by_formulas`` (T+1,) counts, by default all.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
