@@ -11,6 +11,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
@@ -428,4 +429,4 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:
         return status, str(judged[2].second_order)
-    return status, LOCAL
+    return status, f"{LOCAL}, and {plural(search.tried, 'start')} tried"

@@ -280,3 +280,13 @@ def test_periodic_ends_keep_their_name_with_a_cost_by_formulas(stage, cost):
     assert result.cost == pytest.approx(cost, abs=1e-9)
     assert set(result.multipliers.stage) == {"periodic ends"}
     assert lfo.certify(problem, lfo.results.Trajectory(np.ones((5, 1)), np.zeros((4, 1)))).pmp == "satisfied"
+
+
+@pytest.mark.parametrize("bounds", [None, lfo.Box(1e-6, None)])
+def test_a_logarithm_needs_no_upper_bound_on_its_argument(bounds):
+    """Consumption of 100 within 10 steps; by hand, c_k is constant without interest and discount."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[-1.0]]), 10, SmoothCost(stage=lambda x, u: -np.log(u[0])), bounds,
+        initial_state=[100.0], terminal_state=[0.0],
+    )  # fmt: skip
+    assert lfo.solve(problem, global_bound=False).cost == pytest.approx(-10 * np.log(10.0), rel=1e-9)

@@ -190,7 +190,8 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
-SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
+# Starts that are enough if there is an answer and no modes are searched: with bounds of all controls, and without
+SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DIVERGED_STATES = (
     1e2  # size of a state, relative to its data, from which a straight line is a better start of a smooth problem
@@ -245,6 +246,7 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth = is_smooth(self.problem)
+        self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
         self._lines = list[Trajectory]()
         if self._smooth and self.problem.path_constraints:
             line = self._constant_trajectory(SHARES[0], replayed=False)
@@ -278,7 +280,7 @@ class LocalSearch:
     @property
     def enough_starts(self) -> int:
         """Return how many starts are enough if there is an answer and there are no modes to search."""
-        return SMOOTH_STARTS + len(self._lines)
+        return len(self._lines) + (SMOOTH_STARTS if self._bounded else UNBOUNDED_STARTS)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -363,29 +365,28 @@ class LocalSearch:
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
 
-        Of one smooth map, a straight line between the ends comes last; with path constraints first, after the lines
-        that pass obstacles on either side.
+        Of one smooth map, a straight line between the ends comes last, third without bounds of controls; with path
+        constraints first, after the lines that pass obstacles on either side.
         """
-        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
-        bounded = np.isfinite([tube.lower, tube.upper]).any()
+        dynamics = piecewise_smooth(self.problem)
         alone = np.zeros(self.problem.horizon, dtype=np.intp)
         yield from ((line, alone) for line in self._lines)
-        for share in SHARES if bounded else SHARES[:1]:
+        for i, share in enumerate(SHARES):
             trajectory = self._constant_trajectory(share)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
-        if self._smooth:
-            yield self._constant_trajectory(SHARES[0], replayed=False), alone
+            if self._smooth and i == (len(SHARES) - 1 if self._bounded else 1):
+                yield self._constant_trajectory(SHARES[0], replayed=False), alone
         for mode in range(0 if self._smooth else len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
-        """Return the trajectory of controls at a share between their bounds.
+        """Return the trajectory of controls at a share between their bounds, or their sizes where they have none.
 
         Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then
         goes straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
-        u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
+        u, start = _middle(tube, np.full(tube.lower.shape, share), self._units), _middle(self.problem.ends[0], middle)
         if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
                 trajectory = simulate(self.problem, u, start)
@@ -421,9 +422,9 @@ def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, siz
     return bent
 
 
-def _middle(box: Box, share: Array) -> Array:
-    """Return a point of a box at a share between its bounds; at its only bound, or at zero, if it has not two."""
-    lower, upper = np.asarray(box.lower), np.asarray(box.upper)
-    low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
-    high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
+def _middle(box: Box, share: Array, reach: Array | float = 0.0) -> Array:
+    """Return a point of a box at a share between its bounds; where it has not two, within a reach of zero."""
+    nearest = box.project(np.zeros(share.shape))
+    low = np.where(np.isfinite(box.lower), box.lower, nearest - reach)
+    high = np.where(np.isfinite(box.upper), box.upper, nearest + reach)
     return low + share * (high - low)
