@@ -105,8 +105,9 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
 def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array) -> Scales:
     """Return the scales of a problem with its cost by formulas as a state, which has no size of its own.
 
-    A cost by a formula, and its slopes, change by so much at most within the sizes of states and controls, to second
-    order: constants in it do not count. ``bent_end`` is the Hessian of the terminal cost, in absolute values.
+    Its size is what a stage cost changes within the sizes of states and controls, to second order. A cost counts in S
+    up to that within their given values: constants in it do not. ``bent_end`` is the Hessian of the terminal cost, in
+    absolute values.
     """
     problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
     (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
@@ -118,9 +119,12 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array
     steep[:, n] = 0.0
     size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
-    within = np.append((steep + 0.5 * bent @ size) @ size, (end + 0.5 * bent_end @ x) @ x)
+    far = x + (0.0 if problem.origin is None else np.abs(problem.origin))
+    given = np.concatenate([far, [0.0], u])
+    within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ far) @ far)
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
-    return Scales((np.append(x, within.max() or 1.0), u), cost_scale(problem, trajectory, (x, u), values), slopes)
+    stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
+    return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), slopes)
 
 
 def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:

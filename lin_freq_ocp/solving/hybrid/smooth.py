@@ -16,6 +16,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import least_by_formulas
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
@@ -299,7 +300,9 @@ class _Bounding:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
         message = ""
         if cost_is_never_negative(self.search.problem):
-            self.best, self.sets = 0.0, NEVER_NEGATIVE
+            with suppress(UnsupportedError):
+                self.best = least_by_formulas(self.search.problem)
+                self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
         known = self.judged[2].bound
         if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
             self.best, self.sets = known.value, known.sets
