@@ -31,7 +31,7 @@ from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
 from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
+from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
 from lin_freq_ocp.formulas.jets import jets, rounding_errors
 from lin_freq_ocp.formulas.nodes import Formula, text_of
@@ -132,18 +132,6 @@ def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, 
     last = problem.state_dim
     return tuple(
         replace(one, component=None) if one.label in OF_STATES and one.component == last else one for one in conditions
-    )
-
-
-def own_certificate(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
-    """Return the certificate of the problem with its cost as a state as that of the given one, without a bound."""
-    return replace(
-        certificate,
-        conditions=own_conditions(problem, certificate.conditions),
-        cost=problem.value(trajectory.x, trajectory.u),
-        cost_scale=cost_scale(problem, trajectory),
-        bound=None,
-        second_order=None,
     )
 
 

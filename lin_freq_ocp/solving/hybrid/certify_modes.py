@@ -8,7 +8,7 @@ from itertools import chain
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
-from lin_freq_ocp.certificate.hybrid.smooth import own_certificate
+from lin_freq_ocp.certificate.hybrid.smooth import own_conditions
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
@@ -34,9 +34,11 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
             return best
         certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
         descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
+        best = replace(best, borders=certificate.borders, descent=descent)
         if certificate.normal:  # in the scales of the given problem
-            return replace(best, borders=certificate.borders, descent=descent)
-        return replace(own_certificate(problem, trajectory, certificate), descent=descent)
+            return best
+        conditions = own_conditions(problem, certificate.conditions)
+        return replace(best, applicable=certificate.applicable, normal=False, conditions=conditions, bound=None)
     best, _ = best_multipliers(problem, trajectory)
     problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:
