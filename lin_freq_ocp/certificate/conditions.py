@@ -359,12 +359,5 @@ def worst_condition(label: str, name: str, residual: Array, scales: Array, first
     scales = np.broadcast_to(scales, residual.shape)
     relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
     t, component = first_largest(relative)
-    return Condition(
-        label,
-        name,
-        float(residual[t, component]),
-        float(scales[t, component]),
-        CONDITION_TOLERANCE,
-        first + t,
-        component,
-    )
+    at = float(residual[t, component]), float(scales[t, component])
+    return Condition(label, name, *at, CONDITION_TOLERANCE, first + t, component)

@@ -117,10 +117,8 @@ def cost_scale(
 def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory, by_formulas: Array | None = None) -> float:
     """Return the sum of the absolute values of the terms of the cost."""
     x, u = trajectory.x, trajectory.u
-    parts = (
-        problem.cost.formula_values(x, u) if by_formulas is None else by_formulas,
-        *(term.cost(x, u) for term in problem.terms),
-    )
+    by_formulas = problem.cost.formula_values(x, u) if by_formulas is None else by_formulas
+    parts = by_formulas, *(term.cost(x, u) for term in problem.terms)
     return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
@@ -144,8 +142,9 @@ class Floors:
     x : (n,), u : (m,)
         Of states and controls. For states at rest, x is at least their rounding divided by CONDITION_TOLERANCE.
     level : float
-        Of multipliers times signals: S, but at least SCALE_FLOOR of the least cost of a component of its size. With
-        eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the Hamiltonian.
+        Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
+        over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
+        Hamiltonian.
     in_x : (T+1, n), in_u : (T, m)
         Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
         component or time says nothing of others.
@@ -194,8 +193,6 @@ def floors(extremal: Extremal, scales: Scales | None = None, origin: Array | Non
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
-    floor_x, floor_u = (
-        np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x),
-        np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u),
-    )
-    return Floors(least, SCALE_FLOOR * u, level, floor_x, floor_u, terms, rounding)
+    in_x = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x)
+    in_u = np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
+    return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)

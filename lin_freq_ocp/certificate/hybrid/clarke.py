@@ -210,11 +210,9 @@ def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
     return certificate.borders if isinstance(certificate.borders, SwitchingFacts) else None
 
 
-def modes_along(
-    problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
-) -> ModeArrays:
+def modes_along(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    sizes = sizes or trajectory_sizes(problem, trajectory)
+    sizes = trajectory_sizes(problem, trajectory)
     return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
@@ -421,7 +419,8 @@ def judge_modes(
     """Judge a trajectory of affine modes, which may be smooth modes linearised along it, with their scales."""
     problem.require(trajectory)
     linearised, scales = linear_at is not None, linear_at or Scales(trajectory_sizes(problem, trajectory))
-    arrays, sizes = modes_along(problem, trajectory, scales.sizes), scales.sizes
+    sizes, arrays = scales.sizes, piecewise_affine(problem).arrays(problem.horizon)
+    arrays = arrays.with_sizes(*sizes, problem.dynamics.level_sizes)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True

@@ -210,21 +210,18 @@ def with_errors_of_tangents(
 
     ``costs`` are the formulas of the stage cost and of the terminal cost, if any.
     """
-    problem, trajectory, multipliers = extremal.problem, extremal.trajectory, extremal.multipliers
-    T, n, lost = problem.horizon, problem.state_dim, 0.0
+    trajectory, given = extremal.trajectory, extremal.multipliers.stage
+    T, n, lost = len(trajectory.u), trajectory.x.shape[1], 0.0
     points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))]).astype(np.float64)
-    steep, times = np.zeros_like(points), (np.arange(T), np.arange(T, T + 1))
-    pairs = [(formula, own) for formula, own in zip(costs, times, strict=False) if formula is not None]
-    priced = [((formula,), own, np.ones((len(own), 1))) for formula, own in pairs]
+    steep, none, one_each = np.zeros_like(points), np.zeros((1, 1)), np.ones((1, 1))
+    priced = [((one,), np.arange(T * i, T + i), one_each) for i, one in enumerate(costs) if one is not None]
     for one in constraints:
-        if one.name in multipliers.stage:
-            priced.append((one.formulas, one.map.times, np.maximum(multipliers.stage[one.name], 0.0)))
-    for formulas, own, weights in priced:
-        values, slopes = rounding_errors(formulas, points[own], own)
-        acts = weights > 0
-        lost += float((weights[acts] * values[acts]).sum())
-        steep[own] += np.where(acts[..., None], weights[..., None] * slopes, 0.0).sum(axis=1)
-    terms = steep / unit_rounding(problem)
+        priced.append((one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)))
+    for formulas, times, weights in priced:
+        values, slopes = rounding_errors(formulas, points[times], times)
+        lost += float(np.where(weights > 0, weights * values, 0.0).sum())
+        steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
+    terms = steep / unit_rounding(extremal.problem)
     in_x_terms, in_u_terms = extremal.in_x_terms + terms[:, :n], extremal.in_u_terms + terms[:-1, n:]
     return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
 

@@ -279,7 +279,6 @@ def _switches_near(
 NEAR_KINK, ON_KINK = 1e-3, 1e-6
 CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
-SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
 ZERO_PIVOT = 1e-14  # part of the largest entry on the diagonal, so that no pivot is exactly zero
 # Relative to |J|^2 |Phi|, until a step is found: they vanish with the residual, so that convergence stays fast
@@ -300,34 +299,28 @@ class NewtonRun:
 def newton(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
-    multipliers: Multipliers | None,
+    multipliers: Multipliers,
     sequence: Indices,
     near: float = NEAR_KINK,
-    most_steps: int = MOST_STEPS,
     end: float = np.inf,
 ) -> NewtonRun:
     """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
 
-    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
-    None: the best fit, with normals to the bounds nearer than ``near``. It ends at ``end``, by ``clock.now``. Raises
-    UnsupportedError if the problem has more than bounds, stop bands and a quadratic cost.
+    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used. It
+    ends at ``end``, by ``clock.now``. Raises UnsupportedError if the problem has more than bounds, stop bands and a
+    quadratic cost.
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
     system = NewtonSystem.around(problem, trajectory, sequence, near)
-    runs: list[NewtonRun] = []
-    for halved in (False, True):
-        start = starting_point(system, trajectory, multipliers, near, halved)
-        runs.append(_iterate_from(system, start, most_steps, end))
-        if runs[-1].converged or multipliers is not None or not system.switches:
-            break
-    return min(runs, key=lambda run: run.residuals[-1])
+    return iterate_from(system, starting_point(system, trajectory, multipliers), end)
 
 
-def _iterate_from(system: NewtonSystem, v: Array, most_steps: int, end: float) -> NewtonRun:
+def iterate_from(system: NewtonSystem, v: Array, end: float = np.inf) -> NewtonRun:
+    """Return the run from the unknowns v."""
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
-    while residuals[-1] > CONVERGED and len(residuals) <= most_steps and now() <= end:
+    while residuals[-1] > CONVERGED and len(residuals) <= MOST_STEPS and now() <= end:
         stepped = _damped_step(system, v, value)
         if stepped is None:
             break
@@ -382,24 +375,10 @@ def _damped_step(system: NewtonSystem, v: Array, value: SystemValue) -> tuple[Ar
     return None
 
 
-def starting_point(
-    system: NewtonSystem, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool
-) -> Array:
-    """Return the unknowns at a trajectory, in natural units; see ``newton`` for the multipliers.
-
-    Where there are none, weights are one half if ``halved``, else those of the trajectory's side.
-    """
+def starting_point(system: NewtonSystem, trajectory: Trajectory, multipliers: Multipliers) -> Array:
+    """Return the unknowns at a trajectory with multipliers, in natural units."""
     v = np.zeros(len(system.units))
     v[system.x], v[system.u] = trajectory.x, trajectory.u
-    if multipliers is None:
-        if halved:
-            v[system.alpha] = 0.5
-        else:  # 1 where a switching surface is crossed
-            y = np.hstack([trajectory.x[: system.problem.horizon], trajectory.u])
-            regions = piecewise_smooth(system.problem).jets_at(y).regions
-            crossed = [regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
-            v[system.alpha] = np.array(crossed, dtype=float)
-        return _fit_multipliers(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
         (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
@@ -410,26 +389,3 @@ def starting_point(
     for k, (t, second, _) in enumerate(system.switches):
         v[system.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
     return v / system.units
-
-
-def _fit_multipliers(system: NewtonSystem, v: Array, near: float) -> Array:
-    """Return the unknowns with the multipliers of least squares."""
-    from scipy.optimize import lsq_linear  # slow to import
-
-    F, J = system.equations(v * system.units)
-    signals = np.concatenate([system.x.ravel(), system.u.ravel()])
-    signals = signals[system.lower[signals] < system.upper[signals]]
-    at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
-    at_bounds = np.flatnonzero(at_lower | at_upper)
-    multipliers = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
-    slopes = system.scales[signals, None] * J[signals][:, multipliers].toarray() * system.units[multipliers]
-    normals = np.zeros((len(signals), len(at_bounds)))
-    normals[at_bounds, np.arange(len(at_bounds))] = 1.0
-    small = np.hstack([np.zeros((len(at_bounds), len(multipliers))), SMALL_NORMALS * np.eye(len(at_bounds))])
-    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(at_bounds))])
-    free = np.full(len(multipliers), np.inf)
-    above = np.where(at_upper[at_bounds], np.inf, 0.0)
-    below = np.where(at_lower[at_bounds], -np.inf, 0.0)
-    bounds = np.append(-free, below), np.append(free, above)
-    v[multipliers] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(multipliers)]
-    return v
