@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_365,
-    "code lines, linear part": 20_306,
-    "code lines, hybrid": 8_607,
+    "code lines": 41_405,
+    "code lines, linear part": 20_339,
+    "code lines, hybrid": 8_614,
     SHARE_SAID: 19.5,  # at least
     "files": 301,
     "folders": 40,

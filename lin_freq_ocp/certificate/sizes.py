@@ -26,6 +26,8 @@ from lin_freq_ocp.certificate.tolerances import (
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+Sizes = tuple[Array, Array]  # of states (n,) and of controls (m,)
+
 
 def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), all above zero.
@@ -86,10 +88,7 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
 
 
 def cost_scale(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    sizes: tuple[Array, Array] | None = None,
-    by_formulas: Array | None = None,
+    problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None, by_formulas: Array | None = None
 ) -> float:
     """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
@@ -128,7 +127,7 @@ class Scales(NamedTuple):
     The slopes (T+1, n + m) are those for such sizes.
     """
 
-    sizes: tuple[Array, Array]
+    sizes: Sizes
     cost: float | None = None
     slopes: Array | None = None
 

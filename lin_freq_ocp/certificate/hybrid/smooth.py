@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS, Bound, unit_rounding
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, require_fitting
@@ -119,9 +119,8 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array
     steep[:, n] = 0.0
     size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
-    far = x + (0.0 if problem.origin is None else np.abs(problem.origin))
-    given = np.concatenate([far, [0.0], u])
-    within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ far) @ far)
+    given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
+    within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), slopes)
@@ -178,19 +177,16 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         p=cost.p + slopes[T, :n],
     )
     costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
-    below = replace(problem, dynamics=stated, cost=costs, stage_rows=rows)
-    at_tangents = extremal_at(below, trajectory, replace(multipliers, weights=None))
-    extremal, lost = with_errors_of_tangents(at_tangents, problem.cost.formulas, proven)
+    below, plain = replace(problem, dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
+    extremal, lost = with_errors_of_tangents(extremal_at(below, trajectory, plain), problem.cost.formulas, proven)
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)
     if bound is None:
         return None
     constant = problem.value(trajectory.x, trajectory.u) - extremal.cost
     rounding = lost + ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
-    bound = replace(bound, value=bound.value + constant - rounding)
-    return (
-        replace(bound, kind=NUMERICAL, sets="; ".join([*filter(None, [bound.sets]), *declared])) if declared else bound
-    )
+    kind, sets = NUMERICAL if declared else bound.kind, "; ".join([*filter(None, [bound.sets]), *declared])
+    return replace(bound, value=bound.value + constant - rounding, kind=kind, sets=sets)
 
 
 def tangents_exclude(
@@ -213,16 +209,16 @@ def with_errors_of_tangents(
     trajectory, given = extremal.trajectory, extremal.multipliers.stage
     T, n, lost = len(trajectory.u), trajectory.x.shape[1], 0.0
     points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))]).astype(np.float64)
-    steep, none, one_each = np.zeros_like(points), np.zeros((1, 1)), np.ones((1, 1))
-    priced = [((one,), np.arange(T * i, T + i), one_each) for i, one in enumerate(costs) if one is not None]
-    for one in constraints:
-        priced.append((one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)))
+    steep, none, each = np.zeros_like(points), np.zeros((1, 1)), np.ones((1, 1))
+    terms = [(np.arange(T * i, T + i), one) for i, one in enumerate(costs) if one is not None]
+    priced: list[tuple[Sequence[Formula], Indices, Array]] = [([one], times, each) for times, one in terms]
+    priced += [(one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)) for one in constraints]
     for formulas, times, weights in priced:
         values, slopes = rounding_errors(formulas, points[times], times)
         lost += float(np.where(weights > 0, weights * values, 0.0).sum())
         steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
-    terms = steep / unit_rounding(extremal.problem)
-    in_x_terms, in_u_terms = extremal.in_x_terms + terms[:, :n], extremal.in_u_terms + terms[:-1, n:]
+    steep /= unit_rounding(extremal.problem)
+    in_x_terms, in_u_terms = extremal.in_x_terms + steep[:, :n], extremal.in_u_terms + steep[:-1, n:]
     return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
 
 

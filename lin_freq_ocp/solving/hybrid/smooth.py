@@ -42,7 +42,6 @@ from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
-LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
@@ -273,8 +272,8 @@ def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | N
     if start.trajectory is None:
         return judged
     cost = problem.value(start.trajectory.x, start.trajectory.u)
-    saved = judged[2].cost - cost if judged is not None and judged[2].feasible else np.inf
-    if judged is not None and saved <= SAVED_BY_TOLERANCE * judged[2].cost_scale:
+    known = None if judged is None or not judged[2].feasible else judged[2]
+    if known is not None and known.cost - cost <= SAVED_BY_TOLERANCE * known.cost_scale:
         return judged
     if not judge(problem, start.trajectory, zero_multipliers(problem, 1.0)).feasible:
         return judged
@@ -432,4 +431,4 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:
         return status, str(judged[2].second_order)
-    return status, f"{LOCAL}, and {plural(search.tried, 'start')} tried"
+    return status, f"no global bound was asked for, and {plural(search.tried, 'start')} tried"

@@ -245,9 +245,8 @@ class LocalSearch:
         self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
         self._sizes, self._units = stated_sizes(self.problem)
-        self._smooth = is_smooth(self.problem)
-        self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
-        self._lines = list[Trajectory]()
+        self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
+        self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
         if self._smooth and self.problem.path_constraints:
             line = self._constant_trajectory(SHARES[0], replayed=False)
             self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
