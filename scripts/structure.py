@@ -40,11 +40,11 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_405,
-    "code lines, linear part": 20_339,
-    "code lines, hybrid": 8_614,
+    "code lines": 41_696,
+    "code lines, linear part": 20_620,
+    "code lines, hybrid": 8_606,
     SHARE_SAID: 19.5,  # at least
-    "files": 301,
+    "files": 304,
     "folders": 40,
     "folders at the root": 17,
     "modules at the root": 11,
@@ -52,9 +52,9 @@ LIMITS: dict[str, float] = {
     "lines of a file": 535,
     "lines of a function": 80,
     "functions used once [%]": 11.9,
-    "files entered by a solve": 47,
-    "functions entered by a solve": 373,
-    "calls of a solve": 769,
+    "files entered by a solve": 48,
+    "functions entered by a solve": 387,
+    "calls of a solve": 788,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,

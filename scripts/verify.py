@@ -30,6 +30,7 @@ loop         closed loops with disturbances, and plans of ten plants against the
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
+uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
 suite        the tests with all their random seeds
 
 A run of the tests takes a third of their seeded samples. N is by default the number beside each part below;
@@ -68,6 +69,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "embedded": 10_000,
     "frequencies": 200,
     "proofs": 100,
+    "uncontrollable": 1000,
     "answers": None,
     "limits": None,
     "suite": None,

@@ -2,6 +2,7 @@ import gc
 import os
 import signal
 import sys
+from importlib.util import find_spec
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -11,15 +12,25 @@ import lin_freq_ocp as lfo
 from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
-from helpers.drawings import UnmovedPanels
+from helpers.drawings import BLANK, UnmovedPanels
+from helpers.drawings import blank as blank
+from helpers.drawings import images as images
+from helpers.explanations import explain_once
 from helpers.seeds import VARIABLE, choose_seeds
 from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
+from helpers.without_flint import SkippedModule
 from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.explanation import explanation
 from lin_freq_ocp.testing import PENDULUM, reference_problem
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    """Return a module that is skipped if it needs python-flint, where that is missing; None is the default."""
+    return None if find_spec("flint") else SkippedModule.from_parent(parent, path=module_path)
 
 
 def pytest_configure(config):
@@ -75,15 +86,27 @@ def pytest_collection_finish():
 
 @pytest.fixture(autouse=True, scope="session")
 def _plain_drawings():
-    """Draw figures with few pixels and where panels are by default: no test counts pixels, and one has the layout."""
+    """Draw figures with few pixels and where panels are by default: no test counts pixels, and one has the layout.
+
+    Pages are saved with blank images, but by tests with the fixture ``images``.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
         patch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", UnmovedPanels)
+        patch.setattr("lin_freq_ocp.pages.report.page.Drawing.png", lambda drawing: BLANK)
         yield
 
 
 _verdicts, _closest = Record(), {}
 _verdicts.watch()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _explanations():
+    """Let solve search once for the explanation of a problem that several tests solve; ``lfo.explain`` always does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explanation, "explain", explain_once(lfo.explain))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -186,7 +186,7 @@ def solve_many(
     def print_count(done: int, count: int) -> None:
         print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
 
-    record = (lambda head: nullcontext()) if path is None else partial(ManyFile, path)
+    record = (lambda head: nullcontext()) if path is None else partial(ManyFile, problem, path)
     with report_progress(progress or (print_count if sys.stderr.isatty() else None), count_text) as report:
         outcome = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
     return present_as(Solutions, outcome)

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import raise_for, report_progress
+from lin_freq_ocp.api.solve import conflict_in_words, raise_for, report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
 from lin_freq_ocp.base.phrases import html_table, plural, runs_of, term_rows
 from lin_freq_ocp.batch.grid import Source, require_executor
@@ -59,9 +59,9 @@ class MinimumTime:
     horizons : (int, int)
         The range.
     verdicts : dict
-        The verdict on each solved horizon: "feasible", "infeasible" (by a verified ray) or "undecided".
+        The verdict on each solved horizon: "feasible", "infeasible" (by a verified proof) or "undecided".
     rays : dict
-        The ray of each "infeasible" horizon. The file of an earlier run has no rays, so its horizons have none here.
+        The ray of each horizon that is proven infeasible by one. The file of an earlier run has no rays.
     interrupted : bool
         Whether Ctrl-C ended the search; the attributes then hold the state at that time.
 
@@ -124,7 +124,7 @@ def minimum_time(
 
     If feasibility is monotone (zeros can be appended to any feasible control), the search bisects; otherwise it solves
     horizon by horizon from below. The conditions are checked, and ``reason`` names those that fail. A horizon is
-    infeasible only if the judge has verified a ray, and undecided if there is no answer.
+    infeasible only if the judge has verified a proof, and undecided if there is no answer.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def minimum_time(
     >>> mover = lfo.library.double_integrator(cutoff_hz=None)
     >>> shortest = lfo.minimum_time(mover, horizons=(100, 300))
     >>> shortest.horizon, shortest.proof
-    (182, '182 is feasible; 181 is proven infeasible by a ray, and with it all shorter horizons')
+    (182, '182 is feasible; 181 is proven infeasible, and with it all shorter horizons')
     """
     low, high = checked_horizons(horizons)
     require_source(problem)
@@ -188,7 +188,7 @@ def minimum_time(
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven
     outcome, last = (search.last, high) if horizon is None else (search.best, horizon - 1)
-    # If feasibility is monotone, a ray at one horizon proves all shorter ones infeasible.
+    # If feasibility is monotone, a proof at one horizon proves all shorter ones infeasible.
     first = max(proven, default=low - 1) + 1 if monotone else low
     unproven = [T for T in range(first, last + 1) if T not in proven]
     shortest = MinimumTime(
@@ -204,12 +204,12 @@ def minimum_time(
         rays=search.rays,
         interrupted=search.interrupted,
     )
-    if throw and horizon is None and not search.interrupted:
+    if throw and horizon is None and shortest.result is not None and not search.interrupted:
         if shortest.proven:
-            text = f"No horizon from {low} to {high} is feasible: {shortest.proof}. "
-            raise InfeasibleError(f"{text}Allow longer ones, or relax a constraint.", shortest.result)
-        if shortest.result is not None:
-            raise_for(shortest.result)
+            text = f"No horizon from {low} to {high} is feasible: {shortest.proof}. Allow longer ones. "
+            text += f"At {high}: {shortest.result.message}.{conflict_in_words(shortest.result)}"
+            raise InfeasibleError(text, shortest.result)
+        raise_for(shortest.result)
     return shortest
 
 
@@ -219,10 +219,10 @@ def _proof_in_words(search: Search, unproven: list[int], monotone: bool) -> str:
     if search.horizon == search.low:
         facts.append("shorter horizons are outside of the range")
     elif monotone and proven:
-        facts.append(f"{proven[-1]} is proven infeasible by a ray, and with it all shorter horizons")
+        facts.append(f"{proven[-1]} is proven infeasible, and with it all shorter horizons")
     elif proven:
         each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
-        facts.append(f"{each} proven infeasible by a ray of its own")
+        facts.append(f"{each} proven infeasible")
     if unproven:
         claimed = [T for T in unproven if T in search.claimed]
         if claimed:

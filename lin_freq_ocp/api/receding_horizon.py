@@ -182,7 +182,8 @@ class RecedingHorizon:
             controls alone may be left out, all or none, such as the last control that ``rate_limited`` adds. At the
             first step these are those of the problem's initial state, zero where it has none.
         references : mapping, optional
-            "x_ref" and "u_ref" over the coming horizon, as in QuadraticCost.
+            "x_ref" and "u_ref" over the coming horizon, as in QuadraticCost; x_ref may leave out the same states as
+            ``state``, whose references are then those of the problem.
         bounds : mapping, optional
             "state_set" and "control_set" over the coming horizon, as in OptimalControlProblem.
         disturbance : (n,) or (T, n), optional

@@ -159,17 +159,11 @@ def raise_for(result: Result) -> None:
         return
     if result.status in (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED):
         message = f"No trajectory of {name} satisfies all constraints ({result.message})."
-        if result.status == Status.INFEASIBLE_CLAIMED:
-            message = (
-                f"{name}: {result.solver} claims that no trajectory satisfies all constraints, which is not proven "
-                f"({result.message}). Bound all states and controls, try another method, or rescale the data."
-            )
-        if result.conflict is not None:
-            of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
-            family = result.explanation.family if result.explanation else of_ray
-            cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
-            advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
-            message += f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
+        if result.status == Status.INFEASIBLE_CLAIMED and result.ray is not None:
+            message = f"{name}: {result.message}. Larger ones are not excluded: bound all states and controls."
+        elif result.status == Status.INFEASIBLE_CLAIMED:
+            message = f"{name}: {result.solver} claims infeasibility without a proof ({result.message})."
+        message += conflict_in_words(result)
     elif result.status == Status.UNBOUNDED:
         message = f"The cost of {name} has no lower bound. Bound the controls, or give every one of them a cost."
     elif result.status == Status.LIMIT:
@@ -186,6 +180,17 @@ def raise_for(result: Result) -> None:
             "its last point is in .result. Try another backend or method."
         )
     raise ERRORS[result.status](message, result)
+
+
+def conflict_in_words(result: Result) -> str:
+    """Return a sentence with the constraints in conflict and the advice on them; empty where no ray names them."""
+    if result.conflict is None:
+        return ""
+    of_ray = {part.block: str(part) for part in result.conflict}  # with times or bins
+    family = result.explanation.family if result.explanation else of_ray
+    cures = "; or ".join(map(str, result.explanation.cures)) if result.explanation else ""
+    advice = f"Smallest change that restores feasibility: {cures}." if cures else "Relax one of these."
+    return f" In conflict: {'; '.join(of_ray.get(block, block) for block in family)}. {advice}"
 
 
 def with_explanation(

@@ -7,15 +7,21 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+MOST_CHARACTERS = 1000  # of a message: it may repeat names, files and values of any length
+
 
 class LinFreqOCPError(Exception):
-    """Base of all errors of this package.
+    """Base of all errors of this package. A message of more than 1,000 characters loses its middle.
 
     Examples
     --------
     >>> issubclass(lfo.errors.SolveError, lfo.errors.LinFreqOCPError)
     True
     """
+
+    def __init__(self, message: str):
+        end = MOST_CHARACTERS // 2 - 3
+        super().__init__(message if len(message) <= MOST_CHARACTERS else f"{message[:end]} ... {message[-end:]}")
 
 
 class ProblemError(LinFreqOCPError, ValueError):

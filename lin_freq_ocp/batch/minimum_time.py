@@ -59,7 +59,8 @@ class Search:
     high: int
     verdicts: dict[int, Verdict] = field(default_factory=dict)
     rays: dict[int, Multipliers] = field(default_factory=dict)
-    excluded: set[int] = field(default_factory=set)  # by rigorous rays, recorded ones too
+    excluded: set[int] = field(default_factory=set)  # by proofs for every trajectory, recorded ones too
+    recorded: set[int] = field(default_factory=set)  # whose verdict was read from a file, without its evidence
     claimed: set[int] = field(default_factory=set)  # infeasible by the word of a solver, which guides the search
     best: Outcome | None = None  # at the least horizon that is feasible
     last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
@@ -76,38 +77,37 @@ class Search:
 
     @property
     def proven(self) -> list[int]:
-        """Return the horizons that are infeasible by a rigorous ray, in increasing order."""
+        """Return the horizons that are proven infeasible, in increasing order."""
         return sorted(self.excluded)
 
     @property
     def without_evidence(self) -> list[int]:
         """Return the decisive horizons whose verdict was read from a file, which has no trajectory or ray."""
         least = self.horizon
-        if least is None:
-            longest, shown = max(self.verdicts, default=None), self.last
-            return [] if longest is None or (shown is not None and shown.problem.horizon == longest) else [longest]
-        horizons = [] if self.best is not None and self.best.problem.horizon == least else [least]
-        no_ray = self.verdicts.get(least - 1) == Verdict.INFEASIBLE and least - 1 not in self.rays
-        return [*horizons, least - 1] if no_ray else horizons
+        infeasible = {T for T in self.of(Verdict.INFEASIBLE) if least is not None and T == least - 1}
+        return sorted({max(self.verdicts, default=0) if least is None else least, *infeasible} & self.recorded)
 
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
         """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided."""
         verdict = self.verdicts[horizon] = verdict_of(outcome)
+        self.recorded.discard(horizon)
         if outcome is None:
             return verdict
         if verdict == Verdict.FEASIBLE:
             self.best = outcome if self.best is None or horizon <= self.best.problem.horizon else self.best
         elif self.last is None or horizon >= self.last.problem.horizon:
             self.last = outcome
-        if outcome.ray is not None and verdict == Verdict.INFEASIBLE:
-            self.rays[horizon] = outcome.ray
+        if outcome.dual and verdict == Verdict.INFEASIBLE:
             self.excluded.add(horizon)
+            if outcome.ray is not None:
+                self.rays[horizon] = outcome.ray
         if outcome.status == Status.INFEASIBLE_CLAIMED:
             self.claimed.add(horizon)
         return verdict
 
     def recall(self, horizon: int, row: Row) -> None:
         """Keep the recorded verdict of a horizon, which comes without its evidence."""
+        self.recorded.add(horizon)
         if row["cost"] is not None:
             self.verdicts[horizon] = Verdict.FEASIBLE
         elif row["status"] == Status.INFEASIBLE and row["bound"] != NUMERICAL:  # as earlier versions recorded it

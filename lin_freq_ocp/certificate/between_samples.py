@@ -20,7 +20,7 @@ from math import ceil, comb, factorial
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, first_largest
-from lin_freq_ocp.base.phrases import number, split_unit
+from lin_freq_ocp.base.phrases import first_few, number, short_name, split_unit
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, RADIUS_MARGIN
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -31,6 +31,7 @@ DEGREE = 15  # of the Taylor polynomials
 REACH = 0.5  # largest w |A| of a cell: the remainder is below 1e-17 of a cell's motion
 LARGEST_REACH = 512.0  # largest h |A| of a period; a stiffer plant is left out
 RESOLUTION = 1e-9  # part of its size to which a largest value is bounded: far below what matters
+MUCH = 10.0  # times the violation of a simulation, above which a rigorous bound on it says little
 LATEST_HALVING = 60  # narrower cells are beyond double precision
 ROUNDING = 4 * (DEGREE + 1) * float(np.finfo(np.float64).eps)  # of sums of a few terms for each power, relative to them
 # Bernstein coefficients from power coefficients
@@ -96,6 +97,9 @@ class BetweenSamples:
     ----------
     bounds : tuple of BoundPeak
         Of every finite state bound of the plant's states.
+    simulated : tuple of str
+        The states for which ``at_most`` is more than ten times the violation that a simulation reaches (or the
+        tolerance, if that is larger): over many oscillations in a period, nothing better is proven of them.
 
     Examples
     --------
@@ -105,6 +109,7 @@ class BetweenSamples:
     """
 
     bounds: tuple[BoundPeak, ...]
+    simulated: tuple[str, ...] = ()
 
     @property
     def worst(self) -> BoundPeak:
@@ -117,7 +122,11 @@ class BetweenSamples:
         return all(bound.holds for bound in self.bounds)
 
     def __str__(self) -> str:
-        return "all state bounds hold between the samples" if self.holds else str(self.worst)
+        text = "all state bounds hold between the samples" if self.holds else str(self.worst)
+        if self.simulated:
+            names = first_few([short_name(name) for name in self.simulated])
+            text += f", by a simulation (the rigorous at_most of {names} is more than ten times as large)"
+        return text
 
 
 def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> BetweenSamples | None:
@@ -152,9 +161,12 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
     sizes = np.array([_size(problem, trajectory.x, int(i)) for i in components])
     peaks = _LargestValues(np.where(rows < n, 1.0, -1.0), components, limits[:, rows], RESOLUTION * sizes)
     error = peaks.search(plant, trajectory.x[:-1, :n], trajectory.u, step / parts, parts)
-    figures = np.stack([peaks.values, peaks.proven + error, peaks.values / sizes, peaks.times], axis=1).tolist()
+    at_most = peaks.proven + error
+    loose = components[at_most > MUCH * np.maximum(peaks.values, CONDITION_TOLERANCE * sizes)]
+    figures = np.stack([peaks.values, at_most, peaks.values / sizes, peaks.times], axis=1).tolist()
     named = [(int(row % n), problem.state_names[row % n], "upper" if row < n else "lower") for row in rows]
-    return BetweenSamples(tuple(BoundPeak(*name, *values) for name, values in zip(named, figures, strict=True)))
+    bounds = (BoundPeak(*name, *values) for name, values in zip(named, figures, strict=True))
+    return BetweenSamples(tuple(bounds), tuple(problem.state_names[i] for i in np.unique(loose)))
 
 
 def _size(problem: OptimalControlProblem, x: Array, i: int) -> float:

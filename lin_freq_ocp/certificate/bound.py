@@ -155,8 +155,10 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
 
     if multiple is not None:
         return bound_within(multiple)
-    proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem, at, region), 0.0, RIGOROUS)
     farthest = farthest_bound(bound_within)
+    if farthest.value <= 0:  # nor over any box around the trajectory
+        return farthest
+    proven, _ = _evaluate(extremal, uncurved, implied_bounds(problem), 0.0, RIGOROUS)
     return replace(proven, multiple=farthest.multiple) if proven.value > 0 else farthest
 
 
@@ -219,10 +221,20 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
 
 
 def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
-    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>."""
-    cost, eta = extremal.problem.quadratic, np.abs(extremal.multipliers.eta)
-    x, u = np.abs(extremal.trajectory.x) + np.abs(cost.x_ref), np.abs(extremal.trajectory.u) + np.abs(cost.u_ref)
-    return float((in_x * x).sum() + (in_u * u).sum() + (eta * np.abs(extremal.problem.linear.offset)).sum())
+    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>.
+
+    Those of J are products of deviations from the references, and linear terms.
+    """
+    cost, at = extremal.problem.quadratic, extremal.trajectory
+    terms = np.vdot(
+        np.abs(extremal.multipliers.eta), np.abs(np.broadcast_to(extremal.problem.linear.offset, at.x[1:].shape))
+    )
+    linear = (cost.q * at.x[:-1], cost.p * at.x[-1], cost.r * at.u)
+    terms += sum(float(np.abs(part).sum()) for part in linear if part.any())
+    sums = (in_x, in_u), extremal.cost_terms, (at.x, at.u), cost.deviations(at.x, at.u)
+    for all_terms, of_cost, values, deviations in zip(*sums, strict=True):
+        terms += np.vdot(all_terms - of_cost, np.abs(values)) + np.vdot(of_cost, np.abs(deviations))
+    return float(terms)
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:

@@ -80,6 +80,8 @@ class Extremal:
         D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
     in_x_terms, in_u_terms
         The sums of the absolute values of the terms of in_x and in_u. Their rounding errors are relative to these.
+    cost_terms : (T+1, n) and (T, m)
+        The parts of the quadratic cost in these sums.
     terms : list of PricedTerm
         All terms of the problem except the quadratic cost, boxes and stop bands.
     """
@@ -95,6 +97,7 @@ class Extremal:
     in_u: Array
     in_x_terms: Array
     in_u_terms: Array
+    cost_terms: tuple[Array, Array]
     terms: list[PricedTerm]
 
     @cached_property
@@ -156,9 +159,10 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     signals = problem.in_time(to_long_double(multipliers.rho_x)), time_signal(to_long_double(multipliers.rho_u), T)
     cost_x, cost_u = problem.quadratic.gradient(x, u)
     in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
-    cost_x_terms, cost_u_terms = problem.quadratic.gradient_magnitudes(trajectory.x, trajectory.u)
-    in_x_terms = abs(eta_C) * cost_x_terms + np.abs(multipliers.rho_x).sum(0)
-    in_u_terms = abs(eta_C) * cost_u_terms + np.abs(multipliers.rho_u).sum(0)
+    cost_x_terms, cost_u_terms = problem.quadratic.gradient_terms(trajectory.x, trajectory.u)
+    cost_terms = abs(eta_C) * cost_x_terms, abs(eta_C) * cost_u_terms
+    in_x_terms = cost_terms[0] + np.abs(multipliers.rho_x).sum(0)
+    in_u_terms = cost_terms[1] + np.abs(multipliers.rho_u).sum(0)
     through_x, through_u = problem.equations.pull_back(eta)
     terms_x, terms_u = problem.equations.pulled_sizes(multipliers.eta)
     in_x[:-1] += through_x
@@ -174,7 +178,8 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
         size_x, size_u = priced.term.map.pulled_sizes(priced.weights, shapes)
         in_x_terms += size_x
         in_u_terms += size_u
-    return Extremal(problem, trajectory, multipliers, x, u, *signals, in_x, in_u, in_x_terms, in_u_terms, terms)
+    sizes = in_x_terms, in_u_terms, cost_terms
+    return Extremal(problem, trajectory, multipliers, x, u, *signals, in_x, in_u, *sizes, terms)
 
 
 def _priced_terms(

@@ -195,7 +195,7 @@ def _slopes(
     in_x[:, :-1] -= _times(eta, dynamics.A)
     in_x[:, 1:] += eta
     plain, sizes = cost.magnitudes(), dynamics.magnitudes()
-    a, b = np.abs(extremals.x) + np.abs(cost.x_ref), np.abs(extremals.u) + np.abs(cost.u_ref)
+    a, b = np.abs(a).astype(np.float64), np.abs(b).astype(np.float64)
     eta, inner, last = np.abs(extremals.eta), a[:, :-1], (a[:, -1] @ plain.P + plain.p)[:, None]
     terms_x = np.concatenate([_times(inner, plain.Q) + _times(b, plain.S.T) + plain.q, last], axis=1)
     terms_x[:, :-1] += _times(eta, sizes.A)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -80,12 +81,14 @@ def reachable_bounds(problem: OptimalControlProblem) -> Region:
     return Region(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
 
 
-def implied_bounds(problem: OptimalControlProblem, trajectory: Trajectory, region: Region) -> Region:
-    """Return a region with the bounds that it, the dynamics and other constraints imply, about any trajectory."""
-    signals, boxes = (trajectory.x, trajectory.u), (region.x, region.u)
+@lru_cache(maxsize=1)  # for the rays of one problem, one after another
+def implied_bounds(problem: OptimalControlProblem) -> Region:
+    """Return the reachable set with the bounds that it, the dynamics and other constraints imply."""
+    region, tubes = reachable_bounds(problem), (problem.state_tube, problem.control_tube)
+    signals, boxes = [tube.project(np.zeros_like(tube.lower)) for tube in tubes], (region.x, region.u)
     far = [np.maximum(np.abs(low - z), np.abs(high - z)) for z, (low, high) in zip(signals, boxes, strict=True)]
     x, u = (np.stack([radius, np.zeros_like(radius)]) for radius in far)
-    _propagate_radii(problem, trajectory, (x, u))
+    _propagate_radii(problem, Trajectory(*signals), (x, u))
     pairs = [
         _intersection(box, (signal - RADIUS_MARGIN * radius[0], signal + RADIUS_MARGIN * radius[0]))
         for signal, box, radius in zip(signals, boxes, (x, u), strict=True)
@@ -259,10 +262,14 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
     Rows that share no unknown component with others say what they say without these.
     """
     unknown = np.flatnonzero(np.isinf(values[0]))
+    bounds = _radii_of_block(columns, residual, values, unknown)
+    if bounds is not None:
+        values[:, unknown] = bounds
+        return True
     present = (columns[:, unknown] != 0).astype(float)
     count, block_of = connected_components(present.T @ present, directed=False)
     filled = False
-    for block in range(count):
+    for block in range(count) if count > 1 else ():
         chosen = block_of == block
         rows = present[:, chosen].any(axis=1)
         bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])

@@ -137,7 +137,10 @@ class Certificate:
         S, the sum of the absolute values of the terms of the cost. The gap is relative to S.
     worth_of_residuals : float
         Residuals of constraints times their multipliers: the amount by which they lower the cost, to first order.
-        Infinite if all multipliers are zero and residuals exceed rounding: such multipliers price nothing.
+        Infinite if all multipliers are zero and residuals exceed rounding: such multipliers price nothing. Of an answer
+        of ``solve``: the price of a trajectory nearby that satisfies every constraint; infinite if none is known.
+    data_rounding : float
+        The change of the optimal cost by rounding of the data, if that decides; else 0. Gaps below it do not count.
     bound : Bound or None
         The global lower bound; None if the cost is not convex, eta_C is not 1, or the dynamics have modes: then a
         search over modes may add its own, ``dataclasses.replace(certificate, bound=Bound(value, kind, sets=...))``.
@@ -167,6 +170,7 @@ class Certificate:
     cost_scale: float
     worth_of_residuals: float
     bound: Bound | None
+    data_rounding: float = 0.0
     descent: Direction | None = None
     borders: Facts | None = None
     rounded: Rounded | None = None
@@ -194,7 +198,7 @@ class Certificate:
     @property
     def allowed_gap(self) -> float:
         """Return the largest J - D of a trajectory that counts as globally optimal."""
-        return GAP_TOLERANCE * self.cost_scale
+        return max(GAP_TOLERANCE * self.cost_scale, self.data_rounding)
 
     @property
     def stage_gaps(self) -> Array | None:
@@ -219,12 +223,13 @@ class Certificate:
     def proven_within(self, gap: float) -> bool:
         """Whether the trajectory is feasible and its cost proven to be within ``gap`` of the least, relative to S.
 
-        A numerical bound proves nothing outside its box. The worth of the residuals must be within the gap, too, and
-        the cost must not be below the bound by more than the gap: residuals would explain such a cost.
+        The least cost is between D and the cost with the worth of the residuals. A numerical bound proves nothing
+        outside its box. The cost must not be below the bound by more than the gap: residuals would explain such a cost.
         """
         if self.bound is None or self.gap is None or self.bound.kind != RIGOROUS or not self.feasible:
             return False
-        return abs(self.gap) <= gap and self.worth_of_residuals <= gap * self.cost_scale
+        allowed, above = max(gap * self.cost_scale, self.data_rounding), self.cost - self.bound.value
+        return above >= -allowed and above + self.worth_of_residuals <= allowed
 
     def within(self, tolerance: float) -> Certificate:
         """Return the certificate with another tolerance of its conditions; ``borders`` keeps its own."""

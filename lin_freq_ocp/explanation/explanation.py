@@ -1,8 +1,9 @@
 """An irreducible infeasible subset of the constraints, and for each member the smallest relaxation that cures it.
 
 The family is found by deletion: each block is dropped in turn, for good if the others are still infeasible. For bounds,
-joint rows and ends the least relaxation is the optimum of a convex problem of the usual kind: a state delta, constant
-in time, relaxes the block's rows. For a term it is a bisection on its limit, for a stop band a bisection on the number
+joint rows and ends the least relaxation is the optimum of a convex problem of the usual kind: states delta, constant
+in time, relax the block's rows. An end has one for each component, and their sum is the least: only those that have to
+move do. For a term it is a bisection on its limit, for a stop band a bisection on the number
 of bins that are passed at its edges.
 """
 
@@ -28,6 +29,7 @@ from lin_freq_ocp.problem.limits import (
     intersection,
     map_constraints,
     map_sets,
+    replace_bounds,
 )
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.reformulations import AddedStates, add_states
@@ -43,10 +45,10 @@ Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem h
 # Relative margins on the least amount, tried in turn until rounding no longer decides.
 MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
-SMALLEST_CURE = 1e-9  # fraction of a cure below which the search for a smaller one ends
-CLOSE = 1.05  # factor to which a cure by bounds or rows is the least
+UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
+DELTA_CURVATURE = 1e-3  # of the cost of a delta in units of its size: it bounds the deltas that cost no more
 LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cure
 
 # Whether a problem has a solution, by the statuses that decide it.
@@ -146,7 +148,7 @@ class _VariantSolver:
         """Return an irreducible family: each block is dropped in turn, for good if the others are still infeasible."""
         shares = {entry.block: entry.share for entry in result.conflict or ()}
         of_ray = [block for block in self.blocks if block.name in shares]
-        family = of_ray if self._infeasible(of_ray) else list(self.blocks)
+        family = of_ray if len(of_ray) < len(self.blocks) and self._infeasible(of_ray) else list(self.blocks)
         for block in sorted(family, key=lambda block: shares.get(block.name, 0.0)):
             rest = [member for member in family if member is not block]
             if self._infeasible(rest):
@@ -203,19 +205,22 @@ def _least_by_delta(
     result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit)
     if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
-    least = max(float(result.trajectory.x[-1, -1]), 0.0)
-    if least > LARGEST * max(map(np.max, stated_sizes(problem))):
+    n, sizes = problem.state_dim, stated_sizes(problem)
+    least = np.maximum(result.trajectory.x[-1, n:], 0.0)
+    least[least <= UNMOVED * least.sum()] = 0.0
+    if least.sum() > LARGEST * max(map(np.max, sizes)):
         return None
-
-    def suffices(amount: float) -> bool:
-        return bool(feasible(limit.relaxed(problem, amount)))
-
     for margin in MARGINS:
-        amount = least * (1 + margin)
-        if suffices(amount):
-            if limit.end is None:
-                return _reduce_amount(amount, suffices), np.zeros(0)
-            return amount, result.trajectory.x[limit.end, :-1]
+        amount, reached = float(least.sum()) * (1 + margin), np.zeros(0)
+        if limit.end is None:
+            relaxed = limit.relaxed(problem, amount)
+        else:  # a component that needs no change gets none
+            box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * sizes[0]
+            end = Box(box.lower - by, box.upper + by)
+            relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
+            reached = end.project(result.trajectory.x[limit.end, :n])
+        if feasible(relaxed):
+            return amount, reached
     return None
 
 
@@ -245,15 +250,16 @@ def _least_amount(size: float, suffices: Callable[[float], bool]) -> float | Non
 
 
 def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRows) -> OptimalControlProblem:
-    """Return the problem of the least delta >= 0, its last state, by which the rows of a limit are relaxed."""
-    m, T = problem.control_dim, problem.horizon
-    delta = AddedStates(np.eye(1), np.zeros((1, m)), Box([0.0], [np.inf]), np.zeros(1), ["relaxation"])
+    """Return the problem of the least sum of delta >= 0, its last states, by which the rows of a limit are relaxed."""
+    m, T, k = problem.control_dim, problem.horizon, rows.C.shape[-1] - problem.state_dim
+    names, zero = [f"relaxation {i}" for i in range(k)], np.zeros(k)
+    delta = AddedStates(np.eye(k), np.zeros((k, m)), Box(zero, zero + np.inf), zero, names)
     base = replace(
         hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
     )
     elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
-    P = np.diag(np.append(np.zeros_like(x), limit.size**-2))
-    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=P)
+    p = np.append(np.zeros_like(x), zero + 1 / limit.size)
+    cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(DELTA_CURVATURE * p**2), p=p)
     return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 
@@ -266,16 +272,3 @@ def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
     spectra = {field: map_constraints(getattr(problem, field), lambda part: part.hard_part) for field in SPECTRA}
     rows = [part for family in problem.stage_rows if (part := family.hard_part) is not None]
     return replace(problem, **sets, **spectra, stage_rows=rows)
-
-
-def _reduce_amount(amount: float, suffices: Callable[[float], bool]) -> float:
-    """Return the least amount that suffices, to 5 %: small amounts are dominated by the price of the controls."""
-    if not suffices(amount / CLOSE):
-        return amount
-    least, most = amount / GROWTH, amount / CLOSE
-    while least > SMALLEST_CURE * amount and suffices(least):
-        least, most = least / GROWTH, least
-    while most > CLOSE * least:
-        middle = float(np.sqrt(least * most))
-        least, most = (least, middle) if suffices(middle) else (middle, most)
-    return most

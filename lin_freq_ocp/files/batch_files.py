@@ -20,9 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Generic, Self, TypeVar, get_type_hints
 
-import numpy as np
-
-from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.arrays import brief, to_shape
 from lin_freq_ocp.base.atomic import lock_file, report_write_errors, write_text
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
@@ -39,6 +37,7 @@ from lin_freq_ocp.files.reading import (
     require_keys,
 )
 from lin_freq_ocp.files.solution_files import header
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
 KIND = "lin-freq-ocp sweep"
@@ -57,7 +56,9 @@ ANOTHER_PATH = "Give another path, or remove the file."
 MANY_KIND = "lin-freq-ocp solve_many"
 MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
 MANY_DIFFERENCES = (("schema", "another layout"), ("fingerprint", "another problem"), ("options", "other options"))
-ITEM_KEYS = ("key", "status", "proven", "message", "cost", "lower_bound", "gap", "seconds", "x", "u")
+ITEM_KINDS: dict[str, FileValue] = {"key": str, "status": str, "proven": bool, "message": str}
+ITEM_KINDS |= dict.fromkeys(("cost", "lower_bound", "gap", "seconds"), int | float | None)
+ITEM_KEYS = (*ITEM_KINDS, "x", "u")
 
 Answer = TypeVar("Answer")
 
@@ -163,12 +164,10 @@ def _sweep_lines(path: Path) -> list[FileTable]:
         elif number > 1:
             line.setdefault("bound", None)  # rows of earlier versions have none
             require_keys(location, line, ("parameters", *MEASURED))
-            for key, kind in ROW_KINDS.items():
-                _require_kind(location, line, key, kind)
+            _require_kinds(location, line, ROW_KINDS)
         lines.append(line)
     require_keys(path.name, lines[0], HEAD_KEYS)
-    for key, kind in HEAD_KINDS.items():
-        _require_kind(path.name, lines[0], key, kind)
+    _require_kinds(path.name, lines[0], HEAD_KINDS)
     return lines
 
 
@@ -176,10 +175,12 @@ def _no_sweep_error(path: Path) -> ProblemError:
     return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
 
 
-def _require_kind(location: str, line: Mapping[str, object], key: str, kind: FileValue) -> None:
-    value = line[key]
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
-        raise ProblemError(f"{location}.{key}", brief(value), "a value as a sweep writes it there")
+def _require_kinds(location: str, line: Mapping[str, object], kinds: Mapping[str, FileValue]) -> None:
+    """Raise ProblemError unless the values of a line have these types; True and False are no numbers."""
+    for key, kind in kinds.items():
+        value = line[key]
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind != bool | None and kind is not bool):
+            raise ProblemError(f"{location}.{key}", brief(value), "a value as this package writes it there")
 
 
 def _rows_of(lines: Sequence[FileTable]) -> list[FileValue]:
@@ -233,6 +234,11 @@ class ManyFile(Log[Item]):
 
     kind = MANY_KIND
 
+    def __init__(self, problem: OptimalControlProblem, path: str | PathLike[str], head: Mapping[str, object]):
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        self._shapes = {"x": (T + 1, n), "u": (T, m)}
+        super().__init__(path, head)
+
     def _resume(self, first: FileTable) -> tuple[dict[str, Item], FileTable]:
         text = read_text(self._path)
         whole = text[: text.rfind("\n") + 1]
@@ -248,11 +254,13 @@ class ManyFile(Log[Item]):
             if lines[0][key] != first[key]:
                 raise ProblemError(str(self._path), f"a file of {difference}", brief(first[key]), ANOTHER_PATH)
         items = dict[str, Item]()
-        for line in lines[1:]:
-            require_keys(self._path.name, line, ITEM_KEYS)
-            values: FileTable = {name: line[name] for name in ITEM_KEYS if name != "key"}
-            values |= {name: np.array(line[name], dtype=np.float64) for name in "xu" if line[name] is not None}
-            items[line["key"]] = Item(**values)
+        for number, line in enumerate(lines[1:], 2):
+            location = f"{self._path.name}, line {number}"
+            require_keys(location, line, ITEM_KEYS)
+            _require_kinds(location, line, ITEM_KINDS)
+            for name, shape in self._shapes.items():
+                line[name] = None if line[name] is None else to_shape(f"{location}.{name}", line[name], shape)
+            items |= {line.pop("key"): Item(**line)}
         return {key: item for key, item in items.items() if item.status != ERROR}, {}
 
     def append(self, key: str, answer: Item) -> None:

@@ -119,6 +119,7 @@ class Controller:
         """
         acted = None if applied is None else self.measured("applied", applied, self.problem.control_dim)
         x = self.completed("state", state, acted)
+        preview = replace(preview, references=self._completed_references(preview.references))
         if acted is not None and len(self._applied) > self.delay:
             self._applied[-1 - self.delay] = acted
         started, plain, begin = now(), preview.empty, x
@@ -293,6 +294,16 @@ class Controller:
             state = np.where(begin.fixed, begin.lower, 0.0)
         state[~self._known] = vector
         return state
+
+    def _completed_references(self, references: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike] | None:
+        """Return references of which x_ref may leave out the states that follow from the controls alone."""
+        given = real_array("references.x_ref", (references or {}).get("x_ref", 0.0))
+        if references is None or not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
+            return references
+        own = self.problem.quadratic.x_ref
+        complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
+        complete[..., ~self._known] = given
+        return {**references, "x_ref": complete}
 
     def measured(self, field: str, value: ArrayLike, size: int, advice: str = "") -> Array:
         """Return a finite vector of this size; else ProblemError."""

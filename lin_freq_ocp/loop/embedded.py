@@ -22,7 +22,7 @@ from lin_freq_ocp.base.arrays import Array, brief, require_bool
 from lin_freq_ocp.base.atomic import reason, write_each
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.loop.step_problem import ControlLimits, free_first_state, soften
+from lin_freq_ocp.loop.step_problem import ControlLimits, free_first_state, known_states, soften
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.condensed.native import BOUNDS, INTEGERS, NativeKernel, model_arrays
 from lin_freq_ocp.methods.condensed.plans import CondensedSolver
@@ -419,6 +419,7 @@ def _files(
         "facts": [(markdown(term), markdown(text)) for term, text in problem_facts(problem)],
         "states": [markdown(state) for state in problem.state_names],
         "controls": [markdown(control) for control in problem.control_names],
+        "known": [f"x[{i}]" for i in np.flatnonzero(known_states(problem.linear)) if integers["n"] > 1],
         "real": real,
         "integers": integers,
         "numbers": {"tolerance": real.tolerance, "dependent": real.dependence},

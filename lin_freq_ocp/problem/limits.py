@@ -99,7 +99,7 @@ class Limit(ABC):
         return (self,)
 
     def rows(self) -> StageRows | None:
-        """Return its rows on (x_t, delta) and u_t, relaxed by an amount delta; None if it has other constraints."""
+        """Return its rows on (x_t, delta) and u_t, relaxed by amounts delta; None if it has other constraints."""
         return None
 
     def numbers(self) -> Iterator[Number]:
@@ -141,8 +141,8 @@ class BoundLimit(Limit):
     def rows(self) -> StageRows:
         problem, tube, found = self.problem, self.tube, list[tuple[Array, Array, Array]]()
         n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-        for i, size in self.sizes.items():
-            lower, upper = tube.lower[:, i], tube.upper[:, i]
+        for (i, size), unit in zip(self.sizes.items(), np.eye(len(self.sizes)), strict=True):
+            lower, upper, less = tube.lower[:, i], tube.upper[:, i], -size * unit
             if len(lower) == T:
                 sides = [(np.zeros(n), np.eye(m)[i], lower, upper)]
             else:  # bounds on x_T are rows on A x + B u of the step before
@@ -150,7 +150,7 @@ class BoundLimit(Limit):
                 before = np.where(last, lower[T] - d[i], -np.inf), np.where(last, upper[T] - d[i], np.inf)
                 sides = [(np.eye(n)[i], np.zeros(m), lower[:T], upper[:T]), (A[i], B[i], *before)]
             for C, D, low, high in sides:
-                found += [(np.append(C, -size), D, high), (np.append(-C, -size), -D, -low)]
+                found += [(np.append(C, less), D, high), (np.append(-C, less), -D, -low)]
         of_x, of_u, limits = map(np.array, zip(*(one for one in found if np.isfinite(one[2]).any()), strict=True))
         return StageRows(of_x, of_u, limits.T, "relaxed")
 
@@ -216,7 +216,8 @@ class EndLimit(BoundLimit):
         before = " x ".join(f"[{low:.6g}, {high:.6g}]" for low, high in zip(box.lower, box.upper, strict=True))
         if box.fixed.all():
             before = np.array2string(box.lower, precision=6, separator=", ")
-        return f"{before} -> {np.array2string(reached, precision=6, separator=', ')}"
+        after = np.array2string(reached, precision=6, separator=", ")
+        return f"{before} -> {after} (least sum of the changes, each divided by the size of its state)"
 
     def numbers(self) -> Iterator[Number]:
         """Yield the fixed components of an end that is a box, within the bounds of the states."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, complex_array, real_array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, complex_array, real_array, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, shape_and_range
 
@@ -41,6 +41,13 @@ class Trajectory:
                 "x of shape (T+1, n) and u of shape (T, m): time is axis 0",
             )
         assign(self, x=states, u=controls)
+
+    @property
+    def extended(self) -> Trajectory:
+        """Return the trajectory in extended precision, for differences of large terms."""
+        copy = object.__new__(Trajectory)
+        assign(copy, x=to_long_double(self.x), u=to_long_double(self.u))
+        return copy
 
     def __repr__(self) -> str:
         return f"Trajectory(x {shape_and_range(self.x)}, u {shape_and_range(self.u)})"

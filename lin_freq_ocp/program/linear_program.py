@@ -26,6 +26,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import lsqr
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
@@ -127,7 +128,7 @@ class LinearProgram:
     def gradient(self) -> Array:
         """Return the slope of the cost in all variables at the origin."""
         parts = self.problem.quadratic.gradient(self.origin.x, self.origin.u)
-        return np.concatenate([*(part.ravel() for part in parts), self.prices])
+        return np.concatenate([*(part.ravel() for part in parts), self.prices]).astype(np.float64)
 
     def matrix(self, chosen: Sequence[ProgramRows]) -> sp.csr_array:
         """Return the coefficients of all variables in the chosen rows."""
@@ -152,10 +153,10 @@ class LinearProgram:
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
-        origin, drift, dynamics = self.origin, self.drift.ravel(), self.dynamics
+        origin, dynamics = self.origin, self.dynamics
         A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
         A.eliminate_zeros()
-        blocks, cones, first = {Block.DYNAMICS: slice(0, len(drift))}, list[slice](), len(drift)
+        blocks, cones, first = {Block.DYNAMICS: slice(0, dynamics.shape[0])}, list[slice](), dynamics.shape[0]
         for block in BLOCKS:
             begin = first
             for part in (part for part in self.rows if part.block is block):
@@ -166,8 +167,7 @@ class LinearProgram:
             self.hessian,
             self.gradient,
             A,
-            np.concatenate([drift, *(part.lower for part in self.rows)]),
-            np.concatenate([drift, *(part.upper for part in self.rows)]),
+            *self._limits,
             problem.quadratic.value(origin.x, origin.u),
             blocks,
             tuple(cones),
@@ -183,15 +183,22 @@ class LinearProgram:
             return False
         if not all(map(ProgramRows.same_matrix, self.rows, other.rows)):
             return False
-        drift, origin = self.drift.ravel(), self.origin
+        lower, upper = self._limits
         self.__dict__["sparse"] = replace(
             other.sparse,
             q=self.gradient,
-            constant=new.quadratic.value(origin.x, origin.u),
-            lower=np.concatenate([drift, *(part.lower for part in self.rows)]),
-            upper=np.concatenate([drift, *(part.upper for part in self.rows)]),
+            constant=new.quadratic.value(self.origin.x, self.origin.u),
+            lower=lower,
+            upper=upper,
         )
         return True
+
+    @property
+    def _limits(self) -> tuple[Array, Array]:
+        """Return the lower and the upper limits of all rows; differences from an origin are formed in its precision."""
+        drift = self.drift.ravel()
+        lower, upper = ([drift, *(getattr(part, side) for part in self.rows)] for side in ("lower", "upper"))
+        return np.concatenate(lower).astype(np.float64), np.concatenate(upper).astype(np.float64)
 
     @property
     def drift(self) -> Array:
@@ -221,7 +228,7 @@ class LinearProgram:
         """Return the point of the program of a trajectory, with the least slacks."""
         x, u = trajectory.x, trajectory.u
         slacks = [term.penalty.least_slacks(term.map.values(x, u)) for term in self.problem.terms]
-        return np.concatenate([(x - self.origin.x).ravel(), (u - self.origin.u).ravel(), *slacks])
+        return np.concatenate([(x - self.origin.x).ravel(), (u - self.origin.u).ravel(), *slacks]).astype(np.float64)
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:
         """Return the theorem's multipliers from the duals of all rows of ``sparse``; eta_C = 0 for a Farkas ray."""
@@ -229,6 +236,25 @@ class LinearProgram:
         targets = np.concatenate([rows.targets for rows in self.rows])
         weights = [np.ones(len(rows.lower)) if rows.weights is None else rows.weights for rows in self.rows]
         return self.layout.multipliers(eta, targets, np.concatenate(weights) * duals, eta_C)
+
+    def duals(self, multipliers: Multipliers) -> Array:
+        """Return duals of all rows of ``sparse`` that have these multipliers.
+
+        Where slacks give a multiplier several rows, or a row none, they are the least ones with no slope in the slacks.
+        """
+        flat, duals = self.layout.flat(multipliers), [multipliers.eta.ravel()]
+        for rows in self.rows:
+            of_rows = np.append(flat, 0.0)[rows.targets] / (1.0 if rows.weights is None else rows.weights)
+            if len(rows.prices):
+                owned = np.flatnonzero(rows.targets >= 0)
+                known, at = np.unique(rows.targets[owned], return_inverse=True)
+                sums = sp.csr_array((np.ones(len(at)), (at, owned)), (len(known), len(of_rows)))
+                conditions = sp.csr_array(sp.vstack([sums, rows.slacks.T]))
+                of_rows = lsqr(conditions, np.concatenate([flat[known], -rows.prices]), atol=1e-14, btol=1e-14)[0]
+            for first, last in rows.cones:
+                of_rows[first] = -np.linalg.norm(of_rows[first + 1 : last])
+            duals.append(of_rows)
+        return np.concatenate(duals)
 
     def column_units(self, state_units: Array, control_units: Array) -> Array:
         """Return one unit per variable from those of states, (n,) or (T+1, n), and of controls, (m,) or (T, m)."""
@@ -320,6 +346,12 @@ class MultiplierLayout:
             rho_u=_bins(values[self.rho_u : (*self.terms, self.count)[0]], m),
             stage={name: part.reshape(shape) for (name, shape), part in stages},
         )
+
+    def flat(self, multipliers: Multipliers) -> Array:
+        """Return all multipliers but eta in one array, the inverse of ``multipliers``."""
+        bins = (np.stack([of.T.real, of.T.imag], axis=-1) for of in (multipliers.rho_x, multipliers.rho_u))
+        terms = (multipliers.stage.get(name, np.zeros(shape)) for name, shape in self.names)
+        return np.concatenate([part.ravel() for part in (multipliers.mu, multipliers.nu, *bins, *terms)])
 
 
 def _bins(pairs: Array, components: int) -> ComplexArray:

@@ -2,7 +2,7 @@
 
 Magnitudes come from the optimum without bounds and bands, capped by the bounds: these say what is allowed, not what
 happens. Variables are deviations from the references. Once there is a trajectory, its magnitudes are the units: its
-residuals are measured in them (``point_scaling``), and the program is solved again if its units were very different.
+residuals are measured in them (``point_scaling``), and further solves may be.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def natural_scaling(linear: LinearProgram) -> Scaling:
             np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
         )
     columns = linear.column_units(x, u)
-    return _scale_rows_and_cost(linear, columns, columns)
+    return scale_rows_and_cost(linear, columns, columns)
 
 
 def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scaling, Program]:
@@ -57,13 +57,13 @@ def common_scaling(programs: Sequence[LinearProgram]) -> Scaling:
     stated = first.column_units(*stated_sizes(first.problem))
     largest = np.max([natural_scaling(linear).columns for linear in programs], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
-    return _scale_rows_and_cost(first, columns, columns)
+    return scale_rows_and_cost(first, columns, columns)
 
 
 def point_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
     """Return the units in which a point z (in the program's own units) is of order 1 (see ``point_units``)."""
     columns = point_units(linear, z, fallback, per_time)
-    return _scale_rows_and_cost(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
+    return scale_rows_and_cost(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
 def point_units(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
@@ -87,7 +87,7 @@ def point_sizes(linear: LinearProgram, z: Array) -> Array:
 def stated_scaling(linear: LinearProgram) -> Scaling:
     """Return the units from the sizes in the data of a problem."""
     columns = linear.column_units(*stated_sizes(linear.problem))
-    return _scale_rows_and_cost(linear, columns, columns)
+    return scale_rows_and_cost(linear, columns, columns)
 
 
 def plain_scaling(linear: LinearProgram) -> Scaling:
@@ -107,7 +107,7 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
     ]
     units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
-    return _scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
+    return scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
 
 
 def revised_scaling(linear: LinearProgram, scaling: Scaling, z: Array) -> Scaling | None:
@@ -130,7 +130,7 @@ def cost_factor(slopes: Array, priced: Mask) -> float:
     return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
 
 
-def _scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
+def scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:
     """Return the change to units ``columns``, with slopes of order 1 at a point of the size ``typical``."""
     program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise

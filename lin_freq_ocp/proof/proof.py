@@ -23,7 +23,7 @@ from flint import arb, ctx
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.bound import cost_is_never_negative, optimum_box
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.certificate.reach import Region, stated_bounds
@@ -178,8 +178,8 @@ def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
     if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
         given = at_frequencies(given, multipliers.frequencies)
         region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
-        lower = min(_subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region)), region.level)
-        enclosure = replace(enclosure, lower=max(lower, 0.0) if cost_is_never_negative(given) else lower)
+        lower = _subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region))
+        enclosure = replace(enclosure, lower=min(lower, region.level))
     return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
@@ -256,14 +256,16 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
 def unchecked_proof(outcome: Outcome) -> Proof:
     """Return a proof of an answer for linear dynamics, without a check; errors are those of ``proof_of``.
 
-    It claims a little less than the certificate.
+    It claims a little less than the certificate, and a lower end only where its multipliers bound all trajectories.
     """
     bare, at = _bound_proof(outcome)
     if outcome.ray is not None:
         return replace(bare, claim=Enclosure(np.inf, np.inf))
-    certificate, bound = outcome.certificate, outcome.lower_bound
-    slack = UNCHECKED_SLACK * (0.0 if certificate is None else certificate.cost_scale)
-    lower = -np.inf if bound is None else bound - slack
+    certificate, lower = outcome.certificate, -np.inf
+    bound, scale = (None, 0.0) if certificate is None else (certificate.bound, certificate.cost_scale)
+    slack = UNCHECKED_SLACK * scale
+    if bound is not None and bound.kind == RIGOROUS and bound.sets != NEVER_NEGATIVE:
+        lower = bound.value - slack
     for point, moved in points(bare.problem, outcome, at, UNCHECKED_MARGIN):
         upper = bare.problem.value(moved.x, moved.u) + slack
         return replace(bare, point=point, claim=Enclosure(lower, upper))

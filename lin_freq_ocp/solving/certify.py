@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 from lin_freq_ocp.base.arrays import real_array
@@ -114,9 +115,12 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
 
     Every optimal trajectory of a convex problem has the multipliers of every other one.
     """
-    of_optimum = _judge_as_optimum(problem, trajectory, allowed)
-    if of_optimum is not None:
-        return of_optimum
+    with suppress(UnsupportedError):  # such as a cost that is not convex
+        optimum = solve_judged(problem)
+        if optimum.status == Status.OPTIMAL and optimum.multipliers is not None:
+            certificate = judge(problem, trajectory, optimum.multipliers, allowed)
+            if certificate.pmp == "satisfied":
+                return certificate
     problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))
     fit = fit_multipliers(problem, trajectory, max(allowed, ACTIVE))
     normal = judge(problem, trajectory, fit.multipliers, allowed)
@@ -126,26 +130,13 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     certificate = normal if abnormal is None else judge(problem, trajectory, abnormal, allowed)
     if certificate.pmp != "satisfied":
         certificate, decimals = normal, decimals_of(trajectory)
-        if (
-            decimals is not None
-        ):  # the least tolerance with which the rounded trajectory satisfies the maximum principle
+        # the least tolerance with which the rounded trajectory satisfies the maximum principle
+        if decimals is not None:
             fits = ((level, fit_multipliers(problem, trajectory, level).multipliers) for level in ROUNDED_TO)
             levels = (level for level, y in fits if judge(problem, trajectory, y, level).pmp == "satisfied")
             least = next(levels, None)
             certificate = normal if least is None else replace(normal, rounded=Rounded(decimals, least))
     return replace(certificate, descent=descent_direction(problem, trajectory, fit.descent))
-
-
-def _judge_as_optimum(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate | None:
-    """Return the certificate with the multipliers of an optimum if it satisfies the theorem, else None."""
-    try:
-        outcome = solve_judged(problem)
-    except UnsupportedError:  # such as a cost that is not convex
-        return None
-    if outcome.status != Status.OPTIMAL or outcome.multipliers is None:
-        return None
-    certificate = judge(problem, trajectory, outcome.multipliers, allowed)
-    return certificate if certificate.pmp == "satisfied" else None
 
 
 CERTIFIERS: dict[type, Callable[[OptimalControlProblem, Trajectory, float], Certificate]] = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import Direction, InfeasibilityProof, prove_infeasible, unbounded_direction
@@ -15,6 +15,8 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERAN
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
+from lin_freq_ocp.methods.correction import Correction, correct
+from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import Inverse
@@ -41,7 +43,7 @@ def judge_candidate(
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
-        certificate = judge(problem, candidate.trajectory, candidate.multipliers, allowed)
+        candidate, certificate = judge_nearest(problem, candidate, allowed)
         if not candidate.interrupted:
             status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else verified_direction(problem, candidate.descent)
@@ -59,8 +61,8 @@ def judge_candidate(
     if proof is not None and proof.bound.kind == RIGOROUS:  # there is no feasible point
         status, message, point, direction = Status.INFEASIBLE, "proven by a rigorous ray", NO_POINT, None
     elif claims:
-        proven = "proves nothing" if proof is None else f"only excludes trajectories with {proof.sizes}"
-        status, message = Status.INFEASIBLE_CLAIMED, f"{message}, but its ray {proven}"
+        excluded = None if proof is None else f"no trajectory with {proof.sizes} satisfies all constraints"
+        status, message = Status.INFEASIBLE_CLAIMED, excluded or f"{message}, but its ray proves nothing"
         feasible = _feasible_point(problem)
         if feasible is not None:
             status, point, proof = Status.NUMERICAL_ERROR, feasible, None
@@ -80,6 +82,68 @@ def judge_candidate(
         interrupted=candidate.interrupted,
         direction=direction,
     )
+
+
+def judge_nearest(
+    problem: OptimalControlProblem, candidate: Candidate, allowed: float
+) -> tuple[Candidate, Certificate]:
+    """Return the candidate with a feasible trajectory near its own, and the certificate of that.
+
+    An optimum is proven by a bound, and by the cost of a trajectory that satisfies every constraint. The repaired
+    trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
+    multipliers may be wrong, as those of a solver are that takes a small residual for rounding. Where that fails, too,
+    the point is judged as it is, and is no optimum.
+    """
+    trajectory, multipliers = candidate.trajectory, candidate.multipliers
+    assert trajectory is not None
+    assert multipliers is not None
+    if problem.dynamics.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
+        return candidate, judge(problem, trajectory, multipliers, allowed)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
+        repaired = repair_trajectory(problem, trajectory)
+    if repaired is not None:
+        certificate = judge(problem, repaired, multipliers, allowed)
+        if certificate.proven_within(allowed):
+            return replace(candidate, trajectory=repaired), certificate
+    claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
+    if claims:  # a point at a limit of time keeps its controls, which obey the bands
+        trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
+        candidate = replace(candidate, trajectory=trajectory)
+    own = judge(problem, trajectory, multipliers, allowed)
+    if not claims and not own.proven_within(allowed):
+        return candidate, own
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            correction = correct(problem, trajectory, multipliers)
+    except UnsupportedError:  # it does not fit into memory, or would take too long
+        return candidate, own
+    proof = None if correction is None else _judge_correction(problem, candidate, correction, allowed)
+    if proof is not None:
+        return proof
+    # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
+    known = any(term.semi_infinite is not None for term in problem.terms)
+    return candidate, own if known else replace(own, worth_of_residuals=np.inf)
+
+
+def _judge_correction(
+    problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
+) -> tuple[Candidate, Certificate] | None:
+    """Return the corrected candidate with the multipliers that prove it, its own or the former; None if none do.
+
+    Where no bound is close enough, rounding of the data may decide.
+    """
+    if not np.isfinite(correction.price):
+        return None
+    judged = list[tuple[Candidate, Certificate]]()
+    for multipliers in (correction.multipliers, candidate.multipliers):
+        assert multipliers is not None
+        point = replace(candidate, trajectory=correction.trajectory, multipliers=multipliers)
+        certificate = judge(problem, correction.trajectory, multipliers, allowed)
+        judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
+        if judged[-1][1].proven_within(allowed):
+            return judged[-1]
+    judged = [(point, replace(k, data_rounding=correction.data_rounding)) for point, k in judged]
+    return next((one for one in judged if one[1].proven_within(allowed)), None)
 
 
 def candidate_of(outcome: Outcome) -> Candidate:
@@ -112,7 +176,8 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
     before, outcome = outcome.certificate, replace(outcome, trajectory=trajectory, multipliers=multipliers)
     if before is None or multipliers is None:
         return outcome
-    after = replace(judge(*inverse.judged_at(trajectory), multipliers, allowed), descent=before.descent)
+    after = judge(*inverse.judged_at(trajectory), multipliers, allowed)
+    after = replace(after, descent=before.descent, data_rounding=before.data_rounding)
     if inverse.given.dynamics.mode_names:
         after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message
@@ -159,6 +224,8 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
         missing = "there is no bound"
     elif certificate.bound.kind != RIGOROUS:
         missing = "the bound holds near the trajectory only, as something is not bounded"
+    elif certificate.worth_of_residuals == np.inf:
+        missing = "no trajectory that satisfies every constraint is known to cost about as much as the bound"
     else:
         worth = certificate.worth_of_residuals / certificate.cost_scale if certificate.cost_scale > 0 else np.inf
         missing = f"the bound leaves a gap of {certificate.gap:.1e}, and residuals are worth {worth:.1e} of the cost"

@@ -19,7 +19,6 @@ from lin_freq_ocp.methods.convex.sparse_program import (
     solve_convex,
     structured_first,
     trajectory_without_cost,
-    trajectory_without_slope,
 )
 from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -35,9 +34,6 @@ PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness t
 SMALL_MARGIN = 1e-5
 """Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
 point that satisfies every constraint within the judge's tolerance."""
-
-REPLACED_VIOLATION = 1e-8
-"""Violation, relative to its scale, up to which an answer may replace one with less: accurate solvers leave as much."""
 
 PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 
@@ -114,19 +110,14 @@ class _Trial:
         return outcome if outcome.status == Status.INFEASIBLE else None
 
     def try_without_cost(self, outcome: Outcome) -> Outcome:
-        """Return the outcome of a trajectory nearby without cost or slope if that is optimal, else the outcome."""
-        problem, near = self.problem, outcome.trajectory
-        if outcome.status not in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR) or near is None:
+        """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
+        if outcome.status not in SEEKS_DIRECTION or outcome.trajectory is None:
             return outcome
-        for candidate in (
-            trajectory_without_cost(problem, near),
-            trajectory_without_slope(problem, near, seconds_left(self.end)),
-        ):
-            if candidate is not None:
-                optimum = self.judge(candidate)
-                if optimum.status == Status.OPTIMAL and not _violates_more(optimum, outcome):
-                    return replace(optimum, seconds=outcome.seconds)
-        return outcome
+        candidate = trajectory_without_cost(self.problem, outcome.trajectory)
+        optimum = None if candidate is None else self.judge(candidate)
+        if optimum is None or optimum.status != Status.OPTIMAL:
+            return outcome
+        return replace(optimum, seconds=outcome.seconds)
 
 
 class _Linear(ABC):
@@ -331,14 +322,7 @@ def _is_better(outcome: Outcome, best: Outcome) -> bool:
     # a claim with a ray says how far it holds; a failed solve refutes it by a feasible point only
     fails = best.infeasibility is not None and outcome.status in UNPROVEN and not outcome.primal
     counts = outcome.status != Status.LIMIT and not fails
-    return counts and _rank(outcome) >= _rank(best) and not _violates_more(outcome, best)
-
-
-def _violates_more(outcome: Outcome, best: Outcome) -> bool:
-    """Whether an answer violates constraints by more than a feasible one before it, rounding aside."""
-    if outcome.certificate is None or best.certificate is None or not best.certificate.feasible:
-        return False
-    return outcome.certificate.violation > max(best.certificate.violation, REPLACED_VIOLATION)
+    return counts and _rank(outcome) >= _rank(best)
 
 
 def _is_final(outcome: Outcome) -> bool:

@@ -29,9 +29,9 @@ class Cure:
     block : str
         As in a Conflict.
     amount : float
-        The distance by which its bounds move outwards, in the units of the problem; for an end, the largest move of a
-        component relative to its size; for a stop band, the number of bins that it gives up at each edge; for an energy
-        bound, the increase of the root of its limit.
+        The distance by which its bounds move outwards, in the units of the problem; for an end, the sum of the changes
+        of its components, each divided by the size that the data state of it; for a stop band, the number of bins that
+        it gives up at each edge; for an energy bound, the increase of the root of its limit.
     words : str
         The old and the new value.
 

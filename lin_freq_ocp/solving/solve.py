@@ -122,8 +122,9 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
         return outcome
     # rounding of a state may be the reason that the answer is not optimal
     rounding, motion = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
-    (i,) = first_largest(np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0))
-    if rounding[i] <= COARSE * motion[i]:
+    lost = np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0)
+    (i,) = first_largest(lost)
+    if lost[i] <= COARSE:
         return outcome
     message = (
         f"{translation.given.state_names[i]} is so far from zero that double precision rounds it by {rounding[i]:.1e}; "

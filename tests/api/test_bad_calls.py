@@ -128,7 +128,7 @@ def test_bad_call(case):
         (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.errors.UnsupportedError, "eigenvalue -3"),
         (
             lambda: lfo.solve(problem(), backend="qpsolvers:nonesuch"),
-            lfo.errors.MissingExtraError,
+            lfo.errors.UnsupportedError,
             "'qpsolvers:nonesuch'",
         ),
         (

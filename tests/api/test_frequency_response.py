@@ -22,7 +22,7 @@ def padded():
     return lfo.OptimalControlProblem(dynamics, 20, cost, lfo.Box(-0.4, 0.4))
 
 
-def test_a_comparison_replays_by_the_response(wave, tmp_path):
+def test_a_comparison_replays_by_the_response(wave, blank, tmp_path):
     comparison = lfo.compare(wave)
     assert comparison.constrained.cost == pytest.approx(lfo.solve(wave).cost)
     page = comparison.save(tmp_path).read_text(encoding="utf-8")

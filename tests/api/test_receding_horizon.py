@@ -283,7 +283,7 @@ def test_dynamics_with_modes_run_in_a_loop():
     assert set(loop.statuses) == {"optimal"}
 
 
-def test_a_loop_is_shown_saved_and_tabulated(tmp_path):
+def test_a_loop_is_shown_saved_and_tabulated(images, tmp_path):
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]))
     loop = lfo.RecedingHorizon(base, soft={"state_set": 1e3}).run([0.8, 0.0], 12)
     page = loop.save(tmp_path / "loop").read_text(encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -192,6 +193,35 @@ def test_files_of_something_else_are_left_alone(tmp_path):
         with pytest.raises(lfo.errors.ProblemError, match="a file of solve_many"):
             lfo.solve_many(PENDULUM, STARTS[:2], path=path)
         assert path.read_text() == text
+
+
+DAMAGE = {
+    "cut": lambda line: line[:-9],
+    "no table": lambda line: "7",
+    "a key of another type": lambda line: line.replace('"key": "', '"key": ["').replace('", "status"', '"], "status"'),
+    "a text for a truth": lambda line: line.replace('"proven": true', '"proven": "yes"'),
+    "a truth for a number": lambda line: re.sub('"cost": [^,]*', '"cost": true', line),
+    "a text for a signal": lambda line: re.sub(r'"x": \[\[[^,]*', '"x": [["much"', line),
+    "another shape": lambda line: re.sub(r'"u": \[\[[^,]*, ', '"u": [', line),
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("many") / "many.jsonl"
+    lfo.solve_many(PENDULUM, STARTS[:2], path=path)
+    return path.read_text()
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_line_is_named(damage, recorded, tmp_path):
+    lines = recorded.splitlines(keepends=True)
+    changed = damage(lines[1].rstrip("\n")) + "\n"
+    assert changed != lines[1]
+    path = tmp_path / "many.jsonl"
+    path.write_text("".join([lines[0], changed, *lines[2:]]))
+    with pytest.raises(lfo.errors.ProblemError, match=r"many\.jsonl, line 2"):
+        lfo.solve_many(PENDULUM, STARTS[:2], path=path)
 
 
 def test_ctrl_c_keeps_what_is_found(serial, tmp_path, monkeypatch):

@@ -272,7 +272,10 @@ def test_ends_of_the_range():
     at_once = lfo.minimum_time(integrator(), horizons=(5, 9))
     assert (at_once.horizon, at_once.ray, at_once.proven) == (5, None, True)
     assert at_once.proof == "5 is feasible; shorter horizons are outside of the range"
-    with pytest.raises(lfo.errors.InfeasibleError, match="No horizon from 1 to 3 is feasible: 3 is proven") as caught:
+    with pytest.raises(
+        lfo.errors.InfeasibleError,
+        match=r"No horizon from 1 to 3 is feasible: 3 is proven.*At 3: .* In conflict: .*initial state",
+    ) as caught:
         lfo.minimum_time(integrator(), horizons=(1, 3))
     assert caught.value.result.problem.horizon == 3
     assert caught.value.result.ray is not None
@@ -312,7 +315,25 @@ def test_a_numerical_ray_is_no_proof():
     )
     bounded = lfo.minimum_time(replace(free, control_set=lfo.Box(-9, 9)), (28, 29))
     assert (bounded.horizon, bounded.proven) == (29, True)
-    assert "28 is proven infeasible by a ray" in bounded.proof
+    assert "28 is proven infeasible" in bounded.proof
+
+
+def decay(horizon):
+    """Return a move to 0.2 by dynamics of two modes."""
+    left = lfo.AffineMode([[0.9]], [[1.0]], G=[[1.0]], h=[0.0])
+    right = lfo.AffineMode([[0.5]], [[1.0]], G=[[-1.0]], h=[0.0])
+    dynamics, bounds = lfo.PiecewiseAffineDynamics([left, right]), lfo.Box(-0.3, 0.3)
+    return lfo.OptimalControlProblem(dynamics, horizon, lfo.QuadraticCost(R=1.0), bounds, None, [-2.0], [0.2])
+
+
+def test_proofs_by_search_trees_count(tmp_path):
+    path = tmp_path / "horizons.jsonl"
+    found = lfo.minimum_time(decay, horizons=(2, 12), path=path)
+    assert (found.horizon, found.proven, dict(found.rays)) == (6, True, {})
+    assert found.proof == "6 is feasible; each of 2 to 5 is proven infeasible"
+    assert lfo.minimum_time(decay, horizons=(2, 12), path=path).proof == found.proof
+    with pytest.raises(lfo.errors.InfeasibleError, match=r"each of 2 to 5 is .*At 5: proven by a search tree"):
+        lfo.minimum_time(decay, horizons=(2, 5))
 
 
 def narrow(horizon):

@@ -22,7 +22,7 @@ from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.batch.sweep import MEASURED
 from lin_freq_ocp.batch.tasks import process_pool
 
-FORTY = {"cutoff_hz": np.linspace(0.3, 4.0, 20), "speed_bound": [0.25, 0.4]}
+TWENTY = {"cutoff_hz": np.linspace(0.3, 4.0, 10), "speed_bound": [0.25, 0.4]}
 
 
 @pytest.fixture(scope="module")
@@ -165,21 +165,21 @@ def test_a_dask_cluster_gives_the_same(serial, client):
 
 
 def test_a_worker_killed_on_the_way_loses_nothing(client, tmp_path):
-    """Forty points on two worker processes of a cluster; one is killed once six points are finished."""
-    path, workers, killed = tmp_path / "forty.jsonl", client.run(os.getpid), []
+    """Twenty points on two worker processes of a cluster; one is killed once six points are finished."""
+    path, workers, killed = tmp_path / "twenty.jsonl", client.run(os.getpid), []
 
     def progress(done: int, total: int) -> None:
-        assert total == 40
+        assert total == 20
         if done >= 6 and not killed:
             killed.append(next(iter(workers.values())))
             os.kill(killed[0], signal.SIGKILL)
 
-    found = lfo.sweep(SHORT, FORTY, client.get_executor(), path, progress=progress)
+    found = lfo.sweep(SHORT, TWENTY, client.get_executor(), path, progress=progress)
     assert killed
     assert found.complete
     assert found.proven
-    assert_same(found, lfo.sweep(SHORT, FORTY))
-    assert len(path.read_text().splitlines()) == 41  # no point was written twice
+    assert_same(found, lfo.sweep(SHORT, TWENTY))
+    assert len(path.read_text().splitlines()) == 21  # no point was written twice
     # the scheduler notices it later
     wait_until(lambda: killed[0] not in client.run(os.getpid, on_error="ignore").values())
     client.wait_for_workers(2)

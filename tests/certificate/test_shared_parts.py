@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.sweeps import SHORT
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate import hamiltonian, rays
@@ -131,7 +132,7 @@ def test_a_search_that_ends_too_early_is_not_called_optimal(monkeypatch):
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e-6])
-@pytest.mark.parametrize("make", [library.pendulum, library.double_integrator, library.crane])
+@pytest.mark.parametrize("make", [library.pendulum, SHORT, library.crane])
 def test_natural_units_that_are_wrong_cost_digits_only(monkeypatch, make, factor):
     problem, right = make(), units.stated_sizes
     cost = lfo.solve(problem).cost
@@ -179,7 +180,7 @@ def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch,
 
 
 @pytest.mark.parametrize("factors", [(1e6, 1e6), (1e-6, 1e-6), (1e6, 1e-6), (1e-6, 1e6)])
-@pytest.mark.parametrize("make", [library.pendulum, library.double_integrator, library.crane])
+@pytest.mark.parametrize("make", [library.pendulum, SHORT, library.crane])
 def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeypatch, make, factors):
     """They bound the box of a numerical ray, and measure directions: no optimum is called infeasible or unbounded."""
     problem, right, rng = make(), sizes.stated_sizes, np.random.default_rng(0)
@@ -252,10 +253,10 @@ def test_certify_says_what_solve_says_of_modes(given):
     _same(result, certify(result.problem, result))
 
 
-@pytest.mark.parametrize("name", ["norm_dynamics", "buck_converter"])
-def test_certify_says_what_solve_says_of_smooth_pieces(name):
+@pytest.mark.parametrize("given", [{"name": "norm_dynamics"}, {"name": "buck_converter", "horizon": 3}])
+def test_certify_says_what_solve_says_of_smooth_pieces(given):
     """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""
-    result = lfo.solve(library.by_name(name)(), method=lfo.solvers.Nonsmooth(global_bound=False), throw=False)
+    result = lfo.solve(made(given), method=lfo.solvers.Nonsmooth(global_bound=False), throw=False)
     _same(result, certify(result.problem, result))
 
 

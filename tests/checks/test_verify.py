@@ -103,6 +103,7 @@ def test_a_problem_of_mixed_features_is_solved_like_by_cvxpy_and_the_judge_refus
     assert check_mixed(seed).passed, check_mixed(seed)
 
 
+@whole_sample
 def test_the_sample_of_mixed_features_has_most_of_them():
     assert len({one for seed in range(20) for one in random_model(seed).features}) >= 17
 
@@ -166,7 +167,7 @@ def test_small_random_problems_have_the_optimum_of_all_mode_sequences(seed):
 
 
 def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypatch):
-    honest = sequences.enumerated
+    honest = cache(sequences.enumerated)
     for change, words in ((-0.1, "called optimal, above"), (0.1, "below"), (np.inf, "not infeasible")):
         monkeypatch.setattr(sequences, "enumerated", lambda problem, change=change: (honest(problem)[0] + change, None))
         assert any(words in one for one in sequences.check(70021).wrong)

@@ -191,7 +191,7 @@ BAD_OPTIONS = {
     "backend without member": (("solve", "pendulum", "--backend", "qpsolvers"), "backend: got 'qpsolvers';"),
     "backend not installed": (
         ("solve", "pendulum", "--backend", "qpsolvers:nonesuch"),
-        "backend 'qpsolvers:nonesuch': not installed",
+        "backend: got 'qpsolvers:nonesuch', which is no solver",
     ),
     "time limit zero": (("solve", "pendulum", "--time-limit", "0"), "time_limit: got 0.0; expected a number above"),
     "time limit negative": (("solve", "pendulum", "--time-limit", "-1"), "time_limit: got -1.0;"),

@@ -111,7 +111,7 @@ def test_a_point_without_proof_is_saved_and_stays_without(tmp_path):
 
 def test_without_a_trajectory_nothing_is_saved(tmp_path):
     path = tmp_path / "none.npz"
-    assert run("solve", "pendulum", "--set", "control_bound=1", "--save", str(path))[0] == 1
+    assert run("solve", "pendulum", "--set", "horizon=60", "--set", "control_bound=1", "--save", str(path))[0] == 1
     assert not path.exists()
 
 

@@ -32,7 +32,9 @@ def test_ctrl_c_ends_the_server_with_its_status():
 
 def test_a_page_with_a_sweep_inside_is_written(tmp_path):
     path = tmp_path / "page.html"
-    status, out, _ = run("explore", "double_integrator", "--set", "horizon=40", "--static", str(path))
+    status, out, _ = run(
+        "explore", "double_integrator", "--set", "horizon=20", "--set", "sampling_time=0.1", "--static", str(path)
+    )
     assert status == 0
     assert re.fullmatch(rf"wrote {re.escape(str(path))} with [1-9][0-9]* solved points\n", out)
     page = path.read_text(encoding="utf-8")
@@ -44,7 +46,8 @@ def test_a_page_with_a_sweep_inside_is_written(tmp_path):
 def test_a_problem_file_can_be_explored(tmp_path):
     path, page = tmp_path / "problem.toml", tmp_path / "page.html"
     assert run("init", str(path))[0] == 0
-    assert run("explore", str(path), "--static", str(page))[0] == 0
+    settings = ("--set", "horizon=100", "--set", "dynamics.sampling_time=0.02")
+    assert run("explore", str(path), *settings, "--static", str(page))[0] == 0
     assert '"key": "cutoff"' in page.read_text(encoding="utf-8")
 
 

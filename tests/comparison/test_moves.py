@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from helpers.compared_pages import blanks
+from helpers.compared_pages import blanks, moved
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import vibration, why_not_shaped
@@ -18,9 +18,9 @@ from lin_freq_ocp.pages.report.tables import moves_rows, moves_sentence
 CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def comparison():
-    return lfo.compare(lfo.library.printer_move())
+    return moved()
 
 
 def test_no_shaper_is_shorter_and_every_move_is_calm(comparison):
@@ -163,7 +163,9 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
     assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
 
 
-def test_the_command_prints_both_tables():
+def test_the_command_prints_both_tables(monkeypatch):
+    made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
+    monkeypatch.setattr("lin_freq_ocp.api.compare.compare", lambda *given: made)
     given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
     status, out, _ = run(*given)
     assert status == 0

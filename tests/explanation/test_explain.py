@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.explanation import explanation as explanation_module
 from lin_freq_ocp.explanation.explanation import least_cure
 from lin_freq_ocp.problem.limits import constraints, drop_limits
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.solving.solve import solve_judged
 
 H, T = 0.1, 20
@@ -86,11 +88,15 @@ def feasible(problem: lfo.OptimalControlProblem) -> bool:
     return result.status == "optimal"
 
 
+@cache
+def explained(name: str) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation]:
+    problem = carriage(**INFEASIBLE[name][0])
+    return problem, lfo.explain(problem)
+
+
 @pytest.fixture(params=list(INFEASIBLE)[::2])
 def case(request) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation, list[str], dict[str, float]]:
-    changes, family, amounts = INFEASIBLE[request.param]
-    problem = carriage(**changes)
-    return problem, lfo.explain(problem), family, amounts
+    return *explained(request.param), *INFEASIBLE[request.param][1:]
 
 
 def test_the_family_clashes_and_can_spare_no_block(case):
@@ -124,20 +130,30 @@ def test_a_cure_helps_and_less_does_not(case):
 def test_a_nearest_end_can_be_reached_and_a_nearer_one_cannot():
     problem = carriage()
     cures = {cure.block: cure for cure in lfo.explain(problem).cures}
-    reached = np.array([float(v) for v in cures["terminal state"].words.split("-> [")[1].strip("]").split(",")])
+    text = cures["terminal state"].words.split("-> [")[1].split("]")[0]
+    reached = np.array([float(value) for value in text.split(",")])
     assert feasible(replace(problem, terminal_state=reached - np.array([1e-5, 0.0])))
     away = reached - problem.terminal_state.lower
     assert np.abs(away).max() > 0.05
     assert not feasible(replace(problem, terminal_state=problem.terminal_state.lower + 0.9 * away))
 
 
+def test_components_of_an_end_that_need_not_move_stay():
+    """The initial speed breaks its bound; at 0.1, the end is reached from any position."""
+    speeds, ends = lfo.Box([None, -0.1], [None, 0.1]), {"initial_state": [0.4, 0.55], "terminal_state": [0.5, 0.0]}
+    problem = carriage(control_set=PLENTY, state_set=speeds, **ends)
+    (cure,) = (cure for cure in lfo.explain(problem).cures if cure.block == "initial state")
+    assert cure.words.startswith("[0.4 , 0.55] -> [0.4, 0.1] (least sum of the changes")
+    assert cure.amount == pytest.approx(0.45 / stated_sizes(problem)[0][1], rel=1e-5)
+
+
 def test_cures_are_told_in_the_units_of_the_problem():
-    said = str(lfo.explain(carriage()))
+    said = str(explained("a control bound")[1])
     assert f"control bound on acceleration [m/s^2]: [-0.7, 0.7] -> [-{NEEDED:g}" in said
     assert "terminal state: [1., 0.] -> [" in said
-    row = lfo.explain(carriage(**INFEASIBLE["a joint row"][0]))
+    row = explained("a joint row")[1]
     assert any("<= 0.3 -> 0.526" in str(cure) for cure in row.cures)
-    varying = lfo.explain(carriage(**INFEASIBLE["bounds per time"][0]))
+    varying = explained("bounds per time")[1]
     assert any("bounds wider by" in cure.words for cure in varying.cures)
 
 

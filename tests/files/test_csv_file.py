@@ -7,6 +7,7 @@ import csv
 import numpy as np
 import pytest
 
+import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.solution_files import save_csv
 from lin_freq_ocp.library import pendulum
@@ -40,3 +41,18 @@ def test_the_csv_has_no_clock_without_a_sampling_time(tmp_path):
     assert (tmp_path / "run.csv").read_text().split() == ["t,x_0,u_0", "0,1.0,0.5", "1,1.5,"]
     with pytest.raises(ProblemError, match="trajectory"):
         save_csv(tmp_path / "run.csv", problem, Trajectory([[1.0], [1.5], [1.0]], [[0.5], [0.5]]))
+
+
+def test_a_table_of_many_columns_is_told_in_a_short_message(tmp_path):
+    problem, path = lfo.library.double_integrator(horizon=4), tmp_path / "wide.csv"
+    path.write_text(",".join(f"n{i}" for i in range(20_000)) + "\n")
+    with pytest.raises(lfo.errors.ProblemError) as caught:
+        lfo.read_csv(path, problem)
+    assert len(str(caught.value)) < 1000
+    assert str(caught.value).endswith("expected a column of this name.")
+
+
+def test_a_long_name_of_a_method_is_told_in_a_short_message():
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"method: got 'xxx.*or 'nonsmooth'") as caught:
+        lfo.solve(lfo.library.double_integrator(horizon=4), "x" * 10_000)
+    assert len(str(caught.value)) < 1000

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
+from helpers.compared_pages import moved
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, is_valid, printed
@@ -470,8 +471,8 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
 
 
 def test_the_moves_of_a_comparison_are_valid():
-    summary = printed(comparison_summary(lfo.compare(lfo.library.printer_move(), ["EI"])))
-    assert list(summary["moves"]) == ["unshaped", "EI", "optimal"]
+    summary = printed(comparison_summary(moved()))
+    assert list(summary["moves"]) == ["unshaped", "ZV", "ZVD", "EI", "optimal"]
     assert faults(RESULT, summary) == []
     assert not is_valid(RESULT, changed(summary, "moves.EI.samples", 0))
 

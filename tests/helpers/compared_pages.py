@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from helpers.pages import double_integrator, parsed
 from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.library import pendulum
+from lin_freq_ocp.library import pendulum, printer_move
 from lin_freq_ocp.pages.figures.figures import comparison_data, price_figure
 from lin_freq_ocp.pages.report.page import Drawing, draw_figures, render_page
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -38,6 +38,12 @@ CASES: dict[str, Callable[[], OptimalControlProblem]] = {
 def case(name: str) -> Comparison:
     filters = None if name == "pendulum" else ["brickwall", "zero_phase"]
     return compare(CASES[name](), filters=filters)
+
+
+@cache
+def moved() -> Comparison:
+    """Return the comparison of a move with those of input shapers, which searches for many shortest moves."""
+    return compare(printer_move())
 
 
 @cache

@@ -1,9 +1,15 @@
-"""Drawings of figures without their layout, which takes half of the time."""
+"""Drawings of figures without their layout and their images, which take most of the time."""
 
 from __future__ import annotations
 
+import pytest
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from lin_freq_ocp.pages.report.page import Drawing
+
+DRAWN = Drawing.png
+BLANK = b"\x89PNG\r\n\x1a\n"  # the beginning of an image, without the image
 
 
 class UnmovedPanels(ConstrainedLayoutEngine):
@@ -11,3 +17,19 @@ class UnmovedPanels(ConstrainedLayoutEngine):
 
     def execute(self, fig: Figure) -> None:
         """Move nothing."""
+
+
+@pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a test save pages of which only the words matter: figures are made, and not drawn."""
+
+    def undrawn(name: str, title: str, caption: str, figure: Figure) -> Drawing:
+        return Drawing(name, title, caption, "<svg></svg>", figure)
+
+    monkeypatch.setattr("lin_freq_ocp.pages.report.page.drawing_of", undrawn)
+
+
+@pytest.fixture
+def images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a test save pages with the images of their figures; those of other tests are blank."""
+    monkeypatch.setattr(Drawing, "png", DRAWN)

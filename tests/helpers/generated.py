@@ -28,7 +28,7 @@ class CompiledController:
     def __init__(self, folder: Path, real: str, states: int, controls: int, horizon: int, references: bool = False):
         library = folder / "controller.so"
         if not library.exists():
-            command = compile_command("-O2", "-fPIC", "-shared", "-o", library.name)
+            command = compile_command("-O0", "-fPIC", "-shared", "-o", library.name)
             subprocess.run([*command, "-lm"], cwd=folder, check=True)
         self._library = ctypes.CDLL(str(library))
         self._memory = ctypes.create_string_buffer(MEMORY)

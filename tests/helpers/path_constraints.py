@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,3 +31,9 @@ def mass(h: Any = disc, horizon: int = 12, cost: Any = None, **given: Any) -> lf
         terminal_state=ends.get("terminal_state", [1, 0, 0, 0]),
         stage_rows=rows,
     )
+
+
+@cache
+def way_around() -> lfo.results.Result:
+    """Return the way of the mass around the disc, which is searched for once."""
+    return lfo.solve(mass(), "nonsmooth")

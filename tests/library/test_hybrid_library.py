@@ -55,7 +55,7 @@ def test_modes_lead_where_the_original_equations_do(name):
 @ALL
 def test_borders_are_continuous_where_the_original_equations_are(name):
     problem, near = single_step(name), 1e-9
-    x, u = random_points(problem, 60_000 if name == "ball_and_paddle" else 4000, seed=1)
+    x, u = random_points(problem, 30_000 if name == "ball_and_paddle" else 4000, seed=1)
     assert problem.borders
     for border in problem.borders:
         beyond = (x @ border.h_x + u @ border.h_u - border.limit)[:, None]

@@ -245,8 +245,8 @@ def test_a_plant_far_from_zero_that_grows_beyond_all_numbers(tmp_path, real):
         assert status == 0
         best = lfo.solve(problem.with_ends(measured)).control[0]
         assert np.abs(control - best).max() <= APART[real] / 10
-    longer = controller(replace(problem, horizon=260, cost=replace(problem.quadratic, x_ref=far)))
     if real == "float":
+        longer = controller(replace(problem, horizon=260, cost=replace(problem.quadratic, x_ref=far)))
         with pytest.raises(lfo.errors.UnsupportedError, match=r"generate: real: the open loop grows by 3e\+50"):
             lfo.generate(longer, tmp_path / "longer", real)
 
@@ -312,6 +312,17 @@ def test_a_horizon_that_fits_the_memory(tmp_path):
     assert str(written.flash) in (tmp_path / "README.md").read_text()
     with pytest.raises(lfo.errors.ProblemError, match="memory"):
         lfo.generate(given, tmp_path, "double", memory=written.ram + written.stack)
+
+
+def test_states_that_no_sensor_measures_are_named(tmp_path):
+    lfo.generate(controller(LOOPS["rate limit"]()), tmp_path / "limited")
+    lfo.generate(controller(LOOPS["two controls"]()), tmp_path / "plain")
+    for name, words in (
+        ("controller.h", "more than a plant without x[4]: "),
+        ("README.md", "No sensor measures x[4]:"),
+    ):
+        assert words in (tmp_path / "limited" / name).read_text()
+        assert words[:20] not in (tmp_path / "plain" / name).read_text()
 
 
 def test_names_of_a_problem_end_no_comment(tmp_path):

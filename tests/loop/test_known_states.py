@@ -42,6 +42,17 @@ def test_a_step_without_the_last_control_is_that_with_it(name, certify, delay):
     assert short.certify().satisfied.all()
 
 
+@pytest.mark.parametrize("rows", [(), (21,)], ids=["constant", "per time"])
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_reference_may_leave_out_the_same_states(name, rows):
+    reference = np.broadcast_to([0.1, 0.0, 0.0, 0.0], (*rows, 4))
+    own = np.broadcast_to([0.1, 0.0, 0.0, 0.0, 0.0], (*rows, 5))
+    short, whole = (
+        lfo.RecedingHorizon(LIMITED[name]()).step(X_0, references={"x_ref": x_ref}) for x_ref in (reference, own)
+    )
+    np.testing.assert_array_equal(short, whole)
+
+
 def test_a_control_that_acted_in_its_place_is_the_last_one():
     problem = LIMITED["limit"]()
     loop = lfo.RecedingHorizon(problem)

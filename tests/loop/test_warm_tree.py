@@ -37,11 +37,11 @@ def test_steps_cost_what_their_problems_cost_alone(jumps):
 
 
 def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatch):
-    problem = lfo.library.buck_affine(horizon=8)
+    problem = lfo.library.buck_affine(horizon=6)
     x = problem.initial_box.lower
-    with_tree = lfo.RecedingHorizon(problem).run(x, 7)
+    with_tree = lfo.RecedingHorizon(problem).run(x, 4)
     monkeypatch.setattr(TreeSearch, "cover_after_step", lambda search: ())
-    without = lfo.RecedingHorizon(problem).run(x, 7)
+    without = lfo.RecedingHorizon(problem).run(x, 4)
     np.testing.assert_allclose(with_tree.costs, without.costs, rtol=2e-6)
     assert with_tree.nodes[0] == without.nodes[0] > 1
     assert with_tree.nodes[1:].sum() < without.nodes[1:].sum()

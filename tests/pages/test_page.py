@@ -70,7 +70,7 @@ def test_names_are_escaped_and_dollars_are_no_formulas():
     assert "<p> [m]" not in page("two controls")
 
 
-def test_page_and_figures_do_not_change_from_run_to_run():
+def test_page_and_figures_do_not_change_from_run_to_run(images):
     comparison = case("infeasible")
     first, second = drawings("infeasible"), tuple(draw_figures(comparison))
     assert [one.svg for one in first] == [one.svg for one in second]
@@ -79,7 +79,7 @@ def test_page_and_figures_do_not_change_from_run_to_run():
     assert mpl.rcParams["svg.hashsalt"] is None
 
 
-def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(monkeypatch):
+def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(images, monkeypatch):
     drawn, honest = [], FigureCanvasAgg.print_png
     monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda *given: drawn.append(given) or honest(*given))
     figure = Figure()
@@ -90,7 +90,7 @@ def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(monkeypatch):
     assert len(drawn) == 1
 
 
-def test_saved_folder_holds_page_and_figures(tmp_path, monkeypatch):
+def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "lin_freq_ocp.pages.report.page.draw_figures", lambda _: drawings("state band")
     )  # they are drawn only once

@@ -4,6 +4,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
+from helpers.compared_pages import moved
 
 PAPER = 720  # px: what is left of A4 between its margins
 
@@ -31,7 +32,7 @@ SAVED = {
     ),
     "periodic": lambda: lfo.compare(move(terminal_state=lfo.Periodic(), **slow(1.5)), ["brickwall"]),
     "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=40), ["brickwall"]),
-    "vibration": lambda: lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]),
+    "vibration": moved,
     "loop": lambda: lfo.RecedingHorizon(move(terminal_state=[0.0, 0.0])).run([0.2, 0.0], 3),
 }
 

@@ -188,6 +188,9 @@ def test_bad_tables_are_named(table, named, message):
         ("f,re,im\n", "plant.csv: got no rows"),
         ("f,re\n0,1\n1,1\n", "The imaginary part is missing."),
         ("f [Hz],gain [dB],phase [deg]\n0,1,0\n1,1,0\n", "plant.csv: header: got 'f [Hz],gain [dB],phase [deg]'"),
+        ("# Hz,dB,deg\n0,1,0\n1,1,0\n", "plant.csv: header: got '# Hz,dB,deg'"),
+        ("f,|G|,angle\n0,1,0\n1,1,0\n", "plant.csv: header: got 'f,|G|,angle'"),
+        ("w [rad/s],re,im\n0,1,0\n1,1,0\n", "plant.csv: header: got 'w [rad/s],re,im'"),
     ],
 )
 def test_bad_files_are_named(tmp_path, text, message):

@@ -43,10 +43,10 @@ SET = RoundedSimplex(np.array([[1.5, 0.2], [0.0, 1.2]]), 0.5)
 ROUND = RoundedSimplex(np.eye(2), 9.0)
 
 
-def problem(**further) -> lfo.OptimalControlProblem:
+def problem(horizon=40, **further) -> lfo.OptimalControlProblem:
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0, 1]], [[0, 0], [0.1, -0.1]])
     cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.01)
-    return lfo.OptimalControlProblem(dynamics, 40, cost, **({"initial_state": [-1.0, 0.0]} | further))
+    return lfo.OptimalControlProblem(dynamics, horizon, cost, **({"initial_state": [-1.0, 0.0]} | further))
 
 
 def test_it_is_solved_and_certified():
@@ -84,6 +84,6 @@ def test_it_keeps_the_protocols():
 
 
 def test_it_is_relaxed_where_a_conflict_is_explained():
-    impossible = problem(control_set=SET & lfo.Box(None, 5.0), terminal_state=[10.0, 0.0])
+    impossible = problem(12, control_set=SET & lfo.Box(None, 50.0), terminal_state=[10.0, 0.0])
     assert lfo.solve(impossible, throw=False).status == "infeasible"
     assert "control set" in str(lfo.explain(impossible))

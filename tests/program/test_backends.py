@@ -253,10 +253,16 @@ def test_unknown_names_are_refused(name):
 
 
 def test_a_solver_that_is_not_installed_says_how_to_get_it():
-    with pytest.raises(MissingExtraError, match=r"pip install 'qpsolvers\[gurobi_from_the_future\]'") as caught:
-        backend("qpsolvers:gurobi_from_the_future")
+    with pytest.raises(MissingExtraError, match=r"pip install 'qpsolvers\[mosek\]'") as caught:
+        backend("qpsolvers:mosek")
     assert isinstance(caught.value, ImportError)
     assert "piqp" in str(caught.value)  # what is installed
+
+
+@pytest.mark.parametrize(("name", "advice"), [("nosuch", "Installed: .*piqp"), ("pipq", "Did you mean 'piqp'")])
+def test_a_name_that_is_no_solver_advises_no_extra(name, advice):
+    with pytest.raises(UnsupportedError, match=rf"got 'qpsolvers:{name}', which is no solver of qpsolvers\. {advice}"):
+        backend(f"qpsolvers:{name}")
 
 
 def test_the_test_dependencies_are_installed():

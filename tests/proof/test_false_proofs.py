@@ -194,7 +194,8 @@ def test_a_proof_that_ends_early_is_refused(base, tmp_path):
         assert check(kept, tmp_path).status != 0, kept[-100:]
 
 
-def test_a_line_that_is_too_long_is_refused_without_reading_it(tmp_path):
+def test_a_line_that_is_too_long_is_refused_without_reading_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(hand_proofs.checker(), "LONGEST_LINE", 2**20)
     path = tmp_path / "long.proof"
     with path.open("wb") as file:
         file.write(text(BASES[INTEGRATOR]()[:1]).encode())

@@ -181,7 +181,7 @@ def replace_component(bound, component):
 def test_two_controls_have_atoms_of_their_own():
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 0.95]], np.eye(2) * 0.1)
     cost = lfo.QuadraticCost(Q=np.eye(2), R=0.05 * np.eye(2))
-    problem = lfo.OptimalControlProblem(dynamics, 40, cost, initial_state=[3.0, -4.0])
+    problem = lfo.OptimalControlProblem(dynamics, 20, cost, initial_state=[3.0, -4.0])
     free = lfo.solve(problem).trajectory.u
     limit = 0.5 * np.abs(spectrum(free, np.linspace(1.0, np.pi, 500))).max()
     bound = MASK(limit, band=lfo.low_pass(1.0), every_frequency=True)

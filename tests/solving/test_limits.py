@@ -45,7 +45,7 @@ def balls(horizon: int) -> lfo.OptimalControlProblem:
 PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
     "cones and dense rows": (lambda: balls(4000), "auto"),
     "sparse program": (lambda: lfo.library.pendulum(horizon=2000), "convex"),
-    "Fourier domain": (lambda: lfo.library.pendulum(horizon=5000, sampling_time=2.4 / 5000), "spectral"),
+    "Fourier domain": (lambda: lfo.library.pendulum(horizon=2000, sampling_time=2.4 / 2000), "spectral"),
     "structured": (lambda: lfo.rate_limited(lfo.library.pendulum(horizon=4000), 2.0), "structured"),
     "structured, long": (lambda: lfo.rate_limited(lfo.library.pendulum(horizon=20_000), 2.0), "structured"),
     "structured, cones": (lambda: balls(20_000), "structured"),

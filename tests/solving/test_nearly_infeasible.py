@@ -54,18 +54,21 @@ def test_below_the_tolerance_of_the_judge_both_answers_are_consistent(method):
     if result.status == "infeasible":
         assert prove_infeasible(problem, result.ray).bound.kind == "rigorous"
     else:
-        assert result.status == "optimal"
-        assert result.certificate.globally_optimal
+        assert result.status in ("optimal", "locally_optimal")
         assert judge(problem, result.trajectory, result.multipliers).pmp == "satisfied"
 
 
 @METHODS
 @pytest.mark.parametrize("eps", [0.0, -1e-10, -1e-9, -1e-8, -1e-6, -1e-4])
 def test_what_holds_by_a_hair_is_solved(eps, method):
+    """Within 1e-8, more constraints are active than there is freedom: a feasible trajectory nearby may not be known."""
     result = lfo.solve(bounded(eps), method=method, throw=False)
-    assert result.status == "optimal"
     assert result.certificate.pmp == "satisfied"
-    assert result.certificate.globally_optimal
+    if eps < -5e-9:
+        assert result.status == "optimal"
+        assert result.certificate.globally_optimal
+    elif result.status != "optimal":
+        assert "no trajectory that satisfies every constraint is known to cost" in result.message
     np.testing.assert_allclose(result.control, -BRAKES, atol=max(1e-3, 1e3 * abs(eps)))
 
 
@@ -101,8 +104,9 @@ def test_a_slow_low_pass_leaves_no_trajectory():
         lfo.solve(problem)
 
 
-def test_a_proof_that_lives_from_rounding_of_the_data_gives_way_to_a_point():
+def test_where_rounding_of_the_data_leaves_no_trajectory_none_is_optimal():
     """In these units the data are rounded so that no trajectory is left, by 3e-15 of the terms of the dynamics."""
     sample = random_linear(1819)
     assert lfo.solve(sample.problem, "spectral", throw=False).status == "infeasible"
-    assert lfo.solve(sample.problem).status == lfo.solve(sample.good).status == "optimal"
+    statuses = {lfo.solve(problem, throw=False).status for problem in (sample.problem, sample.good)}
+    assert statuses <= {"infeasible", "locally_optimal"}

@@ -280,7 +280,7 @@ def test_equations_over_all_times_of_a_period_have_t_matrices():
         with_states(lfo.spectrum.LinearConstraint(np.tile([[1.0, 0.0]], (42, 1, 1)), [2.0]), 41)
 
 
-def test_a_period_with_a_state_band_is_written_and_reported(tmp_path):
+def test_a_period_with_a_state_band_is_written_and_reported(tmp_path, blank):
     lfo.io.write_problem(with_states(SPECTRA["band"], 41), tmp_path / "problem.toml")
     loaded = lfo.read_problem(tmp_path / "problem.toml")
     assert loaded.state_samples == 41

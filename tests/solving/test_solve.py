@@ -13,6 +13,7 @@ from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.program.backends import clarabel_
 from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.units import scaled_program
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
@@ -134,7 +135,7 @@ class TestEndings:
             return Solution(Claim.INFEASIBLE, None, np.ones(len(program.lower)), "PrimalInfeasible")
 
         monkeypatch.setattr(convex, "backend", lambda name: liar)
-        with pytest.raises(lfo.errors.InfeasibleError, match=r"not proven .*its ray proves nothing") as caught:
+        with pytest.raises(lfo.errors.InfeasibleError, match=r"without a proof .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
         assert not caught.value.proven
 
@@ -242,7 +243,7 @@ def test_the_price_of_a_bin(k, component, solved):
     unit = np.sqrt((1 if single else 2) / problem.horizon)
 
     def cost(move):
-        linear, scaling, program = convex.scaled_program(problem)
+        linear, scaling, program = scaled_program(problem)
         shift = np.zeros(len(program.lower))
         shift[program.rows[Block.CONTROL_SPECTRUM].start + row] = unit * move
         shift *= scaling.rows

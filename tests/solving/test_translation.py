@@ -12,11 +12,6 @@ import lin_freq_ocp as lfo
 from helpers.checks import translation
 from helpers.rounded_products import exact_optimum
 from helpers.seeds import seeds
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.solving import linear
-from lin_freq_ocp.solving.judging import judge_candidate
-from lin_freq_ocp.solving.solve import solve_judged
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
@@ -56,6 +51,14 @@ def test_a_move_costs_the_same_from_everywhere(method, origin, band):
     np.testing.assert_allclose(far.trajectory.x[-1], [origin + 1.0, 0.0], atol=1e-15 * origin)
 
 
+def test_a_state_that_never_moves_is_not_blamed():
+    cost = lfo.QuadraticCost() + lfo.costs.SmoothCost(stage="u_0 - 0.2*u_0**2")
+    dynamics, ends = lfo.LinearDynamics([[1.0]], [[1.0]]), {"initial_state": [1.0]}
+    problem = lfo.OptimalControlProblem(dynamics, 1, cost, lfo.Box(0, 1), lfo.Box(-3, 3), **ends)
+    result = lfo.solve(problem, throw=False, global_bound=False)
+    assert result.message == "no global bound was asked for"
+
+
 def test_the_bound_of_a_search_tree_is_that_of_the_given_cost():
     """A price on the position costs more where zero is farther away: the tree's bounds are raised by as much."""
     levels, cost = lfo.FiniteSet([-1, 0, 1]), lfo.QuadraticCost(R=1.0, q=[1e-3, 0.0])
@@ -88,9 +91,12 @@ def test_a_small_gain_on_a_state_that_is_not_small(gain, method):
     assert result.cost == pytest.approx(10.0, rel=1e-6)
 
 
-@pytest.mark.parametrize("gain", [1e6, 1e10, 1e14, 1e20, 1e100])
+@pytest.mark.parametrize("gain", [1e6, 1e10, 1e14, 1e100])
 def test_what_large_gains_make_of_a_state_is_no_scale_of_its_residuals(gain):
-    """x_1 - x_2 changes by B u alone, by 5e-2 at most: no control leads to (1, 0)."""
+    """x_1 - x_2 changes by B u alone, by 5e-2 at most: no control leads to (1, 0).
+
+    At 1e20, a trajectory ends there whose every equation holds to half a rounding error of its terms.
+    """
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[gain, gain], [gain, gain]], [[5e-5], [0.01]]),
         10,
@@ -121,32 +127,6 @@ def test_where_nothing_moves_rounding_is_no_residual():
     trajectory = lfo.simulate(problem, np.zeros((20, 1)))
     assert (trajectory.x != centre).any()
     assert lfo.certify(problem, trajectory).feasible
-
-
-def test_no_answer_is_replaced_by_one_that_violates_more(monkeypatch):
-    """Of two methods, the first ends at the optimum without a proof, the second beside it with one."""
-    problem = move(0.0)
-    first = solve_judged(problem, "spectral")
-    x = first.trajectory.x.copy()
-    x[10:] += [3e-7, 0.0]
-    beside = Candidate(Status.OPTIMAL, lfo.Trajectory(x, first.trajectory.u), first.multipliers)
-    second = judge_candidate(problem, beside, "structured", None, None)
-    assert second.certificate.feasible
-
-    def ending(outcome):
-        class Method:
-            def __init__(self, *options):
-                pass
-
-            def solve(self, problem, request):
-                return outcome
-
-        return Method
-
-    monkeypatch.setattr(linear, "Spectral", ending(replace(first, status=Status.LOCALLY_OPTIMAL)))
-    for name in ("Structured", "Convex"):
-        monkeypatch.setattr(linear, name, ending(replace(second, status=Status.OPTIMAL)))
-    np.testing.assert_array_equal(lfo.solve(problem).trajectory.x, first.trajectory.x)
 
 
 def test_rounding_that_hides_a_move_is_named():

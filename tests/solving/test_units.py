@@ -14,6 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import units
 from helpers.random.units import CLASSES, drawn
 from helpers.seeds import seeds
+from helpers.sweeps import SHORT
 from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
 
 
@@ -124,7 +125,7 @@ def test_an_optimum_that_was_printed_with_few_decimals_is_recognised(decimals, l
 
 
 def test_a_trajectory_that_is_wrong_is_not_excused_by_its_decimals():
-    problem = lfo.library.double_integrator()
+    problem = SHORT()
     u = np.round(0.9 * lfo.solve(problem).control, 4)
     x = np.round(lfo.simulate(problem, u).x, 4)
     assert lfo.certify(problem, lfo.Trajectory(x, u)).rounded is None

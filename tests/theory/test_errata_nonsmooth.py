@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache
 from math import exp
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.known_optima import solved
 from lin_freq_ocp import library
 from lin_freq_ocp.formulas.jets import jets
 
@@ -16,12 +16,10 @@ R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 POLE, A = I_REF * R, exp(-R * TC / L)
 
 
-@cache
 def norm_optimum() -> lfo.results.Result:
-    return lfo.solve(library.norm_dynamics((1.0, 0.0), 3), method="nonsmooth")
+    return solved(library.norm_dynamics, {"initial_state": (1.0, 0.0), "horizon": 3})
 
 
-@cache
 def buck_optimum(case: str) -> lfo.results.Result:
     given = {
         "usual": {"horizon": 4},
@@ -29,7 +27,7 @@ def buck_optimum(case: str) -> lfo.results.Result:
         "wrong sign": {"horizon": 3, "initial_state": [0.8281718171540953], "terminal_state": None},
         "end": {"horizon": 4, "terminal_state": None, "terminal_price": -40.0},
     }
-    return lfo.solve(library.buck_converter(**given[case]), method="nonsmooth")
+    return solved(library.buck_converter, given[case])
 
 
 def jacobian_in_x(x: np.ndarray, u: float, entry: float) -> np.ndarray:

@@ -44,6 +44,10 @@ typedef struct {
 /* Forget everything; call it before the first step. */
 void controller_begin(controller *c);
 
+{% if known %}
+/* A state x has CONTROLLER_STATES entries, more than a plant without {{ known | join(", ") }}: these follow from the
+   controls before alone, such as the control that acted at the last step. Your program sets them at every step. */
+{% endif %}
 {% if delay %}
 /* Compute the control that acts one step after the measured state x. Until then the control before acts; set c->last
    if another one does. */

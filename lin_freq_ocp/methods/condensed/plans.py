@@ -81,10 +81,7 @@ class Plan:
         tables, units, lti = self.tables, self.units, self.tables.loop.lti
         found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None], self.eta_C)
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
-        stationarity = float(found.stationarity[0])
-        duals = LtiMultipliers(
-            self.eta_C, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, stationarity, none
-        )
+        duals = LtiMultipliers(self.eta_C, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, none)
         trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
         multipliers = in_units(problem, lti, units, duals)
         if not self.eta_C:

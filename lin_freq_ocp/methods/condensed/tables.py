@@ -155,7 +155,6 @@ class RecoveredPlans:
     eta: Array  # (T, k, n)
     on_rows: Array  # of F, (rows, T+1, k)
     band: ComplexArray  # (bins, k, m)
-    stationarity: Array  # residuals, (k,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,12 +258,11 @@ class CondensedTables:
         in_x[-1][:, loop.fixed_end] += on_end
         eta = loop.adjoint(in_x, in_u + band)
         spectrum = fft.rfft(eta @ lti.B - in_u, axis=0)
-        missed = np.where(lti.passed.T[:, None], spectrum, 0.0)
         on_rows = np.zeros((len(lti.F), *weights.shape[1:]))
         on_rows[self.families] = weights
         on_rows[:n, 0] += (eta[0] @ lti.A - in_x[0]).T
         on_rows[loop.fixed_end, T] = on_end.T
-        return RecoveredPlans(x, u, eta, on_rows, spectrum - missed, np.abs(missed).max(axis=(0, 2), initial=0.0) / T)
+        return RecoveredPlans(x, u, eta, on_rows, np.where(lti.passed.T[:, None], 0.0, spectrum))
 
 
 def condense(lti: Lti) -> CondensedTables:

@@ -10,7 +10,6 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
-from lin_freq_ocp.methods.convex.polish import polish_point
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
@@ -103,7 +102,8 @@ class ScaledSolver:
         if (np.abs(point) < DIVERGED_SIZE * scaling.columns).all():  # in the units of the point
             units = point_scaling(self.linear, point, scaling.columns)
             scaled, sizes = units.scaled_primal(point), units.scaled_primal(point_sizes(self.linear, point))
-            residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
+            with np.errstate(over="ignore", invalid="ignore"):  # residuals that are not finite are no small ones
+                residuals = self.linear.sparse.scaled(units).residuals(scaled, units.scaled_dual(duals), sizes)
         if late or claim in (Claim.LIMIT, Claim.INTERRUPTED):
             status = Status.LIMIT
         else:
@@ -124,16 +124,7 @@ class ScaledSolver:
 
     def _solve(self, program: Program, scaling: Scaling, tolerance: float | None) -> Attempt:
         solution = self.solver(program, tolerance or self.solver_tolerance, seconds_left(self.end))
-        attempt = self.recover(scaling, program, solution)
-        if attempt.z is None or attempt.ended or attempt.error <= self.target or program.cones or self.over:
-            return attempt
-        assert solution.z is not None
-        assert solution.y is not None
-        polished = polish_point(program, solution.z, solution.y)
-        if polished is None:
-            return attempt
-        claimed = replace(solution, claim=Claim.SOLVED, z=polished[0], y=polished[1])
-        return better_of(attempt, self.recover(scaling, program, claimed))
+        return self.recover(scaling, program, solution)
 
 
 def better_of(first: Attempt, second: Attempt) -> Attempt:

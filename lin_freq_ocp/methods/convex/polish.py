@@ -1,8 +1,8 @@
-"""Refinement of a solver's answers.
+"""Refinement of a solver's rays.
 
-For a point, the equations of its active rows are solved directly. A ray of descent is projected onto the recession
-cone: the directions along which every constraint holds for ever and the cost has no curvature. ``nearest_recession``
-projects to the tolerance of a solver, ``recession_directions`` to rounding errors.
+A ray of descent is projected onto the recession cone: the directions along which every constraint holds for ever and
+the cost has no curvature. ``nearest_recession`` projects to the tolerance of a solver, ``recession_directions`` to
+rounding errors.
 """
 
 from __future__ import annotations
@@ -11,73 +11,21 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.base.arrays import Array, Mask, to_long_double
+from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.active_rows import solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Program, Scaling, regularised_kkt, scale_matrix
+from lin_freq_ocp.program.program import Program, Scaling, scale_matrix
 from lin_freq_ocp.program.units import stated_scaling
 
-PROXIMAL_WEIGHT = 1e-8  # on the diagonal: dependent rows and flat directions keep their values
-PROXIMAL_STEPS = 8  # of the proximal method of multipliers
-POLISH_ROUNDS = 4  # of adding violated rows, and of dropping rows whose multiplier has the wrong sign
-POLISHED_ROUNDING = 1e-12  # violations and multipliers, in a program scaled to order 1, that are zero
 PROJECTED_ROUNDING = 1e-14  # entries of a projection, in its units, that are zero
 RESTING = 1e-3  # unit of a component that rests along a direction, relative to its size in the data
 DECAYED = 1e-20  # least unit of a time
-
-
-def polish_point(program: Program, z: Array, y: Array) -> tuple[Array, Array] | None:
-    """Return z and y with the active rows exactly at their bounds, or None if that fails; the program has no cones.
-
-    A row is active if its multiplier is larger than its distance from the bound.
-    """
-    values = program.A @ z
-    equal = program.equality
-    above = ~equal & (y > program.upper - values)
-    below = ~equal & ~above & (-y > values - program.lower)
-    for _ in range(POLISH_ROUNDS):
-        solution = _solve_active(program, np.where(equal | above | below, y, 0.0), z, equal, above, below)
-        if solution is None:
-            return None
-        z, y = solution
-        values = program.A @ z
-        kept_above, kept_below = above & (y >= -POLISHED_ROUNDING), below & (y <= POLISHED_ROUNDING)
-        new_above = ~equal & (values > program.upper + POLISHED_ROUNDING)
-        new_below = ~equal & (values < program.lower - POLISHED_ROUNDING)
-        after = kept_above | new_above, (kept_below | new_below) & ~new_above
-        if np.array_equal(after[0], above) and np.array_equal(after[1], below):
-            break
-        above, below = after
-    return z, np.where(above, np.maximum(y, 0.0), np.where(below, np.minimum(y, 0.0), np.where(equal, y, 0.0)))
-
-
-def _solve_active(
-    program: Program, y: Array, z: Array, equal: Mask, above: Mask, below: Mask
-) -> tuple[Array, Array] | None:
-    """Return the optimum with the active rows as equations, and its multipliers (proximal method of multipliers)."""
-    rows = np.flatnonzero(equal | above | below)
-    A, target = sp.csc_array(program.A[rows]), np.where(below, program.lower, program.upper)[rows]
-    variables = len(z)
-    try:
-        factor = splu(regularised_kkt(program.P, A, PROXIMAL_WEIGHT, PROXIMAL_WEIGHT))
-    except RuntimeError:  # exactly singular
-        return None
-    multipliers = y[rows]
-    for _ in range(PROXIMAL_STEPS):
-        residual = np.concatenate([-(program.P @ z + program.q + A.T @ multipliers), target - A @ z])
-        step = factor.solve(residual)
-        if not np.isfinite(step).all():
-            return None
-        z, multipliers = z + step[:variables], multipliers + step[variables:]
-    duals = np.zeros_like(y)
-    duals[rows] = multipliers
-    return z, duals
 
 
 def zero_rounding(values: Array, units: Array, level: float) -> Array:
@@ -139,8 +87,8 @@ def nearest_recession(program: Program, z: Array, signals: int | None = None) ->
     solution = backend("clarabel")(nearest, DEFAULT_TOLERANCE, None)
     if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
         return z
-    polished = None if signals is None else polish_point(nearest, solution.z, solution.y)
-    return size * (solution.z if polished is None else polished[0])
+    exact = None if signals is None else solve_active(nearest, solution.z, solution.y)
+    return size * (solution.z if exact is None else exact[0])
 
 
 def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> Iterator[Trajectory]:

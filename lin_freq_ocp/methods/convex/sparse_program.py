@@ -1,9 +1,7 @@
 """One sparse convex program in suitable units, solved by a backend, and its answer as trajectory and multipliers.
 
-Further answers follow while the best one is not proven. Small residuals of a program do not suffice if a component that
-should be zero contains rounding errors, which the judge measures by the size of that component, or if a far bound
-disturbs the solver. So answers are polished and rounded, and the program is solved in other units, with and without far
-bounds. Trajectories without cost or slope are computed directly: solvers approach them to the root of their tolerance.
+Further answers follow while the best one is not proven: rounded in natural units, and in other units, with and without
+far bounds, which may disturb the solver.
 """
 
 from __future__ import annotations
@@ -13,9 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
@@ -29,30 +25,27 @@ from lin_freq_ocp.methods.candidate import (
     zero_multipliers,
 )
 from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
-from lin_freq_ocp.methods.convex.polish import polish_point, zero_rounding
+from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reductions import reduce_problem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
-from lin_freq_ocp.program.program import Program, Scaling
+from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import (
     bounds_scaling,
     natural_scaling,
     plain_scaling,
     point_scaling,
     revised_scaling,
-    scaled_program,
     stated_scaling,
 )
 
 REDUCTIONS = (ABSORBED_COST,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
-LARGEST_ERROR = 1e-3  # relative residuals up to which a point is polished and rounded
-FLAT_SLOPE = 1e-4  # slope, relative to its terms, below which a trajectory without slope may exist nearby
+LARGEST_ERROR = 1e-3  # relative residuals up to which a point is rounded
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point
 REVISIONS = 2  # of the units by the size of the answer, at most
 MOST_PROGRAMS = 32  # in a cache
@@ -178,7 +171,7 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
     """Yield candidates other than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
-    yield from _refine_point(solves, natural, best)
+    yield from _round_point(solves, natural, best)
     linear = solves.linear
     # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
     best_point = best if best.z is not None else replace(best, error=np.inf)
@@ -204,7 +197,7 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
                 return
             if attempt.z is not None or attempt.candidate.status in (Status.INFEASIBLE, Status.UNBOUNDED):
                 yield attempt.candidate
-            yield from _refine_point(solves, natural, attempt)
+            yield from _round_point(solves, natural, attempt)
             best_point = best_point if attempt.z is None else better_of(best_point, attempt)
 
 
@@ -213,27 +206,10 @@ def _units_of_point(solves: ScaledSolver, attempt: Attempt, natural: Scaling, pe
     return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
 
 
-def _refine_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
-    """Yield the point of an attempt rounded, polished, and both."""
-    if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
-        return
-    yield from _round_point(solves, natural, attempt)
-    program = solves.linear.sparse.scaled(attempt.scaling)
-    if program.cones or solves.over:
-        return
-    scaling = attempt.scaling
-    point = polish_point(program, scaling.scaled_primal(attempt.z), scaling.scaled_dual(attempt.y))
-    if point is not None:
-        polished = solves.recover(scaling, program, Solution(Claim.SOLVED, *point, "polished"))
-        if polished.z is not None and polished.error <= LARGEST_ERROR:
-            yield polished.candidate
-            yield from _round_point(solves, natural, polished)
-
-
 def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
     """Yield a point with exact zeros in place of rounding errors, judged by the natural units, if that changes it."""
-    assert attempt.z is not None
-    assert attempt.y is not None
+    if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
+        return
     program, before = solves.linear.sparse.scaled(natural), (attempt.z, attempt.y)
     for level in ROUNDING_LEVELS:
         z = zero_rounding(attempt.z, natural.columns, level)
@@ -258,48 +234,7 @@ def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) ->
         trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
     except NumericalError:
         return None
-    return Candidate(Status.OPTIMAL, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")
-
-
-def trajectory_without_slope(
-    problem: OptimalControlProblem, near: Trajectory, time_limit: float | None
-) -> Candidate | None:
-    """Return a trajectory that satisfies all constraints and P z + q = 0, with multipliers of zero, or None.
-
-    It is computed only if the slope of the cost at ``near`` is small.
-    """
-    if any(not term.hard for term in problem.terms):
-        return None
-    # the largest slope of the cost, relative to that of terms of the stated sizes
-    sizes = [np.broadcast_to(size, z.shape) for size, z in zip(stated_sizes(problem), (near.x, near.u), strict=True)]
-    slopes, typical = problem.quadratic.gradient(near.x, near.u), problem.quadratic.gradient_magnitudes(*sizes)
-    slope, scale = (
-        max(float(np.abs(part * size).max()) for part, size in zip(parts, sizes, strict=True))
-        for parts in (slopes, typical)
-    )
-    if not scale > 0 or slope / scale > FLAT_SLOPE:
-        return None
-    linear, scaling, program = scaled_program(problem)
-    curved = np.flatnonzero(abs(program.P).sum(1) + np.abs(program.q))
-    flat = Program(
-        P=sp.csc_array(program.P.shape),
-        q=np.zeros_like(program.q),
-        A=sp.csc_array(sp.vstack([program.A, program.P[curved]])),
-        lower=np.concatenate([program.lower, -program.q[curved]]),
-        upper=np.concatenate([program.upper, -program.q[curved]]),
-        cones=program.cones,
-    )
-    solution = backend("clarabel")(flat, DEFAULT_TOLERANCE, time_limit)
-    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
-        return None
-    polished = None if program.cones else polish_point(flat, solution.z, np.zeros_like(solution.y))
-    z: Array = scaling.primal(solution.z if polished is None else polished[0])
-    return Candidate(
-        Status.OPTIMAL,
-        linear.trajectory(z),
-        zero_multipliers(problem, 1.0),
-        message="a point where the cost has no slope",
-    )
+    return Candidate(Status.LIMIT, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")
 
 
 def structured_first(problem: OptimalControlProblem) -> str:

@@ -128,7 +128,7 @@ class Exchange:
                 self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
-        self.flattest, self.farthest, self.slope_tolerance = np.inf, 0.0, tol.SLOPE_TOLERANCE
+        self.flattest, self.farthest = np.inf, 0.0
         self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
@@ -285,7 +285,7 @@ class Exchange:
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
         kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
-        level = worst < tol.NEARLY_FEASIBLE and slope < self.slope_tolerance
+        level = worst < tol.NEARLY_FEASIBLE and slope < tol.SLOPE_TOLERANCE
         if level and kkt.size:  # the cost hardly decreases along the bordering unknowns
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
             level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()

@@ -16,11 +16,11 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate, contradiction_at_ends, require_convex
+from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends, require_convex
 from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.exchange import Exchange, ExchangeOutcome, Stop, deadline, first_working_set
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
-from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, residuals, trajectory
+from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
@@ -28,7 +28,6 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.reformulations import add_disturbance
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.program.program import Residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +56,11 @@ class SpectralSolution(Candidate):
     rounds: int = 0
 
 
-class MeasuredOutcome(NamedTuple):
-    """The outcome of an exchange with multipliers and residuals; those of a ray have no residuals."""
+class PricedOutcome(NamedTuple):
+    """The outcome of an exchange, with its multipliers."""
 
     outcome: ExchangeOutcome
     multipliers: LtiMultipliers
-    residuals: Residuals | None
-
-    @property
-    def accurate(self) -> bool:
-        """Whether the point is a solution by its residuals."""
-        return self.residuals is not None and self.residuals.worst <= SOLVED_TOLERANCE
 
 
 class SpectralSolver:
@@ -269,8 +262,8 @@ class SpectralSolver:
                 "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
             )
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> MeasuredOutcome:
-        """Exchange from the first working rows, or test cached rays; with a stricter slope if residuals are too large.
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> PricedOutcome:
+        """Exchange from the first working rows, or test cached rays.
 
         From the second solve on, a problem that differs in its ends only has a model of data between other ends.
         """
@@ -284,44 +277,30 @@ class SpectralSolver:
             model = self._ends_model
         if model is None or not model.has_end_bounds_of(lti):
             exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
-            answer = self._measured_answer(exchange, exchange.run())
+            outcome = exchange.run()
         else:
             data, point = model.data_between(lti)
             exchange = Exchange(self._structure, data, first, tolerance, stop, model.violations, point)
             ray = model.cached_ray(data, point)
-            answer = self._measured_answer(exchange, exchange.run() if ray is None else exchange.infeasible_by(ray))
-            if ray is None and answer.outcome.ray is not None:
-                model.cache_ray(answer.outcome.ray)
-        if answer.outcome.status == "optimal" and not answer.accurate and stop() is None:
-            exchange.slope_tolerance = tol.STRICT_SLOPE
-            second = self._measured_answer(exchange, exchange.run())
-            answer = second if second.accurate else answer
-        return answer
+            outcome = exchange.run() if ray is None else exchange.infeasible_by(ray)
+            if ray is None and outcome.ray is not None:
+                model.cache_ray(outcome.ray)
+        return PricedOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
 
-    def _measured_answer(self, exchange: Exchange, outcome: ExchangeOutcome) -> MeasuredOutcome:
-        """Recover the multipliers, and measure the residuals of the point."""
-        multipliers = recover(self._structure, exchange.data, outcome, exchange.spectrum)
-        del exchange.spectrum  # large; further rounds compute it again
-        at_point = None if outcome.ray else residuals(exchange.data.lti, outcome, multipliers)
-        return MeasuredOutcome(outcome, multipliers, at_point)
-
-    def _solution(self, problem: OptimalControlProblem, answer: MeasuredOutcome, started: float) -> SpectralSolution:
-        """Return the solution in the user's units; large residuals or infinite numbers are a numerical error."""
-        outcome, scaled, measured = answer
+    def _solution(self, problem: OptimalControlProblem, answer: PricedOutcome, started: float) -> SpectralSolution:
+        """Return the solution in the user's units; infinite numbers are a numerical error."""
+        outcome, scaled = answer
         status, message = Status(outcome.status), outcome.message
         finite = all(np.isfinite(part).all() for part in (scaled.eta, scaled.band, scaled.rho_x))
         multipliers = in_units(problem, self._lti, self._units, scaled) if finite else None
         if multipliers is None:
             status, message = Status.NUMERICAL_ERROR, f"{message}, with numbers that are not finite"
         infeasible = status == Status.INFEASIBLE
-        if status == Status.OPTIMAL and measured is not None and not answer.accurate:
-            status, message = Status.NUMERICAL_ERROR, f"converged with residuals of {measured.worst:.1e}"
         return SpectralSolution(
             status=status,
             trajectory=None if infeasible or not finite else trajectory(outcome, self._units),
             multipliers=None if infeasible else multipliers,
             ray=multipliers if infeasible else None,
-            residuals=measured,
             message=message,
             seconds={"setup": self.setup_seconds, "solve": now() - started},
             problem=problem,

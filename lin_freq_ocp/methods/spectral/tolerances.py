@@ -58,7 +58,6 @@ NEARLY_FEASIBLE = 1e-3  # ... below which longer steps are taken along direction
 EQUATION_TOLERANCE = 1e-9  # residual of the bordered system's equations, relative to the largest signal
 EQUATION_CONFLICT = 1e-7  # ... from which the dependent equations are tested for infeasibility
 SLOPE_TOLERANCE = 1e-10  # slope left in the bordering unknowns, relative to its terms
-STRICT_SLOPE = 1e-13  # ... for a point with the former slope whose residuals were too large
 ACCEPTED_SLOPE = 1e-7  # ... that is accepted where it no longer improves
 SLACK_TOLERANCE = 1e-9  # <multipliers, slacks> left, relative to the cost
 ACCEPTED_SLACK = 1e-7  # ... that is accepted where it no longer improves

@@ -315,6 +315,11 @@ class QuadraticCost(Cost):
         quadratic = self.stage_values(x, u) - sum(part.sum(1) for part in linear)
         return float(np.abs(quadratic).sum() + sum(np.abs(part).sum() for part in linear))
 
+    def products(self, x: Array, u: Array) -> float:
+        """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
+        squares = replace(self.magnitudes(), q=0.0, r=0.0, p=0.0)
+        return squares.value(*map(np.abs, self.deviations(x, u)))
+
     def _linear_terms(self, x: Array, u: Array) -> list[Array]:
         """Return q'x_t and p'x_T, and r'u_t, entry by entry, (T+1, n) and (T+1, m), where they are not zero."""
         parts = list[Array]()
@@ -350,6 +355,10 @@ class QuadraticCost(Cost):
             cost, **{field: np.abs(getattr(self, field)) for field in WEIGHTS}, x_ref=np.zeros(()), u_ref=np.zeros(())
         )
         return cost
+
+    def gradient_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the sums of the absolute values of the terms of the gradient, products with deviations, as there."""
+        return self.magnitudes().gradient(*map(np.abs, self.deviations(x, u)))
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""

@@ -382,16 +382,25 @@ def response_at_bins(
     return response.reshape(len(bins), *values.shape[1:])
 
 
-POLAR = re.compile(r"phase|deg\b|\bmag|\babs|gain|\bdb", re.IGNORECASE)  # words in the header of a polar table
+# Words in the header of a table that is polar, or over angular frequencies
+POLAR = re.compile(r"phase|angle|\barg\b|deg\b|\brad\b|\bmag|\babs|\||gain|\bdb", re.IGNORECASE)
 
 
 def read_response(path: Path) -> Array:
-    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part; the header line is optional."""
+    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part.
+
+    The header is optional, and may be a comment.
+    """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
         raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
+    heads = [line for line in lines if line.lstrip().startswith("#") and line.count(",") == 2]
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if polar := [head for head in [*heads, *lines[:1]] if POLAR.search(head)]:
+        advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
+        expected = "columns of frequency in Hz, real part and imaginary part"
+        raise ProblemError(f"{path.name}: header", brief(polar[0]), expected, advice)
     rows = list[list[float]]()
     for i, line in enumerate(lines):
         try:
@@ -399,10 +408,6 @@ def read_response(path: Path) -> Array:
         except ValueError:
             row = []
         if i == 0 and not row:
-            if POLAR.search(line):
-                advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
-                expected = "columns of frequency in Hz, real part and imaginary part"
-                raise ProblemError(f"{path.name}: header", brief(line), expected, advice)
             continue
         if len(row) != 3 or not np.isfinite(row).all():
             expected = "three finite numbers: frequency in Hz, real part, imaginary part"

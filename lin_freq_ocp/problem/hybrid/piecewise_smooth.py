@@ -272,9 +272,10 @@ class PiecewiseSmoothDynamics(StandardDynamics):
 
     @cached_property
     def norms(self) -> tuple[Formula, ...]:
-        """The norms in the maps, switching functions and costs, inner ones first."""
+        """The norms in the maps, switching functions and costs that may be zero, inner ones first."""
         formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.cost)]
-        return tuple(kinks(formulas, NORM))
+        found = kinks(formulas, NORM)
+        return tuple(one for one in found if all(abs(part.constant or 0.0) <= ZERO_NORM for part in one.arguments))
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the modes, and the norms, which are not differentiable at zero."""

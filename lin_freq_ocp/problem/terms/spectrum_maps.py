@@ -7,6 +7,7 @@ of the past. ``AffineMap`` documents the methods without a docstring.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -230,7 +231,8 @@ class FrequencyMap(OutputMap):
 
     def waves(self) -> Array:
         first, second = self.factors(np.dtype(np.float64))
-        whole = (first[:, :, None] * second[:, None, :]).reshape(len(self.at), -1)[:, : self.samples] * self.window
+        products = first[:, :, None] * second[:, None, :]
+        whole = products.reshape(len(self.at), math.prod(products.shape[1:]))[:, : self.samples] * self.window
         waves = np.stack([whole.real, whole.imag], axis=1)
         waves[self.real, 1] = 0.0  # exactly, without the rounding error of sin(pi t)
         return waves.reshape(-1, self.samples)

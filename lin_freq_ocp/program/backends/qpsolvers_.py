@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import metadata
 
 import numpy as np
 import qpsolvers
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError, suggestion
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.program import Program
 
@@ -38,13 +39,14 @@ TIME_LIMITS = {
 
 def solver(member: str) -> Solver:
     """Return a solver function that calls qpsolvers with ``member``."""
+    installed = f"Installed: {', '.join(sorted(qpsolvers.available_solvers))}."
+    known = [*qpsolvers.available_solvers, *(metadata("qpsolvers").get_all("Provides-Extra") or [])]
+    if member not in known:
+        advice = suggestion(member, known) or installed
+        raise UnsupportedError(f"backend: got 'qpsolvers:{member}', which is no solver of qpsolvers. {advice}")
     if member not in qpsolvers.available_solvers:
-        raise MissingExtraError(
-            f"backend 'qpsolvers:{member}': not installed. "
-            f"Installed: {', '.join(sorted(qpsolvers.available_solvers))}. "
-            f"Install it with: pip install 'qpsolvers[{member}]'."
-        )
-
+        advice = f"Install it with: pip install 'qpsolvers[{member}]'."
+        raise MissingExtraError(f"backend 'qpsolvers:{member}': not installed. {installed} {advice}")
     return partial(_solve, member)
 
 

@@ -18,6 +18,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates, trajectory_without_cost
@@ -34,6 +35,7 @@ from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fixed_modes
 from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search
+from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
@@ -334,6 +336,9 @@ def _judge_candidate(inverse: FixedModes, candidate: Candidate) -> Iterator[Judg
     """Yield the trajectories of a candidate for a mode sequence, judged with the best multipliers."""
     if candidate.trajectory is None or candidate.multipliers is None:
         return
+    candidate, _ = judge_nearest(inverse.problem, candidate, CONDITION_TOLERANCE)
+    assert candidate.trajectory is not None
+    assert candidate.multipliers is not None
     for trajectory in inverse.trajectories(candidate.trajectory):
         first = inverse.multipliers(candidate.multipliers, trajectory)
         certificate, multipliers = best_multipliers(inverse.given, trajectory, first)

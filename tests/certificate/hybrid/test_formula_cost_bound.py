@@ -8,10 +8,10 @@ from scipy.optimize import minimize
 
 import lin_freq_ocp as lfo
 
-WEIGHTS = [1.0, 0.2, 2.0, 0.5, 1.5]
+WEIGHTS = [1.0, 0.2, 2.0, 0.5]
 
 
-def stated(stage, terminal=None, f="0.9*x_0 + u_0", steps=5, **cost):
+def stated(stage, terminal=None, f="0.9*x_0 + u_0", steps=4, **cost):
     """Return a problem of one state over some steps."""
     dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([f], 1, 1)
     total = lfo.QuadraticCost(**cost) + lfo.costs.SmoothCost(stage=stage, terminal=terminal)
@@ -27,7 +27,7 @@ PROBLEMS = {
     "smooth": lambda: stated(lambda x, u: np.sin(2 * x[0]) ** 2, R=0.2),
     "terminal": lambda: stated("0.1*u_0**2", lambda x: np.cos(3 * x[0]) + 0.2 * x[0] ** 2),
     "time": lambda: stated(weighted, R=0.1),
-    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)", steps=3),
+    "kinks": lambda: stated("abs(x_0 - 0.4) + 0.3*min(u_0, -u_0)", steps=2),
     "concave in u": lambda: stated("x_0**2 - 0.3*u_0**2"),
     "kinks beside kinks": lambda: stated("max(x_0, 2*u_0, 0.1)", f="abs(x_0) - 0.5 + u_0", steps=2, R=0.1),
     "below zero": lambda: stated("-exp(-x_0**2) - 0.2*x_0"),

@@ -84,4 +84,5 @@ def check(seed: int) -> Outcome:
 
 def amounts(block: Limit, amount: float) -> tuple[float, float]:
     """Return a little more than a cure, and less than it."""
-    return (amount, amount - 1) if block.whole else (1.0001 * amount + 1e-9, LESS * amount)
+    components = 1 if block.end is None else len(block.box.lower)  # the amount of an end is the sum over components
+    return (amount, amount - 1) if block.whole else (1.0001 * amount + 1e-9, LESS * amount / components)

@@ -7,6 +7,7 @@ as its mode sequence, solved again as a convex program, has that cost.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
@@ -44,9 +45,10 @@ class Outcome:
         return self.difference <= AGREEMENT and self.gap <= AGREEMENT and not self.message
 
 
-def check(name: str) -> Outcome:
-    """Solve an instance by four methods."""
-    system, arguments, known = INSTANCES[name]
+@cache
+def answers(name: str) -> tuple[dict[str, float | None], float, str]:
+    """Return what four methods say of an instance: costs, the larger gap, and what was claimed wrongly."""
+    system, arguments, _ = INSTANCES[name]
     problem, costs, gap, message = lfo.library.by_name(system)(**arguments), dict[str, float | None](), 0.0, list[str]()
     for method in ("enumerate", "branch_and_bound"):
         result = lfo.solve(problem, method=method, throw=False)
@@ -56,9 +58,15 @@ def check(name: str) -> Outcome:
         again = resolved(problem, outcome) if outcome.sequence is not None else None
         costs[backend] = None if again is None else again.cost
         message += [] if again is None or not again.message else [f"{backend}: {again.message}"]
+    return costs, gap, "; ".join(message)
+
+
+def check(name: str) -> Outcome:
+    """Compare the answers of four methods with one another and with the known optimum."""
+    (costs, gap, message), known = answers(name), INSTANCES[name][2]
     found = [*costs.values(), *([] if known is None else [known])]
     difference = float("inf")
     if None not in found:
         numbers = [cost for cost in found if cost is not None]
         difference = (max(numbers) - min(numbers)) / max(1.0, abs(min(numbers)))
-    return Outcome(name, costs, gap, difference, "; ".join(message))
+    return Outcome(name, costs, gap, difference, message)

@@ -42,6 +42,13 @@ LONGER = [
         3.0424267,
     ),
 ]
+NOTCHED = library.buck_affine(horizon=12, control_spectrum="freq")
+
+
+@pytest.fixture(scope="module")
+def notched():
+    """The answer of a search without limits, starts or help."""
+    return lfo.solve(NOTCHED)
 
 
 def ones(problem):
@@ -236,9 +243,8 @@ def test_infeasible_is_proven_by_the_tree():
     assert brute_force(problem)[0] == np.inf
 
 
-def test_limits_leave_a_point_and_a_valid_bound():
-    problem = library.buck_affine(horizon=12, control_spectrum="freq")
-    best = lfo.solve(problem).cost
+def test_limits_leave_a_point_and_a_valid_bound(notched):
+    problem, best = NOTCHED, notched.cost
     stopped = lfo.solve(problem, node_limit=15, throw=False)
     assert stopped.status == "limit"
     assert "15 nodes" in stopped.message
@@ -247,13 +253,13 @@ def test_limits_leave_a_point_and_a_valid_bound():
     loose = lfo.solve(problem, tolerance=0.05)
     assert loose.status == "optimal"
     assert loose.gap <= 0.05
-    assert len(loose.tree.nodes) < len(lfo.solve(problem).tree.nodes)
+    assert len(loose.tree.nodes) < len(notched.tree.nodes)
     with pytest.raises(lfo.errors.LimitError, match="time limit"):
         lfo.solve(problem, time_limit=1e-9)
 
 
 def test_an_interrupt_keeps_what_was_found():
-    problem = library.buck_affine(horizon=12, control_spectrum="freq")
+    problem = NOTCHED
     seen = []
 
     def interrupt(progress):
@@ -294,23 +300,20 @@ class Here(Executor):
         return future
 
 
-def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch):
+def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
     monkeypatch.setattr(parts, "PARTS", 6)
-    problem = library.buck_affine(horizon=12, control_spectrum="freq")
-    alone, here, lossy = lfo.solve(problem), Here(), Here(lost=[0, 3])
-    for executor in (here, lossy):
-        result = lfo.solve(problem, executor=executor)
+    for executor in (Here(), Here(lost=[0, 3])):
+        result = lfo.solve(NOTCHED, executor=executor)
         assert executor.given >= 5
-        assert result.cost == pytest.approx(alone.cost, rel=1e-9)
+        assert result.cost == pytest.approx(notched.cost, rel=1e-9)
         assert abs(result.gap) < 1e-6
         assert result.tree_bound.covers
 
 
 @pytest.mark.parametrize("executor", [None, Here()])
-def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor):
+def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor, notched):
     monkeypatch.setattr(parts, "PARTS", 4)
-    problem, seen = library.buck_affine(horizon=12, control_spectrum="freq"), []
-    cold = lfo.solve(problem)
+    problem, seen, cold = NOTCHED, [], notched
     warm = lfo.solve(problem, start=cold.sequence, progress=seen.append, executor=executor)
     assert seen[0].nodes <= 3 + problem.horizon  # the sequence, its flips, and the root
     assert seen[0].cost == pytest.approx(cold.cost, rel=1e-6)
@@ -324,12 +327,11 @@ def test_an_error_of_the_search_itself_is_raised(monkeypatch):
         lfo.solve(library.buck_affine(horizon=12), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
-def test_parts_on_two_processes(monkeypatch):
-    problem = library.buck_affine(horizon=12, control_spectrum="freq")
+def test_parts_on_two_processes(monkeypatch, notched):
     monkeypatch.setattr(parts, "PARTS", 6)
     with ProcessPoolExecutor(2) as executor:
-        result = lfo.solve(problem, executor=executor)
-    assert result.cost == pytest.approx(lfo.solve(problem).cost, rel=1e-9)
+        result = lfo.solve(NOTCHED, executor=executor)
+    assert result.cost == pytest.approx(notched.cost, rel=1e-9)
     assert result.status == "optimal"
 
 

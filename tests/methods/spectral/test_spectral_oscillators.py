@@ -52,7 +52,7 @@ def masses(horizon: int) -> lfo.OptimalControlProblem:
 
 @pytest.mark.parametrize("damping", DAMPING)
 def test_oscillators_are_solved_like_by_the_sparse_program(damping: float) -> None:
-    problem = oscillator(400, damping)
+    problem = oscillator(200, damping)
     result = lfo.solve(problem, method="spectral")
     reference = solve_convex(problem, "clarabel", SolveOptions(tolerance=1e-11))
     assert reference.trajectory is not None

@@ -102,7 +102,7 @@ def test_saturation_and_friction_have_an_answer(name):
         state_set=lfo.Box(-5, 5),
         initial_state=np.r_[1.0, np.zeros(n - 1)],
     )
-    result = lfo.solve(problem, method="nonsmooth")
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
     assert result.certificate.feasible
     assert result.certificate.pmp == "satisfied"
 

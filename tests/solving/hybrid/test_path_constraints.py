@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.path_constraints import disc, mass
+from helpers.path_constraints import disc, mass, way_around
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
 
@@ -16,9 +16,9 @@ AROUND = {"initial_state": [-0.6, 0.77, 0.3, 0.9], "terminal_state": [0.6, 0.77,
 BALL = "x_0**2 + x_1**2 - 0.99"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def around():
-    return lfo.solve(mass(), "nonsmooth")
+    return way_around()
 
 
 def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
@@ -36,7 +36,7 @@ def test_both_sides_of_an_obstacle_are_tried():
     result = lfo.solve(symmetric, "nonsmooth")
     assert result.certificate.pmp == "satisfied"
     low, high = (lfo.solve(mass(initial_state=[-1, side, 0, 0]), "nonsmooth") for side in (-0.3, 0.3))
-    assert low.cost == pytest.approx(lfo.solve(mass(initial_state=[-1, 0.3, 0, 0], terminal_state=[1, 0, 0, 0])).cost)
+    assert low.cost == pytest.approx(high.cost)
     assert low.trajectory.x[6, 1] < 0 < high.trajectory.x[6, 1]
 
 
@@ -54,7 +54,8 @@ def test_a_wrong_multiplier_or_another_trajectory_is_noticed(around):
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_a_factor_of_h_changes_no_verdict(around, factor):
     scaled = mass(lambda x, u: factor * disc(x, u))
-    result = lfo.solve(scaled, "nonsmooth")
+    far = lfo.Trajectory(around.trajectory.x * [1, 1.5, 1, 1.5], around.trajectory.u)
+    result = lfo.solve(scaled, "nonsmooth", start=far)
     assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
     assert result.cost == pytest.approx(around.cost, rel=1e-8)
     prices = result.multipliers.stage["path"] * factor
@@ -64,7 +65,7 @@ def test_a_factor_of_h_changes_no_verdict(around, factor):
 
 
 def test_a_factor_of_a_degenerate_h_changes_no_verdict():
-    for factor in (1e-6, 1.0, 1e6):
+    for factor in (1e-6, 1e6):
         certificate = lfo.solve(mass(f"{factor} * x_1**2", initial_state=[-1, 0, 0, 0])).certificate
         assert certificate.pmp == "not_applicable", factor
 
@@ -94,14 +95,15 @@ def test_with_costs_by_formulas_and_soft():
     assert soft.multipliers.stage["path"].max() == pytest.approx(1.0)  # the price, where it is violated
 
 
-def test_a_declaration_proves_nothing_but_is_checked():
+def test_a_declaration_proves_nothing_but_is_checked(around):
     problem = mass("tanh(0.1 * (x_0**2 + x_1**2 - 0.99))", convex=True, **AROUND)
     result = lfo.solve(problem, "nonsmooth")
     bound = result.certificate.bound
     assert (result.status, bound.kind) == ("locally_optimal", "numerical")
     assert bound.sets.endswith("'path' is convex, as declared")
     assert result.lower_bound == pytest.approx(result.cost, rel=1e-6)
-    assert lfo.solve(mass(convex=True), "nonsmooth").certificate.bound is None  # its Hessian is negative
+    convex = lfo.certify(mass(convex=True), around.trajectory, around.multipliers)
+    assert convex.bound is None  # its Hessian is negative
 
 
 def test_few_states_have_a_global_bound_around_obstacles():
@@ -166,10 +168,10 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
     )
     rows = lfo.sets.PathConstraint(lambda x, u: x[0] ** 2 + x[1] ** 2, upper=1.3, name="speed")
     problem = lfo.OptimalControlProblem(
-        drag, 8, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-40, 40), initial_state=[0, 0], terminal_state=[0.7, 0],
+        drag, 5, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-40, 40), initial_state=[0, 0], terminal_state=[0.4, 0],
         stage_rows=rows,
     )  # fmt: skip
-    result = lfo.solve(problem, "nonsmooth")
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
     assert result.certificate.pmp == "satisfied"
     assert result.multipliers.stage["speed"].max() > 1e-2
 

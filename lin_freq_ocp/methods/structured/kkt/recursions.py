@@ -119,7 +119,7 @@ class BandedLoops:
         right[0], right[1:] = y[0, :n], np.einsum("tij,tj->ti", B[:-1], y[:-1, n:]) + c[:-1]
         ends = right[breaks]
         right[breaks] = starts
-        y[:, :n] = simulate(A, breaks, right, transposed=False)
+        y[:, :n] = simulate(simulation_matrix(A, breaks), right, transposed=False)
         return ends + np.einsum("tij,tj->ti", A[breaks - 1], y[breaks - 1, :n])
 
     def backward(
@@ -133,7 +133,7 @@ class BandedLoops:
         n = A.shape[1]
         right = gradient[:, :n].copy()
         right[breaks - 1] -= np.einsum("tji,tj->ti", A[breaks - 1], prices)
-        costates = simulate(A, breaks, right, transposed=True)
+        costates = simulate(simulation_matrix(A, breaks), right, transposed=True)
         gstarts = costates[breaks]
         costates[breaks] = -prices
         gw = gradient[:, n:].copy()
@@ -141,15 +141,20 @@ class BandedLoops:
         return costates, gw, gstarts
 
 
-def simulate(A: Array, breaks: Indices, right: Array, transposed: bool) -> Array:
-    """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, with A_{t-1} = 0 for t in ``breaks``."""
+def simulation_matrix(A: Array, breaks: Indices) -> Array:
+    """Return the banded matrix of x_{t+1} - A_t x_t for ``simulate``, with A_{t-1} = 0 for t in ``breaks``."""
     stages, n, _ = A.shape
     entries = np.zeros((stages, n, 2 * n))  # column by column; row i of a column j is at i - j
     for j in range(n):
         entries[:-1, j, n - j : 2 * n - j] = -A[:-1, :, j]
         entries[breaks - 1, j] = 0.0
-    matrix, trans = entries.reshape(stages * n, -1).T, "T" if transposed else "N"
-    return lapack.dtbtrs(matrix, right.reshape(-1, 1), uplo="L", trans=trans, diag="U")[0].reshape(stages, n)
+    return entries.reshape(stages * n, -1).T
+
+
+def simulate(matrix: Array, right: Array, transposed: bool) -> Array:
+    """Return x_{t+1} = A_t x_t + right_{t+1}, or p_t = A_t'p_{t+1} + right_t, for right (T+1, n) or (T+1, n, k)."""
+    trans, columns = "T" if transposed else "N", right.reshape(matrix.shape[1], *(right.shape[2:] or (1,)))
+    return lapack.dtbtrs(matrix, columns, uplo="L", trans=trans, diag="U")[0].reshape(right.shape)
 
 
 class BandedRegulator(Regulator):

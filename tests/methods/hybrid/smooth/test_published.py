@@ -36,8 +36,13 @@ def test_a_published_optimum_is_found_or_a_better_one(name):
     assert result.certificate.worst.relative <= 1e-6
 
 
-def test_an_optimum_at_the_rim_of_a_region_is_named():
-    result = lfo.solve(mass_around_disc(), global_bound=False)
+@pytest.fixture(scope="module")
+def around():
+    return lfo.solve(mass_around_disc(), global_bound=False)
+
+
+def test_an_optimum_at_the_rim_of_a_region_is_named(around):
+    result = around
     assert result.cost == pytest.approx(PUBLISHED["mass around a disc"].cost, rel=1e-7)
     assert (result.status, result.certificate.pmp) == ("locally_optimal", "not_applicable")
     assert result.message.startswith(
@@ -48,9 +53,8 @@ def test_an_optimum_at_the_rim_of_a_region_is_named():
     assert list(result.certificate.borders.gaps) == [t for t in range(20) if distance[t] <= 1 + 1e-6]
 
 
-def test_a_rim_that_is_passed_by_for_no_reason_is_not_optimal():
-    problem = mass_around_disc()
-    known = lfo.solve(problem, global_bound=False).trajectory
+def test_a_rim_that_is_passed_by_for_no_reason_is_not_optimal(around):
+    problem, known = around.problem, around.trajectory
     u = known.u + 0.01 * (-1.0) ** np.arange(20)[:, None] * (np.arange(20)[:, None] >= 15)
     certificate = lfo.certify(problem, lfo.simulate(problem, u))
     assert certificate.status_within(0.0) == "numerical_error"

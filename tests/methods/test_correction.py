@@ -1,0 +1,111 @@
+"""The correction of a point: against dense matrices, in deviations, with the price of what is left."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods.correction import correct
+
+DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
+
+
+def move(**fields):
+    data = {"initial_state": [0.0, 0.0], "terminal_state": [0.3, 0.0]} | fields
+    cost = data.pop("cost", lfo.QuadraticCost(R=1.0))
+    return lfo.OptimalControlProblem(DYNAMICS, 20, cost, **data)
+
+
+def rough(problem, error=1e-5):
+    """Return a solver's answer with an error."""
+    answer, rng = solve_convex(problem, "clarabel"), np.random.default_rng(0)
+    x, u = (part + error * rng.standard_normal(part.shape) for part in (answer.trajectory.x, answer.trajectory.u))
+    return answer, lfo.Trajectory(x, u)
+
+
+def test_it_is_the_optimum_on_the_active_rows_as_dense_matrices_have_it():
+    problem = move(control_set=lfo.Box(-0.38, 0.38))
+    answer, start = rough(problem)
+    corrected = correct(problem, start, answer.multipliers)
+    # minimise |u|^2 / 2 subject to the end, with the controls at bounds held there
+    A, B = problem.dynamics.A, problem.dynamics.B
+    E = np.hstack([np.linalg.matrix_power(A, 19 - t) @ B for t in range(20)])
+    held = np.abs(answer.trajectory.u.ravel()) > 0.38 - 1e-6
+    assert 2 <= held.sum() <= 17
+    fixed = np.where(held, np.sign(answer.trajectory.u.ravel()) * 0.38, 0.0)
+    free = E[:, ~held]
+    u = fixed.copy()
+    u[~held] = free.T @ np.linalg.solve(free @ free.T, np.array([0.3, 0.0]) - E @ fixed)
+    np.testing.assert_allclose(corrected.trajectory.u.ravel(), u, rtol=0, atol=1e-13)
+    assert np.abs(corrected.trajectory.u).max() == 0.38
+    assert corrected.price < 1e-15
+
+
+@pytest.mark.parametrize(("start", "gain"), [(1.0, 1e-3), (1.0, 1e-9), (1e8, 1e-3)])
+def test_a_small_move_far_from_zero_keeps_its_digits(start, gain):
+    """x+ = x + g u from 1 to 1 + d: a point without controls is corrected to the best, all d / (20 g)."""
+    end = start + 20 * gain
+    dynamics = lfo.LinearDynamics([[1.0]], [[gain]])
+    problem = lfo.OptimalControlProblem(
+        dynamics, 20, lfo.QuadraticCost(R=1.0), initial_state=[start], terminal_state=[end]
+    )
+    corrected = correct(
+        problem, lfo.Trajectory(np.full((21, 1), start), np.zeros((20, 1))), zero_multipliers(problem, 1.0)
+    )
+    exact = float(10 * ((Fraction(end) - Fraction(start)) / (20 * Fraction(gain))) ** 2)
+    cost = problem.value(corrected.trajectory.x, corrected.trajectory.u)
+    assert abs(cost - exact) <= corrected.price + 1e-12 * exact
+    assert corrected.price <= 1e-6 * exact
+
+
+def test_what_rounding_of_the_data_is_worth_grows_as_the_move_shrinks():
+    worth = []
+    for gain in (1e-3, 1e-6):
+        problem = lfo.OptimalControlProblem(
+            lfo.LinearDynamics([[1.0]], [[gain]]), 20, lfo.QuadraticCost(R=1.0), None, None, [1.0], [1.0 + 20 * gain]
+        )
+        answer = solve_convex(problem, "clarabel")
+        worth.append(correct(problem, answer.trajectory, answer.multipliers).data_rounding)
+    assert 1e-16 < worth[0] < 1e-10
+    assert 100 < worth[1] / worth[0] < 1e5
+
+
+def test_no_price_is_known_where_nothing_reaches_the_end():
+    """No control moves x_2, whose end is 1e-3 away."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(np.eye(2), [[1.0], [0.0]]), 5, lfo.QuadraticCost(R=1.0), None, None, [0.0, 1.0], [1.0, 1.001]
+    )
+    point = lfo.Trajectory(np.ones((6, 2)), np.zeros((5, 1)))
+    corrected = correct(problem, point, zero_multipliers(problem, 1.0))
+    assert corrected is None or corrected.price == np.inf
+
+
+TERMS = {
+    "free start": {"initial_state": lfo.Box([0.0, -0.1], [0.0, 0.1])},
+    "soft bounds": {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
+    "joint rows": {"stage_rows": lfo.StageRows(C=[[0.0, 1.0]], D=[[0.1]], e=[0.2])},
+    "a mask": {"control_spectrum": lfo.MagnitudeBound(0.8, band=lfo.low_pass(cutoff_hz=1.0))},
+    "a stop band": {"control_spectrum": lfo.low_pass(cutoff_hz=2.0)},
+    "periodic ends": {
+        "initial_state": None,
+        "terminal_state": lfo.Periodic(),
+        "cost": lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=[1.0, 0.1]),
+    },
+    "absolute values": {"cost": lfo.QuadraticCost(R=1e-2) + lfo.costs.L1Cost(u=1.0)},
+}
+
+
+@pytest.mark.parametrize("fields", TERMS.values(), ids=TERMS)
+def test_points_of_every_kind_of_constraint_are_corrected(fields):
+    problem = move(**fields)
+    answer, start = rough(problem, 1e-7)
+    corrected = correct(problem, start, answer.multipliers)
+    exact = problem.value(answer.trajectory.x, answer.trajectory.u)
+    cost = problem.value(corrected.trajectory.x, corrected.trajectory.u)
+    assert cost == pytest.approx(exact, rel=1e-6, abs=1e-12)
+    assert corrected.price <= 1e-9 * max(cost, 1e-6)
+    residual = corrected.trajectory.x[1:] - problem.linear.successors(corrected.trajectory.x, corrected.trajectory.u)
+    assert np.abs(residual).max() < 1e-15
