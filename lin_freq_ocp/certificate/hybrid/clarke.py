@@ -33,7 +33,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
-from lin_freq_ocp.certificate.sizes import Floors, Scales, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
@@ -210,9 +210,9 @@ def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
     return certificate.borders if isinstance(certificate.borders, SwitchingFacts) else None
 
 
-def modes_along(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
+def modes_along(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    sizes = trajectory_sizes(problem, trajectory)
+    sizes = sizes or trajectory_sizes(problem, trajectory)
     return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
@@ -419,8 +419,7 @@ def judge_modes(
     """Judge a trajectory of affine modes, which may be smooth modes linearised along it, with their scales."""
     problem.require(trajectory)
     linearised, scales = linear_at is not None, linear_at or Scales(trajectory_sizes(problem, trajectory))
-    sizes, arrays = scales.sizes, piecewise_affine(problem).arrays(problem.horizon)
-    arrays = arrays.with_sizes(*sizes, problem.dynamics.level_sizes)
+    sizes, arrays = scales.sizes, modes_along(problem, trajectory, scales.sizes)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True

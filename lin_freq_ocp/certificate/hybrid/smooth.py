@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,9 +37,11 @@ from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
 from lin_freq_ocp.formulas.jets import jets, rounding_errors
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -88,12 +91,8 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     if inverse is None:
         found = judge_smooth(problem, trajectory, multipliers)
         return replace(found, bound=convex_bound(problem, trajectory, multipliers))
-    n, terminal = problem.state_dim, problem.cost.formulas[1]
-    hessian = np.zeros((n + 1, n + 1))
-    if terminal is not None:
-        last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))
-        hessian[:n, :n] = jets([terminal], last[None]).curvatures[0, 0, :n, :n]
-    at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory, np.abs(hessian[:n, :n]))
+    at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory)
+    hessian = np.pad(_end_hessian(problem, trajectory), (0, 1))
     found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), hessian, scales)
     own, test = own_conditions(problem, found.conditions), found.second_order
     if test is not None and test.direction is not None:
@@ -102,12 +101,18 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     return replace(found, conditions=own, second_order=test, bound=bound, cost_scale=scales.cost)
 
 
-def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array) -> Scales:
+def _end_hessian(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return the Hessian of the terminal cost by a formula, (n, n)."""
+    n, terminal = problem.state_dim, problem.cost.formulas[1]
+    last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))[None]
+    return np.zeros((n, n)) if terminal is None else jets([terminal], last).curvatures[0, 0, :n, :n]
+
+
+def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
     """Return the scales of a problem with its cost by formulas as a state, which has no size of its own.
 
     Its size is what a stage cost changes within the sizes of states and controls, to second order. A cost counts in S
-    up to that within their given values: constants in it do not. ``bent_end`` is the Hessian of the terminal cost, in
-    absolute values.
+    up to that within their given values: constants in it do not.
     """
     problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
     (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
@@ -116,7 +121,7 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array
         np.abs(np.stack([getattr(jet, part)[:, n] for jet in found])[modes, np.arange(len(modes))])
         for part in ("slopes", "curvatures")
     )
-    steep[:, n] = 0.0
+    steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
     size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
     given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
@@ -124,6 +129,29 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory, bent_end: Array
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), slopes)
+
+
+class JudgedModes(NamedTuple):
+    """A trajectory in the states in which it is judged, with its linear problem and the modes as they are measured.
+
+    ``inverse`` leads back to the given problem, ``affine`` has modes that are linearised along the trajectory.
+    """
+
+    inverse: Inverse
+    affine: OptimalControlProblem
+    trajectory: Trajectory
+    arrays: ModeArrays
+
+
+def judged_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> JudgedModes:
+    """Return a trajectory with the modes that are active by the sizes of the judge."""
+    priced = cost_as_state(problem, trajectory)
+    if priced is None:
+        affine = problem.affine_at(trajectory)
+        return JudgedModes(Inverse(problem, problem), affine, trajectory, modes_along(affine, trajectory))
+    at, sizes = priced.with_cost(trajectory), scales_with_cost(priced, trajectory).sizes
+    affine = priced.problem.affine_at(at)
+    return JudgedModes(priced, affine, at, modes_along(affine, at, sizes))
 
 
 def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:

@@ -8,7 +8,7 @@ from itertools import chain
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
-from lin_freq_ocp.certificate.hybrid.smooth import own_conditions
+from lin_freq_ocp.certificate.hybrid.smooth import judged_modes, own_conditions
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
@@ -62,13 +62,9 @@ def best_multipliers(
 
     NumericalError if no fit could be solved and ``first`` is None.
     """
-    priced = cost_as_state(problem, trajectory)
-    if priced is not None:
-        given = first and priced.with_adjoint(first)
-        multipliers = priced.multipliers(best_multipliers(priced.problem, priced.with_cost(trajectory), given)[1])
-        return _unless_at_rest(problem, trajectory, judge(problem, trajectory, multipliers), multipliers)
     best: tuple[Certificate, Multipliers] | None = None
-    fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
+    at = judged_modes(problem, trajectory)
+    fits = map(at.inverse.multipliers, candidates(at.affine, at.trajectory, at.arrays))  # in every mode sequence
     try:
         for multipliers in chain([] if first is None else [first], fits):
             certificate = judge(problem, trajectory, multipliers)

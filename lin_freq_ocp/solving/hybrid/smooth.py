@@ -18,7 +18,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import least_by_formulas
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex, tangents_exclude
+from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex, judged_modes, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -31,7 +31,7 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
+from lin_freq_ocp.problem.hybrid.priced import CostState
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -192,14 +192,10 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 
     Newton's method ends at ``end``, by ``clock.now``.
     """
-    priced = cost_as_state(problem, local.trajectory)
-    if priced is not None:  # the same with the cost by formulas as a state
-        given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
-        refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]), end)
-        trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
-        return trajectory, multipliers, judge(problem, trajectory, multipliers)
-    affine = problem.affine_at(local.trajectory)
-    first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
+    inverse, affine, at, arrays = judged_modes(problem, local.trajectory)
+    with_adjoint = inverse.with_adjoint if isinstance(inverse, CostState) else inverse.multipliers
+    given = with_adjoint(local.multipliers)
+    first = inverse.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
     if certificate.failed and problem.path_constraints:
@@ -217,10 +213,11 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     points = [plain]
     for near in (NEAR_KINK, ON_KINK):
         try:
-            run = newton(problem, local.trajectory, multipliers, local.sequence, near, end=end)
+            run = newton(inverse.problem, at, with_adjoint(multipliers), local.sequence, near, end=end)
         except UnsupportedError:
             break
-        points.append((run.trajectory, run.multipliers, judge(problem, run.trajectory, run.multipliers)))
+        point = inverse.trajectory(run.trajectory), inverse.multipliers(run.multipliers)
+        points.append((*point, judge(problem, *point)))
         if run.converged or certificate.pmp == "satisfied":
             break
     return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
