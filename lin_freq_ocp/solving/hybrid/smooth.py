@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import least_by_formulas
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex, judged_modes, tangents_exclude
+from lin_freq_ocp.certificate.hybrid.smooth import convex_bound, is_proven_convex, judged_modes, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -112,7 +113,8 @@ class Nonsmooth:
         if judged is not None and judged[2].proven_within(self.gap or GLOBAL_GAP):
             seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
             return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start)
+        is_proven = partial(_is_proven, problem, self.gap or GLOBAL_GAP)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven)
         search.end = started + request.time_limit
         search.run()
         solved = now()
@@ -135,6 +137,13 @@ class Nonsmooth:
             status = judged[2].status_within(bounding.gap)
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
+
+
+def _is_proven(problem: OptimalControlProblem, gap: float, local: LocalOptimum) -> bool:
+    """Whether a local optimum is within a gap of the bound of a convex problem."""
+    bound = convex_bound(problem, local.trajectory, local.multipliers)
+    allowed = gap * cost_scale(problem, local.trajectory)
+    return bound is not None and bound.kind == RIGOROUS and local.cost - bound.value <= allowed
 
 
 def outcome_of_search(

@@ -190,11 +190,12 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
-# Starts that are enough if there is an answer and no modes are searched: with bounds of all controls, and without
+# Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
+# start led to the best answer again, and else
 SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DIVERGED_STATES = (
-    1e2  # size of a state, relative to its data, from which a straight line is a better start of a smooth problem
+    1e2  # size of a state, relative to its data, from which a smooth problem has a straight line as a better start
 )
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
@@ -229,13 +230,15 @@ class LocalSearch:
     """One search; ``run`` it once, then ``look_near`` other starts.
 
     ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``words`` say why
-    the search stopped early; ``progress`` is called after every start, the first being ``start``.
+    the search stopped early; ``progress`` is called after every start, the first being ``start``. Of smooth problems, a
+    local optimum that ``is_proven`` to be global ends the search, as does one that grows without a bound.
     """
 
     problem: OptimalControlProblem
     seconds: float = np.inf
     progress: Callable[[SmoothProgress], None] | None = None
     start: Start | None = None
+    is_proven: Callable[[LocalOptimum], bool] = lambda _: False
     best: LocalOptimum | None = None
     tried: int = 0
     message: str = ""
@@ -244,6 +247,7 @@ class LocalSearch:
     def __post_init__(self):
         self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
+        self._final = self._repeated = False
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
         self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
@@ -265,7 +269,7 @@ class LocalSearch:
             for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or (alone and feasible and self.tried >= self.enough_starts):
+                if self._late() or self._final or (alone and feasible and self.tried >= self.enough_starts):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -279,7 +283,7 @@ class LocalSearch:
     @property
     def enough_starts(self) -> int:
         """Return how many starts are enough if there is an answer and there are no modes to search."""
-        return len(self._lines) + (SMOOTH_STARTS if self._bounded else UNBOUNDED_STARTS)
+        return len(self._lines) + (SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -341,9 +345,12 @@ class LocalSearch:
             ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
             decrease = DECREASE * search_scale(self.problem, best.trajectory)
             cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self._repeated = ranks[0] == ranks[1] == (True, True) and abs(optimum.cost - best.cost) <= decrease
             self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best
         elif optimum is not None:
             self.best = optimum
+        if self._smooth and optimum is not None and self.best is optimum and optimum.feasible:
+            self._final = self.is_proven(optimum) if optimum.converged else self._diverges(optimum.trajectory)
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
 
@@ -360,6 +367,9 @@ class LocalSearch:
             return False
         self.message = f"time limit of {self.seconds:g} s"
         return True
+
+    def _diverges(self, trajectory: Trajectory) -> bool:
+        return not (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all()
 
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
@@ -389,7 +399,7 @@ class LocalSearch:
         if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
                 trajectory = simulate(self.problem, u, start)
-                if not self._smooth or (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all():
+                if not self._smooth or not self._diverges(trajectory):
                     return trajectory
         box = self.problem.ends[1]
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)

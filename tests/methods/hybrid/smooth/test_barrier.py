@@ -11,7 +11,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -209,3 +209,15 @@ def test_without_bounds_starts_are_spread_over_the_controls():
     result = lfo.solve(problem, global_bound=False)
     assert result.cost <= 2.5
     assert result.message.endswith("4 starts tried")
+
+
+@pytest.mark.parametrize(
+    ("stage", "starts"),
+    [("x_0**4 + u_0**2", 1), ("u_0**2 - x_0**4", 1), ("sin(x_0)**2 + u_0**2", 2)],
+    ids=["proven by a convex bound", "without a lower bound", "the same answer twice"],
+)
+def test_starts_end_where_another_one_gains_nothing(stage, starts):
+    cost, reports = lfo.costs.SmoothCost(stage=stage), list[SmoothProgress]()
+    problem = OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.1]]), 5, cost, initial_state=[1.0])
+    lfo.solve(problem, global_bound=False, throw=False, progress=reports.append)
+    assert reports[-1].tried == starts
