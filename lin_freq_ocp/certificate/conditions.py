@@ -16,7 +16,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
 from lin_freq_ocp.certificate.bound import box_minimum
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, diagonal_curvature
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
-from lin_freq_ocp.certificate.sizes import Floors, floors
+from lin_freq_ocp.certificate.sizes import Floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
@@ -102,10 +102,9 @@ class Condition:
         return self.residual / self.scale if self.scale > 0 else (0.0 if self.residual == 0 else np.inf)
 
 
-def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Condition, ...]:
-    """Judge all conditions, in the order of the paper; ``least`` are the least scales, by default ``floors``."""
+def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
+    """Judge all conditions, in the order of the paper, with these least scales."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    least = least or floors(extremal)
     level = least.level
     mu, nu = extremal.multipliers.mu, extremal.multipliers.nu
     return (

@@ -162,14 +162,14 @@ class Floors:
     rounding: Array
 
 
-def floors(extremal: Extremal, scales: Scales | None = None, origin: Array | None = None) -> Floors:
+def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> Floors:
     """Return the least scales along a trajectory with these scales.
 
-    ``origin`` (n,) is the zero of the states' coordinates. Defaults follow from the problem of the extremal; of a
-    problem with modes, that is only the average over modes.
+    ``origin`` (n,) is the zero of the states' coordinates, by default that of the problem of the extremal; of a problem
+    with modes, that is only the average over modes.
     """
     problem, T = extremal.problem, extremal.problem.horizon
-    (x, u), cost, slopes = scales or Scales(trajectory_sizes(problem, extremal.trajectory))
+    (x, u), cost, slopes = scales
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
     in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
     if slopes is not None:
