@@ -27,7 +27,7 @@ from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.newton import NEAR_KINK, ON_KINK, newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
@@ -219,16 +219,12 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
                 plain = still, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
-    points = [plain]
-    for near in (NEAR_KINK, ON_KINK):
-        try:
-            run = newton(inverse.problem, at, with_adjoint(multipliers), local.sequence, near, end=end)
-        except UnsupportedError:
-            break
-        point = inverse.trajectory(run.trajectory), inverse.multipliers(run.multipliers)
-        points.append((*point, judge(problem, *point)))
-        if run.converged or certificate.pmp == "satisfied":
-            break
+    try:
+        run = newton(inverse.problem, at, with_adjoint(multipliers), local.sequence, end=end)
+    except UnsupportedError:
+        return plain
+    point = inverse.trajectory(run.trajectory), inverse.multipliers(run.multipliers)
+    points = plain, (*point, judge(problem, *point))
     return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 

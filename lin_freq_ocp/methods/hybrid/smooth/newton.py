@@ -274,9 +274,7 @@ def _switches_near(
     return switches
 
 
-# Distance in natural units at which a switching surface or zero of a norm gets a selection, and that for a trajectory
-# that comes near to kinks but does not touch them
-NEAR_KINK, ON_KINK = 1e-3, 1e-6
+NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
 CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
