@@ -124,12 +124,12 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory, by_for
 class Scales(NamedTuple):
     """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
 
-    The slopes (T+1, n + m) are those for such sizes.
+    The slopes, (T+1, n) and (T, m), are those for such sizes.
     """
 
     sizes: Sizes
     cost: float | None = None
-    slopes: Array | None = None
+    slopes: tuple[Array | float, Array | float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,19 +170,17 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     """
     problem, T = extremal.problem, extremal.problem.horizon
     (x, u), cost, slopes = scales
+    eta_C = extremal.multipliers.eta_C
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-    if slopes is not None:
-        in_x, in_u = in_x + slopes[:, : len(x)], in_u + slopes[:-1, len(x) :]
+    given = zip(problem.quadratic.gradient_magnitudes(*steady), slopes, strict=True)
+    in_x, in_u = (eta_C * (of_squares + of_formulas) for of_squares, of_formulas in given)
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
-    if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
+    if eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
-        in_x, in_u = 0.0 * in_x, 0.0 * in_u
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
         costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
-        costs = np.sort(costs[costs > 0])
-        stage = SCALE_FLOOR * float(costs[len(costs) // 2]) if len(costs) else 0.0
+        stage = SCALE_FLOOR * float(np.median(costs[costs > 0])) if costs.any() else 0.0
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
@@ -192,6 +190,5 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
-    in_x = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x)
-    in_u = np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
+    in_x, in_u = (np.where(steep > 0, SCALE_FLOOR * steep, stage / size) for steep, size in ((in_x, x), (in_u, u)))
     return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)

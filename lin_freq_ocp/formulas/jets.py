@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import Interval, outward
 from lin_freq_ocp.formulas.nodes import Formula, evaluate
 from lin_freq_ocp.formulas.operations import OPERATIONS, BoxAtTime, Points
@@ -93,20 +92,6 @@ def interval_jets(
         if curvature is not None:
             curvatures[:, :, i] = curvature
     return IntervalJets((values[0], values[1]), (slopes[0], slopes[1]), (curvatures[0], curvatures[1]))
-
-
-def rounding_errors(formulas: Sequence[Formula], y: Array, times: Indices) -> tuple[Array, Array]:
-    """Return by how much values at points may be too large, (points, formulas), and slopes wrong, (..., n + m).
-
-    They are infinite where a function has no enclosures.
-    """
-    at = jets(formulas, y, times=times)
-    try:
-        found = interval_jets(formulas, y, y, curved=False, time=times)
-    except UnsupportedError:
-        return np.full(at.values.shape, np.inf), np.full(at.slopes.shape, np.inf)
-    low, high = found.slopes
-    return at.values - found.values[0], np.maximum(at.slopes - low, high - at.slopes)
 
 
 def mean_value(at_centre: Interval, slopes: Interval, radii: Array) -> Interval:

@@ -60,15 +60,14 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
     tubes = problem.state_tube, problem.control_tube
-    found = [(_median_size(np.stack(tube.bounds, 1)), np.isinf(tube.lower) != np.isinf(tube.upper)) for tube in tubes]
-    sides, open_sides = zip(*found, strict=True)
+    sides = [_median_size(np.stack(tube.bounds, 1)) for tube in tubes]
     # Of a lower and an upper bound that are far apart, the larger one may stand for none
     smaller, larger = (np.concatenate([extreme(side, axis=0) for side in sides]) for extreme in (np.min, np.max))
     bounds = np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
     others = np.where(stated > 0, stated, bounds)
     implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
     # nor does a bound on one side say how far the other side reaches
-    one_sided = np.hstack([open_sides[0][1:], open_sides[1]]).any(axis=0)
+    one_sided = np.hstack([(np.isinf(tube.lower) != np.isinf(tube.upper))[-problem.horizon :] for tube in tubes]).any(0)
     beyond = (bounds > FAR_BEYOND * implied) | (one_sided & (FAR_BEYOND * bounds < implied))
     bounds = np.where((implied > 0) & beyond, implied, bounds)
     return np.where(stated > 0, stated, bounds)

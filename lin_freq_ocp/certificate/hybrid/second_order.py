@@ -39,11 +39,7 @@ ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direc
 
 
 def second_order_test(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    units: Array,
-    terminal: Array | None = None,
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array, terminal: Array
 ) -> SecondOrder:
     """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active.
 
@@ -57,17 +53,14 @@ def second_order_test(
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
     x, u = trajectory.x, trajectory.u
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
-    jets = dynamics.jets_at(y).f
-    slopes, curvatures = (
-        np.stack([getattr(jet, part) for jet in jets])[modes, np.arange(T)] for part in ("slopes", "curvatures")
-    )
+    _, slopes, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
     cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
     bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
     H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
     terms[:-1] = np.einsum(
         "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
     )
-    added = np.zeros((n, n)) if terminal is None else terminal.copy()
+    added = terminal.copy()
     for one in problem.path_constraints:
         prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
         bends = np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS, Bound, unit_rounding
-from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
@@ -34,7 +33,7 @@ from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajector
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
-from lin_freq_ocp.formulas.jets import jets, rounding_errors
+from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
@@ -50,15 +49,10 @@ OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose comp
 
 
 def judge_smooth(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    terminal: Array | None = None,
-    scales: Scales | None = None,
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array, scales: Scales
 ) -> Judgement:
     """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
     problem.require(trajectory)
-    scales = scales or Scales(trajectory_sizes(problem, trajectory))
     selections, norms = _judge_norms(problem, trajectory, multipliers, scales)
     judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, scales)
     facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
@@ -84,20 +78,23 @@ def judge_smooth(
 
 
 def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
-    """Judge a trajectory of a problem with formulas; their cost is a state, which has its gradient."""
+    """Judge a trajectory of a problem with formulas; a cost by formulas is a state, which has its gradient."""
     problem.require(trajectory)
     require_fitting(problem, multipliers)
-    inverse = cost_as_state(problem, trajectory)
+    inverse, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
+    hessian = _end_hessian(problem, trajectory)
     if inverse is None:
-        found = judge_smooth(problem, trajectory, multipliers)
-        return replace(found, bound=convex_bound(problem, trajectory, multipliers))
+        scales = Scales(trajectory_sizes(problem, trajectory))
+        return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
     at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory)
-    hessian = np.pad(_end_hessian(problem, trajectory), (0, 1))
-    found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), hessian, scales)
-    own, test = own_conditions(problem, found.conditions), found.second_order
+    found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
+    test, last = found.second_order, problem.state_dim
+    own = tuple(  # in the given problem, the cost so far has no name
+        replace(one, component=None) if one.label in OF_STATES and one.component == last else one
+        for one in found.conditions
+    )
     if test is not None and test.direction is not None:
         test = replace(test, direction=inverse.trajectory(test.direction))
-    bound = convex_bound(problem, trajectory, multipliers)
     return replace(found, conditions=own, second_order=test, bound=bound, cost_scale=scales.cost)
 
 
@@ -116,50 +113,33 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
     """
     problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
     (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
-    found, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])).f, dynamics.sequence_of(y.x, y.u)
-    steep, bent = (
-        np.abs(np.stack([getattr(jet, part)[:, n] for jet in found])[modes, np.arange(len(modes))])
-        for part in ("slopes", "curvatures")
-    )
+    jets_along, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])), dynamics.sequence_of(y.x, y.u)
+    _, steep, bent = (np.abs(part[:, n]) for part in jets_along.maps_of(modes, np.arange(len(modes))))
     steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
     size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
+    by_signal = slopes[:, : n + 1], slopes[:-1, n + 1 :]
     given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
     within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
-    return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), slopes)
+    return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), by_signal)
 
 
-class JudgedModes(NamedTuple):
-    """A trajectory in the states in which it is judged, with its linear problem and the modes as they are measured.
+def judged_modes(
+    problem: OptimalControlProblem, trajectory: Trajectory
+) -> tuple[Inverse, OptimalControlProblem, Trajectory, ModeArrays]:
+    """Return a trajectory in the states in which it is judged, with its modes in the sizes of the judge.
 
-    ``inverse`` leads back to the given problem, ``affine`` has modes that are linearised along the trajectory.
+    First come the way back to the given problem, and the problem in these states, linearised along the trajectory.
     """
-
-    inverse: Inverse
-    affine: OptimalControlProblem
-    trajectory: Trajectory
-    arrays: ModeArrays
-
-
-def judged_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> JudgedModes:
-    """Return a trajectory with the modes that are active by the sizes of the judge."""
     priced = cost_as_state(problem, trajectory)
     if priced is None:
         affine = problem.affine_at(trajectory)
-        return JudgedModes(Inverse(problem, problem), affine, trajectory, modes_along(affine, trajectory))
+        return Inverse(problem, problem), affine, trajectory, modes_along(affine, trajectory)
     at, sizes = priced.with_cost(trajectory), scales_with_cost(priced, trajectory).sizes
     affine = priced.problem.affine_at(at)
-    return JudgedModes(priced, affine, at, modes_along(affine, at, sizes))
-
-
-def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
-    """Return the conditions of the problem with its cost as a state; in the given one this state has no name."""
-    last = problem.state_dim
-    return tuple(
-        replace(one, component=None) if one.label in OF_STATES and one.component == last else one for one in conditions
-    )
+    return priced, affine, at, modes_along(affine, at, sizes)
 
 
 def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
@@ -242,12 +222,26 @@ def with_errors_of_tangents(
     priced: list[tuple[Sequence[Formula], Indices, Array]] = [([one], times, each) for times, one in terms]
     priced += [(one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)) for one in constraints]
     for formulas, times, weights in priced:
-        values, slopes = rounding_errors(formulas, points[times], times)
+        values, slopes = _rounding_errors(formulas, points[times], times)
         lost += float(np.where(weights > 0, weights * values, 0.0).sum())
         steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
     steep /= unit_rounding(extremal.problem)
     in_x_terms, in_u_terms = extremal.in_x_terms + steep[:, :n], extremal.in_u_terms + steep[:-1, n:]
     return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
+
+
+def _rounding_errors(formulas: Sequence[Formula], y: Array, times: Indices) -> tuple[Array, Array]:
+    """Return by how much values at points may be too large, (points, formulas), and slopes wrong, (..., n + m).
+
+    They are infinite where a function has no enclosures.
+    """
+    at = jets(formulas, y, times=times)
+    try:
+        found = interval_jets(formulas, y, y, curved=False, time=times)
+    except UnsupportedError:
+        return np.full(at.values.shape, np.inf), np.full(at.slopes.shape, np.inf)
+    low, high = found.slopes
+    return at.values - found.values[0], np.maximum(at.slopes - low, high - at.slopes)
 
 
 def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint, trajectory: Trajectory) -> bool:

@@ -51,8 +51,8 @@ def best_multipliers(
     NumericalError if no fit could be solved and ``first`` is None.
     """
     best: tuple[Certificate, Multipliers] | None = None
-    at = judged_modes(problem, trajectory)
-    fits = map(at.inverse.multipliers, candidates(at.affine, at.trajectory, at.arrays))  # in every mode sequence
+    inverse, affine, at, arrays = judged_modes(problem, trajectory)
+    fits = map(inverse.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
     try:
         # at rest, a fit has only residuals, where zeros may satisfy the conditions
         for multipliers in chain([] if first is None else [first], fits, [zero_multipliers(problem, 1.0)]):

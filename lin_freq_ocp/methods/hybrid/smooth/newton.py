@@ -32,7 +32,6 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -141,21 +140,21 @@ class NewtonSystem:
             selections.setdefault(norm, np.full((T, len(norm.arguments)), np.nan))[t] = v[xi]
         mode_jets = dynamics.jets_at(y, selections)
         times = np.arange(T)
-        values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
+        values, slopes, curvatures = mode_jets.maps_of(self.sequence, times)
         active = slopes.copy()
         F, J = np.zeros(len(v)), _Blocks(len(v))
         for k, (t, second, row) in enumerate(self.switches):
-            second_jets = jets_of(mode_jets, np.array([t]), np.array([second]))
+            second_map = mode_jets.maps_of(second, t)
             region = mode_jets.regions[self.sequence[t]]
             switch, gradient = region.values[t, row], region.slopes[t, row]
-            kink = second_jets[1][0] - slopes[t]
+            kink = second_map[1] - slopes[t]
             F[self.alpha[k]] = -switch
             J.add(self.alpha[[k]], at[t], -gradient[None, :])
             J.add(at[t], self.alpha[[k]], -(kink.T @ eta[t])[:, None])
             if switch > 0:
-                values[t], active[t] = second_jets[0][0], second_jets[1][0]
+                values[t], active[t] = second_map[:2]
             slopes[t] = slopes[t] + alpha[k] * kink
-            curvatures[t] = curvatures[t] + alpha[k] * (second_jets[2][0] - curvatures[t])
+            curvatures[t] = curvatures[t] + alpha[k] * (second_map[2] - curvatures[t])
         cost_x, cost_u = problem.quadratic.gradient(x, u)
         F[self.x], F[self.u] = cost_x, cost_u
         F[self.x[1:]] += eta
@@ -210,15 +209,6 @@ class _Blocks:
         """Return the sum."""
         row, column, value = (np.concatenate(part) for part in zip(*self._parts, strict=True))
         return sp.csr_array((value, (row, column)), shape=(self._size, self._size))
-
-
-def jets_of(mode_jets: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
-    """Return values, slopes and curvatures of the maps of some modes at some times."""
-    values, slopes, curvatures = (
-        np.stack([getattr(jet, part) for jet in mode_jets.f], axis=1)[times, modes]
-        for part in ("values", "slopes", "curvatures")
-    )
-    return values, slopes, curvatures
 
 
 def _bounded_complementarity(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
