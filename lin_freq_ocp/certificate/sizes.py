@@ -34,9 +34,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon; for a state, at most the change that other components cause in one step. If it acts on none, its size
-    is the value that costs as much as the whole trajectory. The size is 1 if the trajectory is zero and there are no
-    data.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. The size is 1 if
+    the trajectory is zero and there are no data.
     """
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
@@ -52,10 +51,6 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     needed = _anchoring_sizes(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
-    caused = gain @ sizes
-    most = np.where(caused > 0, caused, needed[:n])
-    most = np.where(anchored[:n], gain[:, n:] @ sizes[n:], most)  # A times large values is no move
-    sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
         diagonals = (np.diagonal(part, axis1=-2, axis2=-1).reshape(-1, part.shape[-1]) for part in (cost.Q, cost.R))
@@ -87,17 +82,14 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
     return needed
 
 
-def cost_scale(
-    problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None, by_formulas: Array | None = None
-) -> float:
+def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:
     """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the
     cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
     of its size: squares are taken from the references, all else from the trajectory. A control with levels moves by
     whole levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of
-    its entries with deviations. ``sizes`` are those of the trajectory, if known; of costs by formulas,
-    ``by_formulas`` (T+1,) counts, by default all.
+    its entries with deviations. ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
@@ -110,14 +102,13 @@ def cost_scale(
     for term in problem.terms:
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
-    return max(_sum_of_terms(problem, trajectory, by_formulas), rounding / GAP_TOLERANCE)
+    return max(_sum_of_terms(problem, trajectory), rounding / GAP_TOLERANCE)
 
 
-def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory, by_formulas: Array | None = None) -> float:
+def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute values of the terms of the cost."""
     x, u = trajectory.x, trajectory.u
-    by_formulas = problem.cost.formula_values(x, u) if by_formulas is None else by_formulas
-    parts = by_formulas, *(term.cost(x, u) for term in problem.terms)
+    parts = problem.cost.formula_values(x, u), *(term.cost(x, u) for term in problem.terms)
     return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
@@ -168,9 +159,8 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     ``origin`` (n,) is the zero of the states' coordinates, by default that of the problem of the extremal; of a problem
     with modes, that is only the average over modes.
     """
-    problem, T = extremal.problem, extremal.problem.horizon
+    problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
     (x, u), cost, slopes = scales
-    eta_C = extremal.multipliers.eta_C
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
     given = zip(problem.quadratic.gradient_magnitudes(*steady), slopes, strict=True)
     in_x, in_u = (eta_C * (of_squares + of_formulas) for of_squares, of_formulas in given)

@@ -40,6 +40,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -123,7 +124,8 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
     within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
-    return Scales((np.append(x, stage), u), cost_scale(problem, trajectory, (x, u), values), by_signal)
+    stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
+    return Scales((np.append(x, stage), u), cost_scale(stripped, trajectory, (x, u)) + values.sum(), by_signal)
 
 
 def judged_modes(
