@@ -162,8 +162,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
     (x, u), cost, slopes = scales
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    given = zip(problem.quadratic.gradient_magnitudes(*steady), slopes, strict=True)
-    in_x, in_u = (eta_C * (of_squares + of_formulas) for of_squares, of_formulas in given)
+    in_x, in_u = (eta_C * (a + b) for a, b in zip(problem.quadratic.gradient_magnitudes(*steady), slopes, strict=True))
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))

@@ -61,9 +61,7 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     stated = np.concatenate([ends, references])
     tubes = problem.state_tube, problem.control_tube
     sides = [_median_size(np.stack(tube.bounds, 1)) for tube in tubes]
-    # Of a lower and an upper bound that are far apart, the larger one may stand for none
-    smaller, larger = (np.concatenate([extreme(side, axis=0) for side in sides]) for extreme in (np.min, np.max))
-    bounds = np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
+    bounds = np.concatenate([side.max(axis=0) for side in sides])
     others = np.where(stated > 0, stated, bounds)
     implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
     # nor does a bound on one side say how far the other side reaches
