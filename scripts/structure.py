@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_692,
-    "code lines, linear part": 20_624,
+    "code lines": 41_693,
+    "code lines, linear part": 20_625,
     "code lines, hybrid": 8_602,
     SHARE_SAID: 19.5,  # at least
     "files": 304,

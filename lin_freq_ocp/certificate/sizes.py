@@ -162,7 +162,8 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
     (x, u), cost, slopes = scales
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    in_x, in_u = (eta_C * (a + b) for a, b in zip(problem.quadratic.gradient_magnitudes(*steady), slopes, strict=True))
+    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+    in_x, in_u = eta_C * (in_x + slopes[0]), eta_C * (in_u + slopes[1])
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
@@ -179,5 +180,5 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
-    in_x, in_u = (np.where(steep > 0, SCALE_FLOOR * steep, stage / size) for steep, size in ((in_x, x), (in_u, u)))
+    in_x, in_u = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x), np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
     return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)
