@@ -119,13 +119,13 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
     steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
     size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
-    by_signal = slopes[:, : n + 1], slopes[:-1, n + 1 :]
     given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
     within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
-    return Scales((np.append(x, stage), u), cost_scale(stripped, trajectory, (x, u)) + values.sum(), by_signal)
+    cost = cost_scale(stripped, trajectory, (x, u)) + float(values.sum())
+    return Scales((np.append(x, stage), u), cost, (slopes[:, : n + 1], slopes[:-1, n + 1 :]))
 
 
 def judged_modes(
