@@ -179,9 +179,9 @@ def bounds_within(bounds: Pair, signal: Array, distance: Array) -> Pair:
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
-    """Whether the cost is a sum of squares, norms and penalties: no linear terms, and exactly semidefinite Hessians."""
+    """Whether the cost without formulas is a sum of squares, norms and penalties, exactly semidefinite."""
     cost = problem.quadratic
-    if any(np.any(part) for part in (cost.q, cost.r, cost.p)) or problem.cost.has_formulas:
+    if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
         return False
     stage, end = cost.rises
     return not stage.any() and end == 0

@@ -16,7 +16,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
 from lin_freq_ocp.certificate.bound import box_minimum
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, diagonal_curvature
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
-from lin_freq_ocp.certificate.sizes import Floors, floors
+from lin_freq_ocp.certificate.sizes import Floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
@@ -102,10 +102,9 @@ class Condition:
         return self.residual / self.scale if self.scale > 0 else (0.0 if self.residual == 0 else np.inf)
 
 
-def all_conditions(extremal: Extremal, least: Floors | None = None) -> tuple[Condition, ...]:
-    """Judge all conditions, in the order of the paper; ``least`` are the least scales, by default ``floors``."""
+def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
+    """Judge all conditions, in the order of the paper, with these least scales."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    least = least or floors(extremal)
     level = least.level
     mu, nu = extremal.multipliers.mu, extremal.multipliers.nu
     return (
@@ -176,7 +175,7 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
         residual = np.abs(difference).astype(np.float64)
         worth = None if curvature is None else _worth(residual, scales, curvature, tube, signal)
         for label, name, first, end in blocks:
-            condition = worst_condition(label, name, residual[first:end], scales, first)
+            condition = worst_condition(label, name, residual[first:end], scales[first:end], first)
             total = np.inf if worth is None else float(worth[first:end].sum())
             by_worth = total < condition.relative * least.level
             conditions.append(replace(condition, residual=total, scale=least.level) if by_worth else condition)
@@ -355,10 +354,9 @@ def _scales(terms: Array, least: Array) -> Array:
 
 
 def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
-    """Return the condition at its worst entry, relative to the scale of the component; residual (times, components)."""
-    largest = residual.max(axis=0)
-    (component,) = first_largest(np.divide(largest, scales, out=np.zeros_like(largest), where=scales > 0))
-    (t,) = first_largest(residual[:, component])
-    return Condition(
-        label, name, float(residual[t, component]), float(scales[component]), CONDITION_TOLERANCE, first + t, component
-    )
+    """Return the condition at its worst entry, relative to its scale; residual (times, components)."""
+    scales = np.broadcast_to(scales, residual.shape)
+    relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
+    t, component = first_largest(relative)
+    at = float(residual[t, component]), float(scales[t, component])
+    return Condition(label, name, *at, CONDITION_TOLERANCE, first + t, component)

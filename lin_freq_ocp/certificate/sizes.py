@@ -7,6 +7,7 @@ stand for no bound. Sizes change with the units of the components and with nothi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,15 +26,16 @@ from lin_freq_ocp.certificate.tolerances import (
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
+Sizes = tuple[Array, Array]  # of states (n,) and of controls (m,)
+
 
 def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), all above zero.
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon; for a state, at most the change that other components cause in one step. If it acts on none, its size
-    is the value that costs as much as the whole trajectory. The size is 1 if the trajectory is zero and there are no
-    data.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. The size is 1 if
+    the trajectory is zero and there are no data.
     """
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
@@ -49,10 +51,6 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     needed = _anchoring_sizes(problem.horizon * gain, known, anchored)
     sizes = np.maximum(known, needed)
-    caused = gain @ sizes
-    most = np.where(caused > 0, caused, needed[:n])
-    most = np.where(anchored[:n], gain[:, n:] @ sizes[n:], most)  # A times large values is no move
-    sizes[:n] = np.maximum(known[:n], np.minimum(np.where(needed[:n] > 0, sizes[:n], np.inf), most))
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
         diagonals = (np.diagonal(part, axis1=-2, axis2=-1).reshape(-1, part.shape[-1]) for part in (cost.Q, cost.R))
@@ -84,9 +82,7 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
     return needed
 
 
-def cost_scale(
-    problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array] | None = None
-) -> float:
+def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:
     """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the
@@ -116,6 +112,17 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
     return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
 
 
+class Scales(NamedTuple):
+    """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
+
+    The slopes, (T+1, n) and (T, m), are those for such sizes.
+    """
+
+    sizes: Sizes
+    cost: float | None = None
+    slopes: tuple[Array | float, Array | float] = (0.0, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class Floors:
     """The least scale of every kind of quantity: SCALE_FLOOR of its natural size.
@@ -125,10 +132,12 @@ class Floors:
     x : (n,), u : (m,)
         Of states and controls. For states at rest, x is at least their rounding divided by CONDITION_TOLERANCE.
     level : float
-        Of multipliers times signals: S, but at least SCALE_FLOOR of the cost of a stage with states and controls of
-        their sizes. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the Hamiltonian.
-    in_x : (n,), in_u : (m,)
-        Of multipliers in the adjoint equation and in D_u H.
+        Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
+        over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
+        Hamiltonian.
+    in_x : (T+1, n), in_u : (T, m)
+        Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
+        component or time says nothing of others.
     terms : tuple of (dim,)
         Of the values of each term.
     rounding : (n,)
@@ -144,24 +153,24 @@ class Floors:
     rounding: Array
 
 
-def floors(
-    extremal: Extremal, sizes: tuple[Array, Array] | None = None, cost: float | None = None, origin: Array | None = None
-) -> Floors:
-    """Return the least scales along a trajectory with these sizes of states (n,) and controls (m,), and S = ``cost``.
+def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> Floors:
+    """Return the least scales along a trajectory with these scales.
 
-    ``origin`` (n,) is the zero of the states' coordinates. Defaults follow from the problem of the extremal; of a
-    problem with modes, that is only the average over modes.
+    ``origin`` (n,) is the zero of the states' coordinates, by default that of the problem of the extremal; of a problem
+    with modes, that is only the average over modes.
     """
-    problem, T = extremal.problem, extremal.problem.horizon
-    x, u = trajectory_sizes(problem, extremal.trajectory) if sizes is None else sizes
+    problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
+    (x, u), cost, slopes = scales
     steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
+    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
+    in_x, in_u = eta_C * (in_x + slopes[0]), eta_C * (in_u + slopes[1])
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
-    if extremal.multipliers.eta_C == 0:  # any multiple of abnormal multipliers is as good
+    if eta_C == 0:  # any multiple of abnormal multipliers is as good
         level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
     else:
-        in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-        priced = [term.cost(*steady).max(initial=0.0) for term in problem.terms if term.kind.is_cost]
-        stage = SCALE_FLOOR * float(max((in_x @ x).max(), (in_u @ u).max(), *priced))
+        priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
+        costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
+        stage = SCALE_FLOOR * float(np.median(costs[costs > 0])) if costs.any() else 0.0
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
@@ -171,4 +180,5 @@ def floors(
     resting = np.abs(extremal.trajectory.x).max(0) <= rounding
     least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     rounding = np.where(resting, 0.0, rounding)
-    return Floors(least, SCALE_FLOOR * u, level, stage / x, stage / u, terms, rounding)
+    in_x, in_u = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x), np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
+    return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)

@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
-from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -328,7 +328,7 @@ def judge(
     ProblemError
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # a condition that overflows does not pass
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a condition that overflows does not pass
         judgement = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
         scale = cost_scale(problem, trajectory) if judgement.cost_scale is None else judgement.cost_scale
         bound, normal, worth = judgement.bound, multipliers.eta_C == 1, judgement.cost_of_residuals
@@ -365,7 +365,7 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
     extremal = extremal_at(problem, trajectory, multipliers)
     sizes = trajectory_sizes(problem, trajectory)
     scale = cost_scale(problem, trajectory, sizes)
-    conditions = all_conditions(extremal, floors(extremal, sizes, scale))
+    conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
     return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scale)
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.hybrid.clarke import modes_along
+from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -424,10 +423,7 @@ def solution_label(result: Outcome) -> str:
 
 def mode_sequence(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:
     """Return the mode at every time, (T,), of dynamics with modes; NO_MODE outside all regions."""
-    priced = cost_as_state(problem, trajectory)
-    if priced is not None:
-        problem, trajectory = priced.problem, priced.with_cost(trajectory)
-    arrays = modes_along(problem.affine_at(trajectory), trajectory)
-    x, u = trajectory.x, trajectory.u
+    _, _, at, arrays = judged_modes(problem, trajectory)
+    x, u = at.x, at.u
     outside = arrays.distance(x, u).min(axis=1) > FACET_TOLERANCE
     return np.where(outside, NO_MODE, arrays.sequence(x, u))

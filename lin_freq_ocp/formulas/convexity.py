@@ -62,14 +62,13 @@ def least_curvature(formula: Formula, lower: Array, upper: Array) -> Array:
     used = np.zeros(lower.shape[1], dtype=bool)  # enclosures of derivatives by others are not exactly zero
     used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True
     diagonal = np.arange(lower.shape[1])
-    for t in range(len(lower)):
-        try:
-            low, high = interval_jets([formula], lower[t : t + 1], upper[t : t + 1], time=t).curvatures
-        except UnsupportedError:
-            return found
-        sizes = np.where(used, np.maximum(np.abs(low), np.abs(high))[0, 0], 0.0)
-        sizes[diagonal, diagonal] = 0.0
-        found[t] = np.where(used, low[0, 0, diagonal, diagonal] - sizes.sum(axis=1), 0.0)
+    try:
+        low, high = interval_jets([formula], lower, upper, time=np.arange(len(lower))).curvatures
+    except UnsupportedError:
+        return found
+    sizes = np.where(used, np.maximum(np.abs(low), np.abs(high))[:, 0], 0.0)
+    sizes[:, diagonal, diagonal] = 0.0
+    found = np.where(used, low[:, 0, diagonal, diagonal] - sizes.sum(axis=2), 0.0)
     return np.nan_to_num(found, nan=-np.inf, posinf=0.0)
 
 

@@ -73,11 +73,11 @@ def values_of(formulas: Sequence[Formula], y: Array, times: Indices | None = Non
 
 
 def interval_jets(
-    formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True, time: int | None = None
+    formulas: Sequence[Formula], lower: Array, upper: Array, curved: bool = True, time: int | Indices | None = None
 ) -> IntervalJets:
     """Return enclosures of formulas without maxima and minima over boxes lower <= y <= upper, (boxes, n + m).
 
-    They are those at a time; None: at all times.
+    They are those at a time, or at a time for each box; None: at all times.
     Without ``curved`` the Hessians are not computed: they are zeros. UnsupportedError: a function has no enclosures.
     """
     boxes, k = lower.shape

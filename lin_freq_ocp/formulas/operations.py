@@ -72,11 +72,11 @@ class Points:
 
 
 class BoxAtTime(NamedTuple):
-    """Boxes lower <= (x, u) <= upper, (boxes, n + m), at a time; None: at all times."""
+    """Boxes lower <= (x, u) <= upper, (boxes, n + m), at a time, or one of each, (boxes,); None: at all times."""
 
     lower: Array
     upper: Array
-    time: int | None = None
+    time: int | Indices | None = None
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class _OfTime(Operation):
         if box.time is None:
             least, largest = (min(node.data), max(node.data)) if node.data else (0.0, np.inf)
         else:
-            least = largest = node.data[box.time] if node.data else float(box.time)
+            least = largest = np.array(node.data)[box.time] if node.data else np.asarray(box.time, dtype=np.float64)
         slope = np.zeros(box.lower.shape)
         return (np.full(len(slope), least), np.full(len(slope), largest)), (slope, slope), None
 

@@ -72,6 +72,8 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     # least squares in (w, s), with rows s - A'y = g and the conditions on w
     variables, count = program.A.shape[1], len(cone.lower)
     gradient = program.P @ z + program.q
+    unit_of_cost = float(np.abs(gradient).max(initial=0.0)) or 1.0  # curvature away from z is no size of multipliers
+    gradient = gradient / unit_of_cost
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
     identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
     fitting = Program(
@@ -90,7 +92,7 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     if solution.z is None:
         raise NumericalError(f"No multipliers fit the trajectory ({solution.message}); pass multipliers=.")
     w, s = np.split(solution.z, [len(cone.lower)])
-    return cone.basis @ w, s
+    return unit_of_cost * (cone.basis @ w), unit_of_cost * s
 
 
 def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers | None:

@@ -59,12 +59,15 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
     references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
-    sides = [_median_size(np.stack([tube.lower, tube.upper], 1)) for tube in (problem.state_tube, problem.control_tube)]
-    smaller, larger = np.sort(np.hstack(sides), axis=0)  # if they are far apart, the larger one may stand for none
-    bounds = np.where((smaller > 0) & (larger > FAR_BEYOND * smaller), smaller, larger)
+    tubes = problem.state_tube, problem.control_tube
+    sides = [_median_size(np.stack(tube.bounds, 1)) for tube in tubes]
+    bounds = np.concatenate([side.max(axis=0) for side in sides])
     others = np.where(stated > 0, stated, bounds)
     implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
-    bounds = np.where((implied > 0) & (bounds > FAR_BEYOND * implied), implied, bounds)
+    # nor does a bound on one side say how far the other side reaches
+    one_sided = np.hstack([(np.isinf(tube.lower) != np.isinf(tube.upper))[-problem.horizon :] for tube in tubes]).any(0)
+    beyond = (bounds > FAR_BEYOND * implied) | (one_sided & (FAR_BEYOND * bounds < implied))
+    bounds = np.where((implied > 0) & beyond, implied, bounds)
     return np.where(stated > 0, stated, bounds)
 
 

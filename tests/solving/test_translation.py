@@ -56,7 +56,7 @@ def test_a_state_that_never_moves_is_not_blamed():
     dynamics, ends = lfo.LinearDynamics([[1.0]], [[1.0]]), {"initial_state": [1.0]}
     problem = lfo.OptimalControlProblem(dynamics, 1, cost, lfo.Box(0, 1), lfo.Box(-3, 3), **ends)
     result = lfo.solve(problem, throw=False, global_bound=False)
-    assert result.message == "no global bound was asked for"
+    assert result.message.startswith("no global bound was asked for")
 
 
 def test_the_bound_of_a_search_tree_is_that_of_the_given_cost():

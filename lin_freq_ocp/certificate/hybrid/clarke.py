@@ -33,7 +33,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
-from lin_freq_ocp.certificate.sizes import Floors, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
@@ -210,9 +210,9 @@ def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
     return certificate.borders if isinstance(certificate.borders, SwitchingFacts) else None
 
 
-def modes_along(problem: OptimalControlProblem, trajectory: Trajectory) -> ModeArrays:
+def modes_along(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
-    sizes = trajectory_sizes(problem, trajectory)
+    sizes = sizes or trajectory_sizes(problem, trajectory)
     return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
 
 
@@ -283,7 +283,8 @@ def switching_stages(
     for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
         modes, (normals, weights) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
         facets = tuple(arrays.rows[t, i, active_facets[t, i]].T for i in modes)
-        stages.append(SwitchingStage(int(t), modes, slopes[t, modes], required[t], normals, weights, facets, scale, n))
+        own = slopes[t, modes], required[t], normals, weights, facets, scale[t], n
+        stages.append(SwitchingStage(int(t), modes, *own))
     return stages
 
 
@@ -295,11 +296,11 @@ def required_slopes(extremal: Extremal) -> Array:
 
 
 def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
-    """Return the scales of the adjoint equation and of stationarity in u, (n + m,)."""
+    """Return the scales of the adjoint equation and of stationarity in u, (T, n + m)."""
     in_x = np.abs(extremal.eta_before) + extremal.in_x_terms + np.abs(extremal.multipliers.mu)
     in_u = extremal.in_u_terms + np.abs(extremal.multipliers.nu)
-    sizes = [np.maximum(terms.max(0), floor) for terms, floor in ((in_x, least.in_x), (in_u, least.in_u))]
-    scale = np.concatenate(sizes).astype(np.float64)
+    sizes = [np.maximum(terms.max(0), floor) for terms, floor in ((in_x, least.in_x[:-1]), (in_u, least.in_u))]
+    scale = np.hstack(sizes).astype(np.float64)
     return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
 
 
@@ -311,17 +312,17 @@ def switching_facts(
     gaps: Indices,
     joint: bool,
     elsewhere: bool,
+    sizes: Array,
 ) -> SwitchingFacts:
     """Return the facts; ``joint``: all conditions hold, ``elsewhere``: those that do not depend on weights do."""
-    sizes = np.concatenate(trajectory_sizes(problem, trajectory))
     flips = list[Flip]()
     for stage in stages:
         for mode, residual in zip(stage.modes, _flip_residuals(stage), strict=True):
             if np.abs(residual).max() > CONDITION_TOLERANCE:
                 # in the scaled metric the residual r is orthogonal to the part that was subtracted and makes no acute
                 # angle with the generators: d = r / scale leads into the mode within the sets, <a_i - b, d> = |r|^2
-                longest = float(np.abs(residual / stage.scale / sizes).max())
-                flips.append(Flip(stage.time, int(mode), float(residual @ residual) / longest))
+                longest = np.abs(residual / stage.scale / sizes).max()
+                flips.append(Flip(stage.time, int(mode), float(residual @ residual / longest)))
     checks = (
         ("flip", "no mode towards which H rises", _flip_residuals),
         ("printed", "C-iii and C-iv as printed, in x alone", _printed_residuals_in_x),
@@ -413,11 +414,12 @@ OF_WEIGHTS = ("adjoint equation", "transversality at 0", "Hamiltonian stationary
 
 
 def judge_modes(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, linearised: bool = False
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, linear_at: Scales | None = None
 ) -> Judgement:
-    """Judge a trajectory of affine modes, which may be smooth modes ``linearised`` along it."""
+    """Judge a trajectory of affine modes, which may be smooth modes linearised along it, with their scales."""
     problem.require(trajectory)
-    arrays, sizes = modes_along(problem, trajectory), trajectory_sizes(problem, trajectory)
+    linearised, scales = linear_at is not None, linear_at or Scales(trajectory_sizes(problem, trajectory))
+    sizes, arrays = scales.sizes, modes_along(problem, trajectory, scales.sizes)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)
     active[np.arange(len(sequence)), sequence] = True
@@ -439,14 +441,14 @@ def judge_modes(
 
         weights = np.eye(active.shape[1])[sequence]
         extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
-        least, none = floors(extremal, sizes), np.zeros(0, dtype=np.intp)
+        least, none = floors(extremal, scales), np.zeros(0, dtype=np.intp)
         for stage in switching_stages(extremal, least, arrays, active, none):
             weights[stage.time] = 0.0
             V = ((stage.slopes - stage.required) / stage.scale).T
             beta, _ = nnls(np.vstack([V, np.ones(len(stage.modes))]), np.append(np.zeros(len(V)), 1.0))
             weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
-    least = floors(extremal, sizes, origin=problem.origin)
+    least = floors(extremal, scales, problem.origin)
     least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
     along = replace(problem, dynamics=piecewise_affine(problem).along(sequence))
     motion = along.equations.motion_sizes(trajectory.x, trajectory.u)
@@ -470,13 +472,13 @@ def judge_modes(
     # the adjoint equation and stationarity in u at all times with a single mode
     n, scale, single = problem.state_dim, stationarity_scale(extremal, least), np.ones(problem.horizon, dtype=bool)
     single[[stage.time for stage in stages]] = False
-    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:n]
-    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[n:]
+    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:, :n]
+    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[:, n:]
     residual = max(float(part[single].max(initial=0.0)) for part in (in_x, in_u))
     elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
-    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere)
+    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
     return Judgement(conditions, facts, cost_of_residuals(extremal))
 

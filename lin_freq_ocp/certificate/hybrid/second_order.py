@@ -21,7 +21,6 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
@@ -40,30 +39,28 @@ ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direc
 
 
 def second_order_test(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array | None = None
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array, terminal: Array
 ) -> SecondOrder:
     """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active.
 
-    ``terminal`` (n, n) is added to the Hessian of the cost of x_T.
+    ``units`` (n + m,) are the sizes of states and controls; ``terminal`` (n, n) is added to the Hessian of the cost of
+    x_T.
     """
     dynamics, T, n = piecewise_smooth(problem), problem.horizon, problem.state_dim
     formulas = [formula for mode in dynamics.modes for formula in mode.f]
     rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
     if rough:
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
-    x, u, units = trajectory.x, trajectory.u, np.concatenate(trajectory_sizes(problem, trajectory))
+    x, u = trajectory.x, trajectory.u
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
-    jets = dynamics.jets_at(y).f
-    slopes, curvatures = (
-        np.stack([getattr(jet, part) for jet in jets])[modes, np.arange(T)] for part in ("slopes", "curvatures")
-    )
+    _, slopes, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
     cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
     bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
     H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
     terms[:-1] = np.einsum(
         "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
     )
-    added = np.zeros((n, n)) if terminal is None else terminal.copy()
+    added = terminal.copy()
     for one in problem.path_constraints:
         prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
         bends = np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)
@@ -72,11 +69,11 @@ def second_order_test(
         added += bends[T:, :n, :n].sum(axis=0)
     P = (problem.quadratic.P + added) * scale[:n, :n]
     terms[-1, :n] = np.abs(np.diag(problem.quadratic.P)) + np.abs(added).max(axis=0)
-    sizes = (terms * units**2).max(axis=0)
+    sizes = terms * units**2
     largest = float(sizes.max())
     if largest == 0:
         return SecondOrder(True, "")
-    error = np.diag(CURVATURE * sizes + CURVATURE_FLOOR * largest)
+    error = (CURVATURE * sizes + CURVATURE_FLOOR * largest)[:, None] * np.eye(len(units))
     AB, linear = slopes * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(trajectory))
     rows = _active_rows(linear, trajectory, multipliers, units)
     strong = np.zeros((T + 1, len(units), len(units)))
@@ -85,7 +82,7 @@ def second_order_test(
     d, first = np.zeros((T + 1, len(units))), problem.initial_box.fixed
     for weight in CONSTRAINT_WEIGHTS if strong.any() else (0.0,):
         held = weight * largest * strong
-        found = _negative_direction(AB, H + error + held[:-1], P + error[:n, :n] + held[-1, :n, :n], ~first)
+        found = _negative_direction(AB, H + error[:-1] + held[:-1], P + error[-1, :n, :n] + held[-1, :n, :n], ~first)
         if found is None:
             return SecondOrder(True, "")
         d = found / np.abs(found).max()

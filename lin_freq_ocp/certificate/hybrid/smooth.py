@@ -9,15 +9,15 @@ f_t> is regular there iff c <= 0; with c > 0 the printed form has no solution, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.certificate.bound import NUMERICAL, Bound
-from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.hamiltonian import extremal_at, require_fitting
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS, Bound, unit_rounding
+from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, require_fitting
 from lin_freq_ocp.certificate.hybrid.clarke import (
     NormKink,
     SwitchingFacts,
@@ -28,30 +28,34 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 )
 from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
-from lin_freq_ocp.certificate.response_bound import best_bound
-from lin_freq_ocp.certificate.sizes import cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate, Judgement, SecondOrder
+from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
+from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
+from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
+from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
 
 
 def judge_smooth(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array | None = None
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array, scales: Scales
 ) -> Judgement:
     """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
     problem.require(trajectory)
-    selections, norms = _judge_norms(problem, trajectory, multipliers)
-    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, linearised=True)
+    selections, norms = _judge_norms(problem, trajectory, multipliers, scales)
+    judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, scales)
     facts, rising = judgement.borders, any(kink.rate > 0 for kink in norms)
     if not isinstance(facts, SwitchingFacts):
         return judgement
@@ -69,49 +73,75 @@ def judge_smooth(
         test = (
             SecondOrder(None, "modes meet or norms are zero")
             if kinked
-            else second_order_test(problem, trajectory, multipliers, terminal)
+            else second_order_test(problem, trajectory, multipliers, np.concatenate(scales.sizes), terminal)
         )
     return replace(judgement, borders=facts, second_order=test)
 
 
 def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
-    """Judge a trajectory of a problem with formulas; their cost is a state, which has its gradient."""
+    """Judge a trajectory of a problem with formulas; a cost by formulas is a state, which has its gradient."""
     problem.require(trajectory)
     require_fitting(problem, multipliers)
-    inverse = cost_as_state(problem, trajectory)
+    inverse, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
+    hessian = _end_hessian(problem, trajectory)
     if inverse is None:
-        found = judge_smooth(problem, trajectory, multipliers)
-        return replace(found, bound=convex_bound(problem, trajectory, multipliers))
-    n, terminal = problem.state_dim, problem.cost.formulas[1]
-    hessian = np.zeros((n + 1, n + 1))
-    if terminal is not None:
-        last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))
-        hessian[:n, :n] = jets([terminal], last[None]).curvatures[0, 0, :n, :n]
-    found = judge_smooth(inverse.problem, inverse.with_cost(trajectory), inverse.with_adjoint(multipliers), hessian)
-    own, test = own_conditions(problem, found.conditions), found.second_order
+        scales = Scales(trajectory_sizes(problem, trajectory))
+        return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
+    at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory)
+    found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
+    test, last = found.second_order, problem.state_dim
+    own = tuple(  # in the given problem, the cost so far has no name
+        replace(one, component=None) if one.label in OF_STATES and one.component == last else one
+        for one in found.conditions
+    )
     if test is not None and test.direction is not None:
         test = replace(test, direction=inverse.trajectory(test.direction))
-    return replace(found, conditions=own, second_order=test, bound=convex_bound(problem, trajectory, multipliers))
+    return replace(found, conditions=own, second_order=test, bound=bound, cost_scale=scales.cost)
 
 
-def own_conditions(problem: OptimalControlProblem, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
-    """Return the conditions of the problem with its cost as a state; in the given one this state has no name."""
-    last = problem.state_dim
-    return tuple(
-        replace(one, component=None) if one.label in OF_STATES and one.component == last else one for one in conditions
-    )
+def _end_hessian(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return the Hessian of the terminal cost by a formula, (n, n)."""
+    n, terminal = problem.state_dim, problem.cost.formulas[1]
+    last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))[None]
+    return np.zeros((n, n)) if terminal is None else jets([terminal], last).curvatures[0, 0, :n, :n]
 
 
-def own_certificate(problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
-    """Return the certificate of the problem with its cost as a state as that of the given one, without a bound."""
-    return replace(
-        certificate,
-        conditions=own_conditions(problem, certificate.conditions),
-        cost=problem.value(trajectory.x, trajectory.u),
-        cost_scale=cost_scale(problem, trajectory),
-        bound=None,
-        second_order=None,
-    )
+def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
+    """Return the scales of a problem with its cost by formulas as a state, which has no size of its own.
+
+    Its size is what a stage cost changes within the sizes of states and controls, to second order. A cost counts in S
+    up to that within their given values: constants in it do not.
+    """
+    problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
+    (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
+    jets_along, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])), dynamics.sequence_of(y.x, y.u)
+    _, steep, bent = (np.abs(part[:, n]) for part in jets_along.maps_of(modes, np.arange(len(modes))))
+    steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
+    size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
+    slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
+    given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
+    within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
+    values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
+    stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
+    stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
+    cost = cost_scale(stripped, trajectory, (x, u)) + float(values.sum())
+    return Scales((np.append(x, stage), u), cost, (slopes[:, : n + 1], slopes[:-1, n + 1 :]))
+
+
+def judged_modes(
+    problem: OptimalControlProblem, trajectory: Trajectory
+) -> tuple[Inverse, OptimalControlProblem, Trajectory, ModeArrays]:
+    """Return a trajectory in the states in which it is judged, with its modes in the sizes of the judge.
+
+    First come the way back to the given problem, and the problem in these states, linearised along the trajectory.
+    """
+    priced = cost_as_state(problem, trajectory)
+    if priced is None:
+        affine = problem.affine_at(trajectory)
+        return Inverse(problem, problem), affine, trajectory, modes_along(affine, trajectory)
+    at, sizes = priced.with_cost(trajectory), scales_with_cost(priced, trajectory).sizes
+    affine = priced.problem.affine_at(at)
+    return priced, affine, at, modes_along(affine, at, sizes)
 
 
 def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
@@ -120,7 +150,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     At every time a cost is at least its tangent at the trajectory, and a parabola of the least curvature of its Hessian
     over the sets and the trajectory, which may be outside of them. A path constraint is at least its tangent. The
     problem with these in their place has a quadratic cost and rows, and the bound of one: a lower bound for the given
-    problem, which is close if its multipliers fit.
+    problem, which is close if its multipliers fit. Rounding errors of values and slopes are those of enclosures.
     """
     stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
@@ -134,13 +164,15 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         if curvature is None:
             return None
         slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
-    declared, of_rows = list[str](), 0.0
+    declared, proven, of_rows = list[str](), list[PathConstraint](), 0.0
     for one in problem.path_constraints:
         tangents = one.linearised(trajectory.x, trajectory.u)
         if not is_proven_convex(problem, one, trajectory):
             if not one.convex or one.bends_down(trajectory.x, trajectory.u):
                 return None
             declared.append(f"{one.name!r} is convex, as declared")
+        else:
+            proven.append(one)
         terms = tangents.sizes_along(trajectory.x, trajectory.u)
         of_rows += float((np.maximum(multipliers.stage.get(one.name, 0.0 * terms), 0.0) * terms).sum())
     x, u = cost.deviations(trajectory.x, trajectory.u)
@@ -155,18 +187,63 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         p=cost.p + slopes[T, :n],
     )
     costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
-    below = replace(problem, dynamics=stated, cost=costs, stage_rows=rows)
-    extremal = extremal_at(below, trajectory, replace(multipliers, weights=None))
+    below, plain = replace(problem, dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
+    extremal, lost = with_errors_of_tangents(extremal_at(below, trajectory, plain), problem.cost.formulas, proven)
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)
     if bound is None:
         return None
     constant = problem.value(trajectory.x, trajectory.u) - extremal.cost
-    rounding = ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
-    bound = replace(bound, value=bound.value + constant - rounding)
-    return (
-        replace(bound, kind=NUMERICAL, sets="; ".join([*filter(None, [bound.sets]), *declared])) if declared else bound
-    )
+    rounding = lost + ARITHMETIC_ROUNDING * (scale + cost_scale(below, trajectory) + of_rows)
+    kind, sets = NUMERICAL if declared else bound.kind, "; ".join([*filter(None, [bound.sets]), *declared])
+    return replace(bound, value=bound.value + constant - rounding, kind=kind, sets=sets)
+
+
+def tangents_exclude(
+    problem: OptimalControlProblem, tangents: OptimalControlProblem, at: Trajectory, ray: Multipliers
+) -> bool:
+    """Whether a ray proves that path constraints leave no trajectory, by a problem with their tangents at one."""
+    first = extremal_at(tangents, at, replace(ray, eta_C=0.0, weights=None))
+    extremal, lost = with_errors_of_tangents(first, (), problem.path_constraints)
+    bound = farkas_bound(extremal, stated_sizes(tangents))
+    return bound.kind == RIGOROUS and bound.value > lost
+
+
+def with_errors_of_tangents(
+    extremal: Extremal, costs: Sequence[Formula | None], constraints: Sequence[PathConstraint]
+) -> tuple[Extremal, float]:
+    """Return an extremal of tangents with the rounding errors of their slopes, and what those of values may cost.
+
+    ``costs`` are the formulas of the stage cost and of the terminal cost, if any.
+    """
+    trajectory, given = extremal.trajectory, extremal.multipliers.stage
+    T, n, lost = len(trajectory.u), trajectory.x.shape[1], 0.0
+    points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))]).astype(np.float64)
+    steep, none, each = np.zeros_like(points), np.zeros((1, 1)), np.ones((1, 1))
+    terms = [(np.arange(T * i, T + i), one) for i, one in enumerate(costs) if one is not None]
+    priced: list[tuple[Sequence[Formula], Indices, Array]] = [([one], times, each) for times, one in terms]
+    priced += [(one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)) for one in constraints]
+    for formulas, times, weights in priced:
+        values, slopes = _rounding_errors(formulas, points[times], times)
+        lost += float(np.where(weights > 0, weights * values, 0.0).sum())
+        steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
+    steep /= unit_rounding(extremal.problem)
+    in_x_terms, in_u_terms = extremal.in_x_terms + steep[:, :n], extremal.in_u_terms + steep[:-1, n:]
+    return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
+
+
+def _rounding_errors(formulas: Sequence[Formula], y: Array, times: Indices) -> tuple[Array, Array]:
+    """Return by how much values at points may be too large, (points, formulas), and slopes wrong, (..., n + m).
+
+    They are infinite where a function has no enclosures.
+    """
+    at = jets(formulas, y, times=times)
+    try:
+        found = interval_jets(formulas, y, y, curved=False, time=times)
+    except UnsupportedError:
+        return np.full(at.values.shape, np.inf), np.full(at.slopes.shape, np.inf)
+    low, high = found.slopes
+    return at.values - found.values[0], np.maximum(at.slopes - low, high - at.slopes)
 
 
 def is_proven_convex(problem: OptimalControlProblem, constraint: PathConstraint, trajectory: Trajectory) -> bool:
@@ -185,7 +262,7 @@ def _signals_with_bounds(problem: OptimalControlProblem, trajectory: Trajectory)
 
 
 def _judge_norms(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, scales: Scales
 ) -> tuple[dict[Formula, Array], tuple[NormKink, ...]]:
     """Return the selection of every norm at the times at which its arguments are zero, not a number elsewhere."""
     selections: dict[Formula, Array] = {}
@@ -201,19 +278,19 @@ def _judge_norms(
         sequence = modes.sequence_of(trajectory.x, trajectory.u)
         alone = replace(linear, dynamics=modes.along(sequence))
         extremal = extremal_at(alone, trajectory, multipliers)
-        least = floors(extremal, trajectory_sizes(linear, trajectory))
+        least = floors(extremal, scales)
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         base, columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)
         for t in np.flatnonzero(active):
             own = np.asarray(columns[:, t].any(axis=(0, 2)))  # each mode may have a copy of the norm, which is one kink
             mode = int(sequence[t]) if own[sequence[t]] else int(np.argmax(own))
-            missing = (required[t] - base[t, mode]) / scale
-            selection[t] = nearest_in_ball((columns[:, t, mode] / scale).T, missing)
+            missing = (required[t] - base[t, mode]) / scale[t]
+            selection[t] = nearest_in_ball((columns[:, t, mode] / scale[t]).T, missing)
             if own.any() and not own[sequence[t]]:
                 continue
             signals = np.append(trajectory.x[t], trajectory.u[t])
             pull = dynamics.pull_of_norm(norm, signals, int(t), mode, multipliers.eta[t])
-            rate = pull if pull > CONDITION_TOLERANCE * float(scale.max()) else min(pull, 0.0)
+            rate = pull if pull > CONDITION_TOLERANCE * float(scale[t].max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return selections, tuple(kinks)
 

@@ -195,11 +195,6 @@ class TreeBound:
         """Return the number of leaves."""
         return int((~np.isnan(self.bounds)).sum())
 
-    @property
-    def weakest(self) -> int:
-        """Return the leaf with the least bound."""
-        return int(np.nanargmin(self.bounds))
-
     def bound_for(self, problem: OptimalControlProblem) -> Bound | None:
         """Return the bound of the tree, or that of a cost that is never negative, whichever is better."""
         if self.value < 0 and cost_is_never_negative(problem):

@@ -118,6 +118,11 @@ class ModeJets:
     regions: tuple[Jets, ...]  # the switching functions
     domains: tuple[Jets, ...]  # the functions that must be above zero
 
+    def maps_of(self, modes: Indices | int, times: Indices | int) -> tuple[Array, ...]:
+        """Return values, slopes and curvatures of the maps of some modes at some times."""
+        fields = ("values", "slopes", "curvatures")
+        return tuple(np.stack([getattr(jet, field) for jet in self.f])[modes, times] for field in fields)
+
     def defined(self) -> Mask:
         """Return which modes are defined at which times, (T, modes)."""
         return np.stack(

@@ -97,7 +97,7 @@ class LinkedEnds(ConvexSet):
 
     def _restate(self, E_0: Array, E_T: Array, e: Array, farther: float = 0.0) -> LinkedEnds:
         links = LinkedEnds(E_0, E_T, e)
-        assign(links, reach=self.reach + farther, repeats=self.repeats)
+        assign(links, reach=self.reach + farther, repeats=self.repeats, name=self.name)  # names of multipliers stay
         return links
 
     def describe(self, names: Sequence[str], signal: str) -> str:

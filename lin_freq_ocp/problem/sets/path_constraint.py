@@ -32,7 +32,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_TEXT, number, plural, price
-from lin_freq_ocp.formulas.jets import Jets, jets, values_of
+from lin_freq_ocp.formulas.jets import Jets, interval_jets, jets, values_of
 from lin_freq_ocp.formulas.nodes import (
     Formula,
     evaluate,
@@ -205,13 +205,16 @@ class PathConstraint(StageRows):
         return TangentRows(C, D[: len(u)], e, self.name, self.penalty)
 
     def excludes(self, t: int, x: Array) -> bool:
-        """Whether the constraint is hard and no control satisfies it at a time and a state, (n,), rounding apart."""
+        """Whether the constraint is hard and no control satisfies it at a time near a state, (n,), by enclosures."""
         if self.hard_part is None or len(self.map.times) <= t or self.used[:, self.C.shape[1] :].any():
             return False
-        y = np.append(x, np.zeros(self.D.shape[1]))
-        at = jets(self.formulas, y[None], times=np.array([t]))
-        rounding = END_TOLERANCE * (np.abs(at.slopes[0]) @ np.abs(y) + np.abs(at.values[0]))
-        return bool((at.values[0] > self.limits()[t] + rounding).any())
+        y = np.append(x, np.zeros(self.D.shape[1]))[None]
+        near, limits = END_TOLERANCE * np.abs(y), self.limits()[t]
+        try:
+            least = interval_jets(self.formulas, y - near, y + near, curved=False, time=t).values[0][0]
+        except UnsupportedError:
+            return False
+        return bool((least > limits + END_TOLERANCE * np.abs(limits)).any())
 
     def bends_down(self, x: Array, u: Array) -> bool:
         """Whether a Hessian of h along a trajectory has an eigenvalue below zero: h is not convex."""

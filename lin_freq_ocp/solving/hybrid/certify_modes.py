@@ -7,14 +7,13 @@ from itertools import chain
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
-from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet, modes_along
-from lin_freq_ocp.certificate.hybrid.smooth import own_certificate
+from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
+from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
@@ -27,25 +26,18 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 
     Every flip that they suggest is tried: the judge checks a direction of descent in the mode sequence with the flip.
     """
-    priced = cost_as_state(problem, trajectory)
-    if priced is not None:
-        best, _ = best_multipliers(problem, trajectory)
-        if not best.failed and _facts(best).flip_stationary:
-            return best
-        certificate, n = certify_modes(priced.problem, priced.with_cost(trajectory)), problem.state_dim
-        descent = certificate.descent and replace(certificate.descent, x=certificate.descent.x[:, :n])
-        return replace(own_certificate(problem, trajectory, certificate), descent=descent)
     best, _ = best_multipliers(problem, trajectory)
-    problem = problem.affine_at(trajectory)
     if not best.failed and _facts(best).flip_stationary:
         return best
-    sequence = modes_along(problem, trajectory).sequence(trajectory.x, trajectory.u)
-    facts, descent = _verify_flips(problem, trajectory, sequence, _facts(best))
+    inverse, affine, at, arrays = judged_modes(problem, trajectory)
+    sequence = arrays.sequence(at.x, at.u)
+    facts, descent = _verify_flips(affine, at, sequence, _facts(best))
+    descent = descent and replace(descent, x=descent.x[:, : problem.state_dim])
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        inverse = fixed_modes(problem, sequence)
-        multipliers = abnormal_multipliers(inverse.problem, trajectory)
+        fixed = fixed_modes(affine, sequence)
+        multipliers = abnormal_multipliers(fixed.problem, at)
         if multipliers is not None:
-            abnormal = judge(problem, trajectory, inverse.multipliers(multipliers, trajectory))
+            abnormal = judge(problem, trajectory, inverse.multipliers(fixed.multipliers(multipliers, at)))
             if not abnormal.failed:
                 return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)
@@ -58,15 +50,12 @@ def best_multipliers(
 
     NumericalError if no fit could be solved and ``first`` is None.
     """
-    priced = cost_as_state(problem, trajectory)
-    if priced is not None:
-        given = first and priced.with_adjoint(first)
-        multipliers = priced.multipliers(best_multipliers(priced.problem, priced.with_cost(trajectory), given)[1])
-        return _unless_at_rest(problem, trajectory, judge(problem, trajectory, multipliers), multipliers)
     best: tuple[Certificate, Multipliers] | None = None
-    fits = candidates(problem.affine_at(trajectory), trajectory)  # in every mode sequence of the trajectory
+    inverse, affine, at, arrays = judged_modes(problem, trajectory)
+    fits = map(inverse.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
     try:
-        for multipliers in chain([] if first is None else [first], fits):
+        # at rest, a fit has only residuals, where zeros may satisfy the conditions
+        for multipliers in chain([] if first is None else [first], fits, [zero_multipliers(problem, 1.0)]):
             certificate = judge(problem, trajectory, multipliers)
             if best is None or _rank(certificate) > _rank(best[0]):
                 best = certificate, multipliers
@@ -78,18 +67,7 @@ def best_multipliers(
         if first is None:
             raise
     assert best is not None  # there are candidates, or an error
-    return _unless_at_rest(problem, trajectory, *best)
-
-
-def _unless_at_rest(
-    problem: OptimalControlProblem, trajectory: Trajectory, certificate: Certificate, multipliers: Multipliers
-) -> tuple[Certificate, Multipliers]:
-    """Return multipliers, or zeros if only those satisfy the conditions: at rest, a fit has only residuals."""
-    if certificate.failed and certificate.feasible:
-        none = zero_multipliers(problem, 1.0)
-        at_rest = judge(problem, trajectory, none)
-        certificate, multipliers = (certificate, multipliers) if at_rest.failed else (at_rest, none)
-    return certificate, multipliers
+    return best
 
 
 def _facts(certificate: Certificate) -> SwitchingFacts:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
+from lin_freq_ocp.certificate.hybrid.global_bound.lattice import least_by_formulas
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
-from lin_freq_ocp.certificate.hybrid.smooth import is_proven_convex
+from lin_freq_ocp.certificate.hybrid.smooth import convex_bound, is_proven_convex, judged_modes, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
@@ -24,12 +27,12 @@ from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.newton import NEAR_KINK, ON_KINK, newton
+from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
+from lin_freq_ocp.problem.hybrid.priced import CostState
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.sizes import stated_sizes
@@ -40,7 +43,6 @@ from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 
-LOCAL = "no global bound was asked for"
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
@@ -111,7 +113,8 @@ class Nonsmooth:
         if judged is not None and judged[2].proven_within(self.gap or GLOBAL_GAP):
             seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
             return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start)
+        is_proven = partial(_is_proven, problem, self.gap or GLOBAL_GAP)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven)
         search.end = started + request.time_limit
         search.run()
         solved = now()
@@ -134,6 +137,13 @@ class Nonsmooth:
             status = judged[2].status_within(bounding.gap)
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
         return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
+
+
+def _is_proven(problem: OptimalControlProblem, gap: float, local: LocalOptimum) -> bool:
+    """Whether a local optimum is within a gap of the bound of a convex problem."""
+    bound = convex_bound(problem, local.trajectory, local.multipliers)
+    allowed = gap * cost_scale(problem, local.trajectory)
+    return bound is not None and bound.kind == RIGOROUS and local.cost - bound.value <= allowed
 
 
 def outcome_of_search(
@@ -191,14 +201,10 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 
     Newton's method ends at ``end``, by ``clock.now``.
     """
-    priced = cost_as_state(problem, local.trajectory)
-    if priced is not None:  # the same with the cost by formulas as a state
-        given = priced.with_cost(local.trajectory), priced.with_adjoint(local.multipliers)
-        refined = refine_optimum(priced.problem, replace(local, trajectory=given[0], multipliers=given[1]), end)
-        trajectory, multipliers = priced.trajectory(refined[0]), priced.multipliers(refined[1])
-        return trajectory, multipliers, judge(problem, trajectory, multipliers)
-    affine = problem.affine_at(local.trajectory)
-    first = multipliers_with_weights(affine, local.trajectory, local.sequence, local.multipliers)
+    inverse, affine, at, arrays = judged_modes(problem, local.trajectory)
+    with_adjoint = inverse.with_adjoint if isinstance(inverse, CostState) else inverse.multipliers
+    given = with_adjoint(local.multipliers)
+    first = inverse.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
     if certificate.failed and problem.path_constraints:
@@ -213,15 +219,12 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
                 plain = still, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
-    points = [plain]
-    for near in (NEAR_KINK, ON_KINK):
-        try:
-            run = newton(problem, local.trajectory, multipliers, local.sequence, near, end=end)
-        except UnsupportedError:
-            break
-        points.append((run.trajectory, run.multipliers, judge(problem, run.trajectory, run.multipliers)))
-        if run.converged or certificate.pmp == "satisfied":
-            break
+    try:
+        run = newton(inverse.problem, at, with_adjoint(multipliers), local.sequence, end=end)
+    except UnsupportedError:
+        return plain
+    point = inverse.trajectory(run.trajectory), inverse.multipliers(run.multipliers)
+    points = plain, (*point, judge(problem, *point))
     return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
@@ -271,8 +274,8 @@ def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | N
     if start.trajectory is None:
         return judged
     cost = problem.value(start.trajectory.x, start.trajectory.u)
-    saved = judged[2].cost - cost if judged is not None and judged[2].feasible else np.inf
-    if saved <= SAVED_BY_TOLERANCE * abs(cost):
+    known = None if judged is None or not judged[2].feasible else judged[2]
+    if known is not None and known.cost - cost <= SAVED_BY_TOLERANCE * known.cost_scale:
         return judged
     if not judge(problem, start.trajectory, zero_multipliers(problem, 1.0)).feasible:
         return judged
@@ -298,7 +301,9 @@ class _Bounding:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
         message = ""
         if cost_is_never_negative(self.search.problem):
-            self.best, self.sets = 0.0, NEVER_NEGATIVE
+            with suppress(UnsupportedError):
+                self.best = least_by_formulas(self.search.problem)
+                self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
         known = self.judged[2].bound
         if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
             self.best, self.sets = known.value, known.sets
@@ -382,7 +387,10 @@ def _proof_of_infeasibility(
         relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))
         if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
-            return EXCLUDED_BY_TANGENTS if problem.path_constraints else EXCLUDED_BY_RAY
+            if not problem.path_constraints:
+                return EXCLUDED_BY_RAY
+            if at is None or found.ray is None or tangents_exclude(problem, relaxed, at, found.ray):
+                return EXCLUDED_BY_TANGENTS
     try:
         none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
         levels = value_bounds(problem, none, np.inf, loss, deadline, scale=loss) if intervals else []
@@ -425,4 +433,4 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
         return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
     if status == Status.EXTREMAL:
         return status, str(judged[2].second_order)
-    return status, LOCAL
+    return status, f"no global bound was asked for, and {plural(search.tried, 'start')} tried"

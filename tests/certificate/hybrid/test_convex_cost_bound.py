@@ -114,3 +114,31 @@ def test_it_does_not_depend_on_where_zero_is(origin):
     result = lfo.solve(lfo.OptimalControlProblem(dynamics, 12, cost, lfo.Box(-0.8, 0.8), initial_state=start))
     assert result.status == "optimal"
     assert result.certificate.bound.kind == "rigorous"
+
+
+ONE = lfo.LinearDynamics([[1.0]], [[1.0]])
+
+
+def test_cancellation_in_a_cost_raises_no_bound_above_the_optimum():
+    """1 - cos(x) of x = 3e-7 has two digits, 2 sin(x/2)^2 all."""
+    costs = {}
+    for text in ("1 - cos(x_0)", "2*sin(x_0/2)**2"):
+        cost, sets = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage=text), lfo.Box(-0.5, 0.5)
+        problem = lfo.OptimalControlProblem(ONE, 3, cost, sets, state_set=sets, initial_state=[3.21e-7])
+        costs[text] = lfo.solve(problem, global_bound=False)
+    rounded, exact = costs.values()
+    assert exact.status == "optimal"
+    assert rounded.certificate.bound.kind == "rigorous"
+    assert 0.8 * exact.cost <= rounded.lower_bound <= exact.cost
+    assert not rounded.certificate.globally_optimal
+
+
+def test_cancellation_in_a_path_constraint_proves_no_infeasibility():
+    """log(cosh(1e-6)) is 5e-13 - 8e-26, and as computed 5.0004e-13: neither x_0 nor tangents exclude a trajectory."""
+    rows, sides = lfo.sets.PathConstraint("log(cosh(x_0))", upper=5.00005e-13), lfo.Box(-0.5, 0.5)
+    narrow = lfo.Box(-1e-9, 1e-9)
+    problem = lfo.OptimalControlProblem(
+        ONE, 1, lfo.QuadraticCost(R=1.0), narrow, sides, initial_state=[1e-6], stage_rows=rows
+    )
+    assert lfo.solve(problem, global_bound=False, throw=False).status != "infeasible"
+    assert rows.at_dimensions(1, 1, 1, "").excludes(0, np.array([1.02e-6]))  # by more than rounding

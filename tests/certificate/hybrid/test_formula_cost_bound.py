@@ -72,3 +72,17 @@ def test_a_cost_that_no_formula_states_has_no_bound():
     formula = lfo.solve(stated("x_0**4 + u_0**2"))
     assert formula.status == "optimal"
     assert formula.cost == pytest.approx(result.cost, rel=1e-8)
+
+
+def test_the_bound_is_at_least_what_intervals_of_the_cost_give():
+    """A sum of squares, of four states: too many for dynamic programming; with 0.01 more each step, 0.05 in all."""
+    floor = np.sin(2.1) ** 2  # of the first step alone
+    A, B = np.eye(4) + 0.1 * np.eye(4, k=1), np.eye(4, 1, k=-3)
+    for constant in (0.0, 0.01):
+        cost = lfo.costs.SmoothCost(stage=f"sin(3*x_0)**2 + u_0**2 + {constant}")
+        problem = lfo.OptimalControlProblem(
+            lfo.LinearDynamics(A, B), 5, cost, lfo.Box(-1, 1), initial_state=[0.7, 0, 0, 0]
+        )
+        result = lfo.solve(problem)
+        assert result.lower_bound == pytest.approx(floor + 5 * constant, rel=1e-9)
+        assert result.gap == pytest.approx(0.8, abs=0.02)

@@ -177,7 +177,7 @@ def test_a_leaf_that_claims_too_few_modes_is_noticed(solved):
 
 @pytest.mark.parametrize("change", ["eta", "region", "sign", "none", "other problem"])
 def test_a_leaf_with_other_multipliers_proves_less(solved, change):
-    nodes, weakest, problem = list(solved.tree.nodes), solved.tree_bound.weakest, solved.problem
+    nodes, weakest, problem = list(solved.tree.nodes), int(np.nanargmin(solved.tree_bound.bounds)), solved.problem
     if change == "region":  # a leaf for which they count
         weakest = max(range(len(nodes)), key=lambda i: 0.0 if nodes[i].proof is None else nodes[i].proof.region.sum())
     proof = nodes[weakest].proof

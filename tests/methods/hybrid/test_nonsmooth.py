@@ -18,7 +18,8 @@ from helpers.schemas import RESULT
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonSystem, newton, starting_point
+from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonSystem, newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
 
 BUCK = library.buck_converter
@@ -164,7 +165,7 @@ def test_newtons_equations_have_their_derivatives():
     system = NewtonSystem.around(problem, start, problem.dynamics.sequence_of(start.x, start.u), near=0.2)
     assert system.switches
     noise = np.random.default_rng(0).standard_normal(len(system.units))
-    v = starting_point(system, start, None, 0.2, halved=True) + 1e-3 * noise
+    v = newton_check.fitted_start(system, start, 0.2, halved=True) + 1e-3 * noise
     slopes, h = system.at(v).slopes.toarray(), 1e-6
     for j in range(len(v)):
         shift = h * np.eye(len(v))[j]
@@ -176,7 +177,7 @@ def test_newton_refuses_what_it_does_not_take():
     problem = replace(BUCK(horizon=2), control_set=lfo.sets.Ball(6.0))
     start = lfo.simulate(problem, [[2.5], [2.4]])
     with pytest.raises(lfo.errors.UnsupportedError, match="takes bounds and stop bands"):
-        newton(problem, start, None, np.zeros(2, dtype=int))
+        newton(problem, start, zero_multipliers(problem, 1.0), np.zeros(2, dtype=int))
 
 
 def test_other_sets_are_solved_without_newton():

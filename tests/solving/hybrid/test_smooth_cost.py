@@ -118,6 +118,13 @@ def test_kinks_of_a_cost_are_those_of_the_convex_norm(norm, formula):
     np.testing.assert_allclose(kinked.trajectory.u, convex.trajectory.u, atol=1e-4)
 
 
+def test_controls_that_rest_on_a_kink_within_rounding_satisfy_the_maximum_principle():
+    cost = lfo.QuadraticCost(Q=1.0, R=0.1, P=5.0) + SmoothCost(stage="0.3 * abs(u_0)")
+    certificate = lfo.certify(cart(cost, 4), np.full((4, 1), 6e-10))
+    assert certificate.pmp == "satisfied"
+    assert certificate.borders.times == (0, 1, 2, 3)
+
+
 def test_a_norm_at_its_zero_has_a_selection():
     cost = lfo.QuadraticCost(Q=1.0, R=0.1) + SmoothCost(stage=lambda x, u: lfo.norm([x[0], x[1]]))
     result = lfo.solve(cart(cost, 30, terminal_state=[0.0, 0.0]), "nonsmooth")
@@ -278,3 +285,25 @@ def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     explanation = lfo.explain(problem)
     assert explanation.family == ("initial state", "terminal state", "control bound on u_0")
     assert "[-1, 1] -> [-2, 2]" in str(explanation)
+
+
+@pytest.mark.parametrize(("stage", "cost"), [("cosh(x_0 - 1)", 4.0), ("abs(x_0 - 1)", 0.0)])
+def test_periodic_ends_keep_their_name_with_a_cost_by_formulas(stage, cost):
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage=stage),
+        lfo.Box(-1, 1), state_set=lfo.Box(-3, 3), terminal_state=lfo.Periodic(),
+    )  # fmt: skip
+    result = lfo.solve(problem, global_bound=False)
+    assert result.cost == pytest.approx(cost, abs=1e-9)
+    assert set(result.multipliers.stage) == {"periodic ends"}
+    assert lfo.certify(problem, lfo.results.Trajectory(np.ones((5, 1)), np.zeros((4, 1)))).pmp == "satisfied"
+
+
+@pytest.mark.parametrize("bounds", [None, lfo.Box(1e-6, None)])
+def test_a_logarithm_needs_no_upper_bound_on_its_argument(bounds):
+    """Consumption of 100 within 10 steps; by hand, c_k is constant without interest and discount."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[-1.0]]), 10, SmoothCost(stage=lambda x, u: -np.log(u[0])), bounds,
+        initial_state=[100.0], terminal_state=[0.0],
+    )  # fmt: skip
+    assert lfo.solve(problem, global_bound=False).cost == pytest.approx(-10 * np.log(10.0), rel=1e-9)

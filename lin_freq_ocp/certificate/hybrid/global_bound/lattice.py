@@ -93,7 +93,7 @@ class PricedProblem:
         n = problem.state_dim
         forms = [QuadraticForm(*parts) for parts in zip(costs.hessians, costs.linear, strict=True)]
         forms.append(QuadraticForm(costs.terminal_hessian, costs.terminal_linear))
-        left = level - sum(form.least for form in forms) - _least_by_formulas(problem)
+        left = level - sum(form.least for form in forms) - least_by_formulas(problem)
         shadows = [form.shadow(max(left, 0.0) if np.isfinite(left) else np.inf) for form in forms]
         x, u = np.array([shadow[:, :n] for shadow in shadows]), np.array([shadow[:, n:] for shadow in shadows[:-1]])
         return cls(problem, costs, *_clip_shadow(u, problem.control_tube), *_clip_shadow(x, problem.state_tube))
@@ -116,19 +116,20 @@ class PricedProblem:
         return self.cost(t, y) + values_of(formulas, y, np.array([t])).sum(axis=1)
 
 
-def _least_by_formulas(problem: OptimalControlProblem) -> float:
+def least_by_formulas(problem: OptimalControlProblem) -> float:
     """Return a lower bound of the costs by formulas over the bounds of states and controls, -inf without one."""
     if not problem.cost.has_formulas:
         return 0.0
-    total, states, controls = 0.0, problem.state_tube, problem.control_tube
+    least, states, controls = list[float](), problem.state_tube, problem.control_tube
     for t in range(problem.horizon):
         pairs = (states.lower, controls.lower), (states.upper, controls.upper)
         box = [np.append(x[t], u[t])[None] for x, u in pairs]
         costs = [mode.cost for mode in piecewise_smooth(problem).modes]
-        total += min(float(interval_jets(cost, *box, curved=False, time=t).values[0].sum()) for cost in costs)
+        least.append(min(float(interval_jets(cost, *box, curved=False, time=t).values[0].sum()) for cost in costs))
     terminal = [one for one in problem.cost.formulas[1:] if one is not None]
     box = [np.append(bound[-1], np.zeros(problem.control_dim))[None] for bound in (states.lower, states.upper)]
-    total += float(interval_jets(terminal, *box, curved=False).values[0].sum())
+    least.append(float(interval_jets(terminal, *box, curved=False).values[0].sum()))
+    total = float(np.sum(least) - ROUNDING * np.abs(least).sum())
     return -np.inf if np.isnan(total) else total
 
 

@@ -124,13 +124,15 @@ def multipliers_with_weights(
     sequence: Indices,
     multipliers: Multipliers,
     pushed: Array | None = None,
+    arrays: ModeArrays | None = None,
 ) -> Multipliers:
     """Return the multipliers of the map, with weights of active modes, from those of ``problem.with_modes(sequence)``.
 
     The latter have region multipliers under the name REGION (zero by default); ``pushed`` (T, n + m) is added to
-    G_s' lambda. The result is the best fit to Clarke's rule with this adjoint; it may be a poor one.
+    G_s' lambda. ``arrays`` are the modes with the sizes by which they are active, by default those of the data. The
+    result is the best fit to Clarke's rule with this adjoint; it may be a poor one.
     """
-    arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+    arrays, x, u = arrays or measured_modes(problem), trajectory.x, trajectory.u
     times, active = np.arange(problem.horizon), arrays.active_modes(x, u)
     active[times, sequence] = True
     slopes = np.einsum("tkij,ti->tkj", arrays.maps, multipliers.eta)
@@ -188,12 +190,14 @@ SAME_ADJOINT = 1e-9  # change of eta, relative to its largest entry, at which th
 SMALLEST_KINK = 1e-9  # difference of two maps' derivatives, relative to their largest entry, that is no kink
 
 
-def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Multipliers]:
-    """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved."""
-    point = _FitPoint.at(problem, trajectory)
-    common = multipliers_with_weights(
-        problem, trajectory, point.sequence, point.multipliers(fitted_duals(*_hull_program(point))[0])
-    )
+def candidates(problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays) -> Iterator[Multipliers]:
+    """Yield multipliers with eta_C = 1, the best guess first; NumericalError if the first fit could not be solved.
+
+    ``arrays`` are the modes with the sizes by which they are active.
+    """
+    point = _FitPoint.at(problem, trajectory, arrays)
+    found = point.multipliers(fitted_duals(*_hull_program(point))[0])
+    common = multipliers_with_weights(problem, trajectory, point.sequence, found, arrays=arrays)
     yield common
     if not point.stages:
         return
@@ -201,7 +205,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterat
         program, pushes = _kink_program(point)
         y, _ = fitted_duals(program, point.z)
         pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
-        on_kinks = multipliers_with_weights(problem, trajectory, point.sequence, point.multipliers(y), pushed)
+        on_kinks = multipliers_with_weights(problem, trajectory, point.sequence, point.multipliers(y), pushed, arrays)
         yield on_kinks
         with suppress(UnsupportedError):  # too many gradients
             if uniqueness(linear_along(problem, trajectory), trajectory).unique:
@@ -243,8 +247,8 @@ class _FitPoint:
     stages: list[tuple[int, int]]
 
     @classmethod
-    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> _FitPoint:
-        arrays, x, u = measured_modes(problem), trajectory.x, trajectory.u
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory, arrays: ModeArrays) -> _FitPoint:
+        x, u = trajectory.x, trajectory.u
         sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
         linear, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))

@@ -190,10 +190,12 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
-SMOOTH_STARTS = 2  # enough if there is an answer, where there are no modes to search
+# Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
+# start led to the best answer again, and else
+SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
 DIVERGED_STATES = (
-    1e2  # size of a state, relative to its data, from which a straight line is a better start of a smooth problem
+    1e2  # size of a state, relative to its data, from which a smooth problem has a straight line as a better start
 )
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
@@ -228,13 +230,15 @@ class LocalSearch:
     """One search; ``run`` it once, then ``look_near`` other starts.
 
     ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``words`` say why
-    the search stopped early; ``progress`` is called after every start, the first being ``start``.
+    the search stopped early; ``progress`` is called after every start, the first being ``start``. Of smooth problems, a
+    local optimum that ``is_proven`` to be global ends the search, as does one that grows without a bound.
     """
 
     problem: OptimalControlProblem
     seconds: float = np.inf
     progress: Callable[[SmoothProgress], None] | None = None
     start: Start | None = None
+    is_proven: Callable[[LocalOptimum], bool] = lambda _: False
     best: LocalOptimum | None = None
     tried: int = 0
     message: str = ""
@@ -243,9 +247,10 @@ class LocalSearch:
     def __post_init__(self):
         self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
+        self._final = self._repeated = False
         self._sizes, self._units = stated_sizes(self.problem)
-        self._smooth = is_smooth(self.problem)
-        self._lines = list[Trajectory]()
+        self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
+        self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
         if self._smooth and self.problem.path_constraints:
             line = self._constant_trajectory(SHARES[0], replayed=False)
             self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
@@ -264,7 +269,7 @@ class LocalSearch:
             for trajectory, sequence in self.starts():
                 feasible = self.best is not None and self.best.feasible
                 alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or (alone and feasible and self.tried >= self.enough_starts):
+                if self._late() or self._final or (alone and feasible and self.tried >= self.enough_starts):
                     break
                 self._try(trajectory, sequence)
             if self._smooth and self.best is not None and not self.best.feasible:
@@ -278,7 +283,7 @@ class LocalSearch:
     @property
     def enough_starts(self) -> int:
         """Return how many starts are enough if there is an answer and there are no modes to search."""
-        return SMOOTH_STARTS + len(self._lines)
+        return len(self._lines) + (SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -340,9 +345,12 @@ class LocalSearch:
             ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
             decrease = DECREASE * search_scale(self.problem, best.trajectory)
             cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
+            self._repeated = ranks[0] == ranks[1] == (True, True) and abs(optimum.cost - best.cost) <= decrease
             self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best
         elif optimum is not None:
             self.best = optimum
+        if self._smooth and optimum is not None and self.best is optimum and optimum.feasible:
+            self._final = self.is_proven(optimum) if optimum.converged else self._diverges(optimum.trajectory)
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
 
@@ -360,36 +368,38 @@ class LocalSearch:
         self.message = f"time limit of {self.seconds:g} s"
         return True
 
+    def _diverges(self, trajectory: Trajectory) -> bool:
+        return not (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all()
+
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
 
-        Of one smooth map, a straight line between the ends comes last; with path constraints first, after the lines
-        that pass obstacles on either side.
+        Of one smooth map, a straight line between the ends comes last, third without bounds of controls; with path
+        constraints first, after the lines that pass obstacles on either side.
         """
-        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
-        bounded = np.isfinite([tube.lower, tube.upper]).any()
+        dynamics = piecewise_smooth(self.problem)
         alone = np.zeros(self.problem.horizon, dtype=np.intp)
         yield from ((line, alone) for line in self._lines)
-        for share in SHARES if bounded else SHARES[:1]:
+        for i, share in enumerate(SHARES):
             trajectory = self._constant_trajectory(share)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
-        if self._smooth:
-            yield self._constant_trajectory(SHARES[0], replayed=False), alone
+            if self._smooth and i == (len(SHARES) - 1 if self._bounded else 1):
+                yield self._constant_trajectory(SHARES[0], replayed=False), alone
         for mode in range(0 if self._smooth else len(dynamics.modes)):
             yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
     def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
-        """Return the trajectory of controls at a share between their bounds.
+        """Return the trajectory of controls at a share between their bounds, or their sizes where they have none.
 
         Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then
         goes straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
-        u, start = _middle(tube, np.full(tube.lower.shape, share)), _middle(self.problem.ends[0], middle)
+        u, start = _middle(tube, np.full(tube.lower.shape, share), self._units), _middle(self.problem.ends[0], middle)
         if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
                 trajectory = simulate(self.problem, u, start)
-                if not self._smooth or (np.abs(trajectory.x) <= DIVERGED_STATES * self._sizes).all():
+                if not self._smooth or not self._diverges(trajectory):
                     return trajectory
         box = self.problem.ends[1]
         bounded = np.isfinite(box.lower) & np.isfinite(box.upper)
@@ -421,9 +431,9 @@ def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, siz
     return bent
 
 
-def _middle(box: Box, share: Array) -> Array:
-    """Return a point of a box at a share between its bounds; at its only bound, or at zero, if it has not two."""
-    lower, upper = np.asarray(box.lower), np.asarray(box.upper)
-    low = np.where(np.isfinite(lower), lower, np.minimum(np.where(np.isfinite(upper), upper, 0.0), 0.0))
-    high = np.where(np.isfinite(upper), upper, np.maximum(low, 0.0))
+def _middle(box: Box, share: Array, reach: Array | float = 0.0) -> Array:
+    """Return a point of a box at a share between its bounds; where it has not two, within a reach of zero."""
+    nearest = box.project(np.zeros(share.shape))
+    low = np.where(np.isfinite(box.lower), box.lower, nearest - reach)
+    high = np.where(np.isfinite(box.upper), box.upper, nearest + reach)
     return low + share * (high - low)

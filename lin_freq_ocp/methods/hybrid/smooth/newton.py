@@ -32,7 +32,6 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import ModeJets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -141,21 +140,21 @@ class NewtonSystem:
             selections.setdefault(norm, np.full((T, len(norm.arguments)), np.nan))[t] = v[xi]
         mode_jets = dynamics.jets_at(y, selections)
         times = np.arange(T)
-        values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
+        values, slopes, curvatures = mode_jets.maps_of(self.sequence, times)
         active = slopes.copy()
         F, J = np.zeros(len(v)), _Blocks(len(v))
         for k, (t, second, row) in enumerate(self.switches):
-            second_jets = jets_of(mode_jets, np.array([t]), np.array([second]))
+            second_map = mode_jets.maps_of(second, t)
             region = mode_jets.regions[self.sequence[t]]
             switch, gradient = region.values[t, row], region.slopes[t, row]
-            kink = second_jets[1][0] - slopes[t]
+            kink = second_map[1] - slopes[t]
             F[self.alpha[k]] = -switch
             J.add(self.alpha[[k]], at[t], -gradient[None, :])
             J.add(at[t], self.alpha[[k]], -(kink.T @ eta[t])[:, None])
             if switch > 0:
-                values[t], active[t] = second_jets[0][0], second_jets[1][0]
+                values[t], active[t] = second_map[:2]
             slopes[t] = slopes[t] + alpha[k] * kink
-            curvatures[t] = curvatures[t] + alpha[k] * (second_jets[2][0] - curvatures[t])
+            curvatures[t] = curvatures[t] + alpha[k] * (second_map[2] - curvatures[t])
         cost_x, cost_u = problem.quadratic.gradient(x, u)
         F[self.x], F[self.u] = cost_x, cost_u
         F[self.x[1:]] += eta
@@ -212,15 +211,6 @@ class _Blocks:
         return sp.csr_array((value, (row, column)), shape=(self._size, self._size))
 
 
-def jets_of(mode_jets: ModeJets, times: Indices, modes: Indices) -> tuple[Array, Array, Array]:
-    """Return values, slopes and curvatures of the maps of some modes at some times."""
-    values, slopes, curvatures = (
-        np.stack([getattr(jet, part) for jet in mode_jets.f], axis=1)[times, modes]
-        for part in ("values", "slopes", "curvatures")
-    )
-    return values, slopes, curvatures
-
-
 def _bounded_complementarity(v: Array, F: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
     """Return phi(v - l, phi(h - v, -F)) with its derivatives by v and by F."""
     with np.errstate(invalid="ignore"):
@@ -274,12 +264,9 @@ def _switches_near(
     return switches
 
 
-# Distance in natural units at which a switching surface or zero of a norm gets a selection, and that for a trajectory
-# that comes near to kinks but does not touch them
-NEAR_KINK, ON_KINK = 1e-3, 1e-6
+NEAR_KINK = 1e-3  # distance in natural units at which a switching surface or zero of a norm gets a selection
 CONVERGED = 1e-12  # |Phi| of equations of order 1: a further step gains nothing
 SLOPE_SHARE, SHORTEST = 1e-4, 2.0**-14  # Armijo's constant, and the shortest step
-SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first
 SINGULAR = 1e-13  # reciprocal condition number of the linearised equations below which a step is damped
 ZERO_PIVOT = 1e-14  # part of the largest entry on the diagonal, so that no pivot is exactly zero
 # Relative to |J|^2 |Phi|, until a step is found: they vanish with the residual, so that convergence stays fast
@@ -300,34 +287,28 @@ class NewtonRun:
 def newton(
     problem: OptimalControlProblem,
     trajectory: Trajectory,
-    multipliers: Multipliers | None,
+    multipliers: Multipliers,
     sequence: Indices,
     near: float = NEAR_KINK,
-    most_steps: int = MOST_STEPS,
     end: float = np.inf,
 ) -> NewtonRun:
     """Solve the conditions of the maximum principle from a point near to a solution, in a mode sequence (T,).
 
-    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used;
-    None: the best fit, with normals to the bounds nearer than ``near``. It ends at ``end``, by ``clock.now``. Raises
-    UnsupportedError if the problem has more than bounds, stop bands and a quadratic cost.
+    Kinks nearer than ``near``, in natural units, get a selection. Of the multipliers, eta, rho and weights are used. It
+    ends at ``end``, by ``clock.now``. Raises UnsupportedError if the problem has more than bounds, stop bands and a
+    quadratic cost.
     """
     if problem.terms:
         raise UnsupportedError(f"{problem.terms[0].name}: the semismooth Newton method takes bounds and stop bands.")
     system = NewtonSystem.around(problem, trajectory, sequence, near)
-    runs: list[NewtonRun] = []
-    for halved in (False, True):
-        start = starting_point(system, trajectory, multipliers, near, halved)
-        runs.append(_iterate_from(system, start, most_steps, end))
-        if runs[-1].converged or multipliers is not None or not system.switches:
-            break
-    return min(runs, key=lambda run: run.residuals[-1])
+    return iterate_from(system, starting_point(system, trajectory, multipliers), end)
 
 
-def _iterate_from(system: NewtonSystem, v: Array, most_steps: int, end: float) -> NewtonRun:
+def iterate_from(system: NewtonSystem, v: Array, end: float = np.inf) -> NewtonRun:
+    """Return the run from the unknowns v."""
     value = system.at(v)
     residuals = [float(np.linalg.norm(value.phi))]
-    while residuals[-1] > CONVERGED and len(residuals) <= most_steps and now() <= end:
+    while residuals[-1] > CONVERGED and len(residuals) <= MOST_STEPS and now() <= end:
         stepped = _damped_step(system, v, value)
         if stepped is None:
             break
@@ -382,24 +363,10 @@ def _damped_step(system: NewtonSystem, v: Array, value: SystemValue) -> tuple[Ar
     return None
 
 
-def starting_point(
-    system: NewtonSystem, trajectory: Trajectory, multipliers: Multipliers | None, near: float, halved: bool
-) -> Array:
-    """Return the unknowns at a trajectory, in natural units; see ``newton`` for the multipliers.
-
-    Where there are none, weights are one half if ``halved``, else those of the trajectory's side.
-    """
+def starting_point(system: NewtonSystem, trajectory: Trajectory, multipliers: Multipliers) -> Array:
+    """Return the unknowns at a trajectory with multipliers, in natural units."""
     v = np.zeros(len(system.units))
     v[system.x], v[system.u] = trajectory.x, trajectory.u
-    if multipliers is None:
-        if halved:
-            v[system.alpha] = 0.5
-        else:  # 1 where a switching surface is crossed
-            y = np.hstack([trajectory.x[: system.problem.horizon], trajectory.u])
-            regions = piecewise_smooth(system.problem).jets_at(y).regions
-            crossed = [regions[system.sequence[t]].values[t, row] > 0 for t, _, row in system.switches]
-            v[system.alpha] = np.array(crossed, dtype=float)
-        return _fit_multipliers(system, v / system.units, near)
     v[system.eta] = multipliers.eta
     for block, rows, signal in (
         (system.rho_x, system.rows_x, system.problem.in_time(multipliers.rho_x)),
@@ -410,26 +377,3 @@ def starting_point(
     for k, (t, second, _) in enumerate(system.switches):
         v[system.alpha[k]] = 0.5 if multipliers.weights is None else np.clip(multipliers.weights[t, second], 0, 1)
     return v / system.units
-
-
-def _fit_multipliers(system: NewtonSystem, v: Array, near: float) -> Array:
-    """Return the unknowns with the multipliers of least squares."""
-    from scipy.optimize import lsq_linear  # slow to import
-
-    F, J = system.equations(v * system.units)
-    signals = np.concatenate([system.x.ravel(), system.u.ravel()])
-    signals = signals[system.lower[signals] < system.upper[signals]]
-    at_lower, at_upper = v[signals] <= system.lower[signals] + near, v[signals] >= system.upper[signals] - near
-    at_bounds = np.flatnonzero(at_lower | at_upper)
-    multipliers = np.concatenate([system.eta.ravel(), system.rho_x, system.rho_u])
-    slopes = system.scales[signals, None] * J[signals][:, multipliers].toarray() * system.units[multipliers]
-    normals = np.zeros((len(signals), len(at_bounds)))
-    normals[at_bounds, np.arange(len(at_bounds))] = 1.0
-    small = np.hstack([np.zeros((len(at_bounds), len(multipliers))), SMALL_NORMALS * np.eye(len(at_bounds))])
-    right = np.concatenate([-system.scales[signals] * F[signals], np.zeros(len(at_bounds))])
-    free = np.full(len(multipliers), np.inf)
-    above = np.where(at_upper[at_bounds], np.inf, 0.0)
-    below = np.where(at_lower[at_bounds], -np.inf, 0.0)
-    bounds = np.append(-free, below), np.append(free, above)
-    v[multipliers] = lsq_linear(np.vstack([np.hstack([slopes, normals]), small]), right, bounds).x[: len(multipliers)]
-    return v

@@ -20,7 +20,6 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.methods.hybrid.smooth.newton import jets_of
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -239,7 +238,7 @@ class _SequenceProgram:
         mode_jets = piecewise_smooth(problem).jets_at(np.hstack([trajectory.x[:T], trajectory.u]))
         if not mode_jets.defined()[times, self.sequence].all():
             return None
-        values, slopes, curvatures = jets_of(mode_jets, times, self.sequence)
+        values, slopes, curvatures = mode_jets.maps_of(self.sequence, times)
         most = self.regions.shape[1]
         switching, facets = np.full((T, most), -np.inf), np.zeros((T, most, self.signals.shape[1]))
         for i, region in enumerate(mode_jets.regions):

@@ -11,7 +11,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
+from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -47,7 +47,7 @@ def logarithmic(initial, terminal):
 @pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
 def test_the_local_optimum_of_ipopt_is_found_and_certified(build, arguments, cost):
     result = lfo.solve(build(**arguments), global_bound=False)
-    assert (result.status, result.message) == ("locally_optimal", "no global bound was asked for")
+    assert (result.status, result.message) == ("locally_optimal", "no global bound was asked for, and 2 starts tried")
     assert result.cost == pytest.approx(cost, rel=1e-9)
     assert result.certificate.worst.relative <= 1e-9
     assert result.options["global_bound"] is False
@@ -196,3 +196,28 @@ def test_a_cost_that_is_not_defined_at_the_start_gives_no_answer_and_no_bound():
     problem = OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, lfo.Box(-1, 1), initial_state=[0.0])
     result = lfo.solve(problem, throw=False, time_limit=0.05)  # 25 looks at the clock
     assert (result.status, result.lower_bound) == ("numerical_error", None)
+
+
+def test_without_bounds_starts_are_spread_over_the_controls():
+    """v' = u^3: u = 0 is a strict local minimum of cost 8.08, and no start moves from there but others."""
+    h = 0.08
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda x, u: [x[0] + h * x[1] + h * h / 2 * u[0] ** 3, x[1] + h * u[0] ** 3], 2, 1, sampling_time=h
+    )
+    cost = lfo.QuadraticCost(Q=2 * h, R=2 * h, P=2 * h)
+    problem = lfo.OptimalControlProblem(dynamics, 100, cost, initial_state=[1.0, 0.0])
+    result = lfo.solve(problem, global_bound=False)
+    assert result.cost <= 2.5
+    assert result.message.endswith("4 starts tried")
+
+
+@pytest.mark.parametrize(
+    ("stage", "starts"),
+    [("x_0**4 + u_0**2", 1), ("u_0**2 - x_0**4", 1), ("sin(x_0)**2 + u_0**2", 2)],
+    ids=["proven by a convex bound", "without a lower bound", "the same answer twice"],
+)
+def test_starts_end_where_another_one_gains_nothing(stage, starts):
+    cost, reports = lfo.costs.SmoothCost(stage=stage), list[SmoothProgress]()
+    problem = OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.1]]), 5, cost, initial_state=[1.0])
+    lfo.solve(problem, global_bound=False, throw=False, progress=reports.append)
+    assert reports[-1].tried == starts

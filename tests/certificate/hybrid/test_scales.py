@@ -1,0 +1,65 @@
+"""Neither the unit of a cost by a formula, nor a constant in it, nor a large weight changes a verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+ONE = lfo.LinearDynamics([[1.0]], [[1.0]])
+
+
+def stated(stage, horizon, cost, **fields):
+    fields = {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-3, 3), "initial_state": [0.0]} | fields
+    return lfo.OptimalControlProblem(ONE, horizon, cost + lfo.costs.SmoothCost(stage=stage), **fields)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_a_minimum_of_no_cost_is_one_in_every_unit(unit):
+    """Of u - u^2/5 over 0 <= u <= 1, u = 0 is the least, and the Hessian is negative there."""
+    problem = stated(f"{unit!r}*(u_0 - 0.2*u_0**2)", 1, lfo.QuadraticCost(), control_set=lfo.Box(0, 1))
+    certificate = lfo.certify(problem, np.zeros((1, 1)))
+    assert certificate.pmp == "satisfied"
+    assert certificate.second_order.passed
+    assert lfo.solve(problem, global_bound=False).status == "locally_optimal"
+    assert lfo.certify(problem, np.ones((1, 1)) / 2).pmp == "violated"
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_rest_at_a_bound_is_stationary_in_every_unit(unit):
+    cost = f"{unit!r}*(x_0**2 + 0.37*u_0 + 0.2*u_0**2 + 0.3*x_0*u_0)"
+    problem = stated(cost, 3, lfo.QuadraticCost(), control_set=lfo.Box(0, 5), state_set=None)
+    assert lfo.certify(problem, np.zeros((3, 1))).pmp == "satisfied"
+    assert lfo.solve(problem, global_bound=False).certificate.pmp == "satisfied"
+
+
+def test_a_constant_in_the_cost_is_no_part_of_its_scale():
+    scales = list[float]()
+    for constant in (0.0, 1e6):
+        problem = stated(f"cosh(x_0 - 1) + {constant!r}", 4, lfo.QuadraticCost(R=1.0))
+        result = lfo.solve(problem, global_bound=False)
+        assert result.status == "optimal"
+        off = lfo.certify(problem, result.trajectory.u + 0.01)
+        assert off.pmp == "violated"
+        assert not off.globally_optimal
+        scales.append(result.certificate.cost_scale)
+    assert scales[1] <= 3 * scales[0]
+
+
+@pytest.mark.parametrize("weight", [2e4, 2e7, 2e10])
+def test_a_large_weight_at_the_end_loosens_nothing_before(weight):
+    """The cost falls with slope -1.6 a along (1, -1) at (a, -a), and to second order at 0."""
+    problem = stated("-x_0**2", 2, lfo.QuadraticCost(R=0.2, P=weight))
+    assert lfo.certify(problem, np.zeros((2, 1))).second_order.passed is False
+    for part in (0.1, 0.9):
+        assert lfo.certify(problem, [[part], [-part]]).pmp == "violated"
+    assert lfo.certify(problem, [[1.0], [-weight / (weight + 0.2)]]).pmp == "satisfied"
+
+
+def test_a_large_weight_on_one_component_loosens_no_other():
+    dynamics, free = lfo.LinearDynamics(np.eye(2), np.eye(2)), lfo.Box([-1, -1], [1, 1])
+    cost = lfo.QuadraticCost(R=0.2 * np.eye(2)) + lfo.costs.SmoothCost(stage="-x_0**2 + 1e9*x_1**2")
+    problem = lfo.OptimalControlProblem(dynamics, 3, cost, free, initial_state=[0, 0], terminal_state=[0, 0])
+    assert lfo.certify(problem, [[0.5, 0], [0, 0], [-0.5, 0]]).pmp == "violated"
+    assert lfo.certify(problem, [[1.0, 0], [0, 0], [-1, 0]]).pmp == "satisfied"
