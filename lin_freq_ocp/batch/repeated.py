@@ -261,8 +261,7 @@ class Repeated:
         problem = change.apply(self.problem)
         located = self.located(problem)
         change = located.translated(change, problem)
-        base = located.translation.problem
-        moved = problem if base is self.problem else change.apply(base)
+        moved = problem if located.translation.problem is self.problem else change.apply(located.translation.problem)
         translation = Translation(problem, moved, located.origin)
         cached = None if located.kept is None else (located.kept, change)
         if located.kept is not None and start is not None:

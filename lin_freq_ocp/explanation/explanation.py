@@ -202,9 +202,8 @@ def _least_by_delta(
     problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
-    elastic = _elastic_problem(problem, limit, rows)
-    result = solve_judged(elastic, "convex", time_limit=time_limit, proof=False)  # the amount is tried below
-    if result.trajectory is None:
+    result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit, proof=False)
+    if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
     n, sizes = problem.state_dim, stated_sizes(problem)
     least = np.maximum(result.trajectory.x[-1, n:], 0.0)

@@ -333,9 +333,8 @@ def _is_final(outcome: Outcome) -> bool:
     """Whether no other method follows this outcome: it is proven, or the time is over."""
     satisfied = outcome.certificate is None or outcome.certificate.pmp == "satisfied"
     proven = outcome.status == Status.OPTIMAL and outcome.multipliers is not None and satisfied
-    excluded = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS
-    if excluded and outcome.ray is not None:
-        excluded = proof_margin(outcome.problem, outcome.ray) > SMALL_MARGIN
+    excluded, ray = outcome.status == Status.INFEASIBLE and outcome.bound == RIGOROUS, outcome.ray
+    excluded = excluded and (ray is None or proof_margin(outcome.problem, ray) > SMALL_MARGIN)
     return proven or outcome.interrupted or excluded or outcome.status == Status.LIMIT
 
 
