@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_693,
+    "code lines": 41_697,
     "code lines, linear part": 20_625,
-    "code lines, hybrid": 8_602,
+    "code lines, hybrid": 8_606,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
     "folders": 40,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import chain
 
+import numpy as np
+
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
@@ -55,7 +57,9 @@ def best_multipliers(
     fits = map(inverse.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
     try:
         # at rest, a fit has only residuals, where zeros may satisfy the conditions
-        for multipliers in chain([] if first is None else [first], fits, [zero_multipliers(problem, 1.0)]):
+        named = {term.name: np.zeros(term.shape) for term in problem.terms}
+        zeros = replace(zero_multipliers(problem, 1.0), stage=named)
+        for multipliers in chain([] if first is None else [first], fits, [zeros]):
             certificate = judge(problem, trajectory, multipliers)
             if best is None or _rank(certificate) > _rank(best[0]):
                 best = certificate, multipliers

@@ -343,7 +343,8 @@ class LocalSearch:
         if optimum is not None and best is not None:
             # the cheaper one of two trajectories that have converged, or have not; else the smaller violation
             ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
-            decrease = DECREASE * search_scale(self.problem, best.trajectory)
+            prices = float((np.abs(optimum.multipliers.eta) @ self._sizes).sum())  # of its violation, which is no gain
+            decrease = max(DECREASE * search_scale(self.problem, best.trajectory), prices * optimum.violation)
             cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
             self._repeated = ranks[0] == ranks[1] == (True, True) and abs(optimum.cost - best.cost) <= decrease
             self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.random.smooth import random_problem
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
@@ -221,3 +222,9 @@ def test_starts_end_where_another_one_gains_nothing(stage, starts):
     problem = OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[0.1]]), 5, cost, initial_state=[1.0])
     lfo.solve(problem, global_bound=False, throw=False, progress=reports.append)
     assert reports[-1].tried == starts
+
+
+def test_an_answer_that_costs_less_by_its_violation_is_no_better_one():
+    """Rest costs nothing; from other starts, the dynamics are violated by 1e-11, which the cost falls by."""
+    result = lfo.solve(random_problem(57), global_bound=False)
+    assert (result.status, result.cost) == ("locally_optimal", 0.0)
