@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_697,
-    "code lines, linear part": 20_625,
+    "code lines": 41_695,
+    "code lines, linear part": 20_622,
     "code lines, hybrid": 8_606,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
@@ -54,7 +54,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
     "functions entered by a solve": 387,
-    "calls of a solve": 788,
+    "calls of a solve": 779,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,

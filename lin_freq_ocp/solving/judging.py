@@ -244,10 +244,8 @@ def verified_direction(problem: OptimalControlProblem, along: Trajectory) -> Dir
 
 def _proof_of(problem: OptimalControlProblem, candidate: Candidate, claims: bool) -> InfeasibilityProof | None:
     """Return what the ray of a candidate proves; near infeasibility, the multipliers of a failed solve become one."""
-    if claims or candidate.interrupted or candidate.status not in (Status.NUMERICAL_ERROR, Status.LIMIT):
-        ray = candidate.ray if claims else None
-    else:
-        ray = candidate.multipliers
+    failed = not candidate.interrupted and candidate.status in (Status.NUMERICAL_ERROR, Status.LIMIT)
+    ray = candidate.ray if claims else candidate.multipliers if failed else None
     proof = None if ray is None else prove_infeasible(problem, ray)
     return proof if claims or (proof is not None and proof.bound.kind == RIGOROUS) else None
 
