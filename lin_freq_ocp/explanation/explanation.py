@@ -45,7 +45,7 @@ Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem h
 # Relative margins on the least amount, tried in turn until rounding no longer decides.
 MARGINS = (1e-6, 1e-4, 1e-2)
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
-UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays
+UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays, or is zero afterwards
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
 CONTROL_PRICE = 1e-6
 DELTA_CURVATURE = 1e-3  # of the cost of a delta in units of its size: it bounds the deltas that cost no more
@@ -205,20 +205,19 @@ def _least_by_delta(
     result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit, proof=False)
     if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
-    n, sizes = problem.state_dim, stated_sizes(problem)
+    n, of_x = problem.state_dim, stated_sizes(problem)[0]
     least = np.maximum(result.trajectory.x[-1, n:], 0.0)
     least[least <= UNMOVED * least.sum()] = 0.0
-    if least.sum() > LARGEST * max(map(np.max, sizes)):
-        return None
     for margin in MARGINS:
         amount, reached = float(least.sum()) * (1 + margin), np.zeros(0)
         if limit.end is None:
             relaxed = limit.relaxed(problem, amount)
         else:  # a component that needs no change gets none
-            box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * sizes[0]
+            box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * of_x
             end = Box(box.lower - by, box.upper + by)
             relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
             reached = end.project(result.trajectory.x[limit.end, :n])
+            reached = np.where(np.abs(reached) < UNMOVED * least * of_x, 0.0, reached)
         if feasible(relaxed):
             return amount, reached
     return None

@@ -147,6 +147,26 @@ def test_components_of_an_end_that_need_not_move_stay():
     assert cure.amount == pytest.approx(0.45 / stated_sizes(problem)[0][1], rel=1e-5)
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_cures_of_ends_do_not_depend_on_the_unit_of_the_state(unit):
+    """x_{t+1} = a x_t + u_t: with a = 0.5, the start and the end move as far as 0.1 a step takes them in 5 steps."""
+    fields = {"initial_state": [unit], "terminal_state": [unit], "control_set": lfo.Box(-0.1 * unit, 0.1 * unit)}
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.5]], [[1.0]]), 5, lfo.QuadraticCost(R=1.0), **fields)
+    words = {cure.block: cure.words for cure in lfo.explain(problem).cures}
+    reached = {end: float(words[f"{end} state"].split("-> [")[1].split("]")[0]) for end in ("initial", "terminal")}
+    steps = 0.1 * (1 - 0.5**5) / (1 - 0.5)
+    assert reached["initial"] == pytest.approx((1 - steps) / 0.5**5 * unit, rel=1e-5)
+    assert reached["terminal"] == pytest.approx((0.5**5 + steps) * unit, rel=1e-5)
+
+
+def test_an_end_that_has_to_be_zero_is_told_as_zero():
+    """A state that doubles in each of 60 steps ends at zero only if it begins there, up to 1e-9 of control."""
+    fields = {"initial_state": [1.0], "terminal_state": [0.0], "control_set": lfo.Box(-1e-9, 1e-9)}
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[2.0]], [[1.0]]), 60, lfo.QuadraticCost(R=1.0), **fields)
+    (cure,) = (cure for cure in lfo.explain(problem).cures if cure.block == "initial state")
+    assert cure.words.startswith("[1.] -> [0.] ")
+
+
 def test_cures_are_told_in_the_units_of_the_problem():
     said = str(explained("a control bound")[1])
     assert f"control bound on acceleration [m/s^2]: [-0.7, 0.7] -> [-{NEEDED:g}" in said
