@@ -193,10 +193,10 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     if problem.dynamics.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
         return recover_outcome(best.inverse, outcome, CONDITION_TOLERANCE, shortfall)
-    if request.proof and outcome.trajectory is not None and outcome.certificate is None:
+    proven = outcome
+    if request.proof and outcome.trajectory is not None and outcome.certificate is None:  # a claim
         proven = method.solve(best.inverse.problem, request.with_end(end))
-        outcome = outcome if proven.trajectory is None else replace(proven, seconds=seconds)
+        outcome = outcome if proven.interrupted or proven.trajectory is None else replace(proven, seconds=seconds)
     candidate = best.inverse.recover(candidate_of(outcome))
-    return replace(
-        judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance), reason=outcome.reason
-    )
+    answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
+    return replace(answer, reason=outcome.reason, interrupted=proven.interrupted)

@@ -11,9 +11,11 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison.trajectories import ProblemSignal, measured_solution
 from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.linear import LinearAuto
 
 MASK = lfo.MagnitudeBound
 PEAK_OF_CLASSICAL = 29.343  # of the double integrator's bang-off-bang control, at frequency 0
@@ -50,6 +52,23 @@ def test_published_costs_of_the_pendulum(level, bin_of_240, step, cost):
     (peak,) = peaks_of(result)
     assert abs(result.gap) < 1e-6
     assert peak.ratio - 1 < 1e-7
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_a_proof_that_is_cut_short_leaves_the_answer_of_the_rounds(solved, interrupted, monkeypatch):
+    """The last grid is solved once more for its proof: at a limit of time or Ctrl-C, the claim is judged."""
+    run = LinearAuto.solve
+
+    def cut_short(self, problem, request):
+        outcome = run(self, problem, request)
+        if not request.proof:
+            return outcome
+        return replace(outcome, status=Status.LIMIT, trajectory=None, multipliers=None, interrupted=interrupted)
+
+    monkeypatch.setattr(LinearAuto, "solve", cut_short)
+    result = lfo.solve(masked(), throw=False)
+    assert (result.status, result.interrupted) == ("optimal", interrupted)
+    assert result.cost == pytest.approx(solved.cost, rel=1e-8)
 
 
 def test_the_spectrum_stays_below_the_limit_between_the_bins(solved):
