@@ -177,6 +177,9 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
         rounds.append(_Round(inverse, outcome, largest))
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
+        if converged and outcome.certificate is None and request.proof:  # once more, with a proof
+            relaxed = request
+            continue
         if converged or outcome.status == Status.LIMIT or outcome.interrupted:
             break
         violation, before, frequencies = largest, frequencies, Frequencies()
@@ -188,15 +191,11 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
             frequencies[term.name] = joined if len(joined) else known
     solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
-    best = min(solved, key=lambda item: item.violation) if solved else rounds[-1]
+    best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
     outcome = replace(best.outcome, seconds=seconds)
     if problem.dynamics.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
         return recover_outcome(best.inverse, outcome, CONDITION_TOLERANCE, shortfall)
-    proven = outcome
-    if request.proof and outcome.trajectory is not None and outcome.certificate is None:  # a claim
-        proven = method.solve(best.inverse.problem, request.with_end(end))
-        outcome = outcome if proven.interrupted or proven.trajectory is None else replace(proven, seconds=seconds)
     candidate = best.inverse.recover(candidate_of(outcome))
     answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
-    return replace(answer, reason=outcome.reason, interrupted=proven.interrupted)
+    return replace(answer, reason=outcome.reason, interrupted=rounds[-1].outcome.interrupted)
