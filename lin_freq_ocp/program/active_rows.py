@@ -53,9 +53,10 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     if before is None:
         above, below, edges = y > -over, -y > -under, price > -excess
     else:
-        above = np.where(before.above, y > -ZERO_GAP, over > ZERO_GAP)
-        below = np.where(before.below, y < ZERO_GAP, under > ZERO_GAP)
-        edges = np.where(before.edges, price > -ZERO_GAP, excess > ZERO_GAP)
+        # a step that leaves an active row inside its bound cannot reach it: it depends on others
+        above = np.where(before.above, np.minimum(y, over) > -ZERO_GAP, over > ZERO_GAP)
+        below = np.where(before.below, np.minimum(-y, under) > -ZERO_GAP, under > ZERO_GAP)
+        edges = np.where(before.edges, np.minimum(price, excess) > -ZERO_GAP, excess > ZERO_GAP)
     above = equal | (program.alone & above & np.isfinite(program.upper))
     return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges & (tails > 0))
 
@@ -145,7 +146,7 @@ def _newton_step(
         along, across = N @ A[in_cones[tails]], A[in_cones[tails]]
         across = across - N.T @ along
         M = sp.vstack([M, along - A[in_cones[program.heads[edges]]]])
-        H = program.P + across.T @ sp.diags_array((weights / sizes)[edges][cone]) @ across
+        H = program.P + across.T @ sp.diags_array((weights[edges] / sizes[edges])[cone]) @ across
     M, H = sp.csc_array(M), sp.csc_array(H)
     slope = program.P @ z + program.q + program.A.T @ held
     system, dz, dy = None, z, y

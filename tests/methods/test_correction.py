@@ -4,11 +4,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.methods.correction import correct
+from lin_freq_ocp.program.active_rows import solve_active
+from lin_freq_ocp.program.program import Program
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 
@@ -109,3 +112,19 @@ def test_points_of_every_kind_of_constraint_are_corrected(fields):
     assert corrected.price <= 1e-9 * max(cost, 1e-6)
     residual = corrected.trajectory.x[1:] - problem.linear.successors(corrected.trajectory.x, corrected.trajectory.u)
     assert np.abs(residual).max() < 1e-15
+
+
+@pytest.mark.parametrize("cones", [False, True])
+def test_of_two_limits_that_cannot_both_be_reached_the_nearer_one_holds(cones):
+    """The least 500 (z - 2)^2 with |z| <= 1 and |z| <= 1 + 4e-11, from prices on both: the farther limit has none."""
+    limits = np.array([1.0, 1.0 + 4e-11])
+    if cones:  # s = (limit, z) in a cone each
+        A, lower = [[0.0], [1.0], [0.0], [1.0]], [-limits[0], 0.0, -limits[1], 0.0]
+        prices, shape = np.array([-500.0, 500.0, -500.0, 500.0]), (slice(0, 2), slice(2, 4))
+    else:
+        A, lower, prices, shape = [[1.0], [1.0]], -limits, np.array([500.0, 500.0]), ()
+    upper = np.full(4, np.inf) if cones else limits
+    program = Program(sp.csc_array([[1e3]]), np.array([-2e3]), sp.csc_array(A), np.array(lower), upper, cones=shape)
+    z, y, _ = solve_active(program, np.array([1.0]), prices)
+    assert z[0] == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(y, [-1e3, 1e3, 0.0, 0.0] if cones else [1e3, 0.0], atol=1e-9)
