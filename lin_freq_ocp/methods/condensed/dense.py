@@ -37,7 +37,7 @@ class DenseKernel:
         self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
         self._lengths = np.linalg.norm(self.gradients, axis=1)
         self.take(tables)
-        self._plan, self._x, self.changes, self._most_changes = np.zeros(T * m), np.zeros(n), 0, 0
+        self._plan, self.control, self.changes, self._most_changes = np.zeros(T * m), np.zeros(m), 0, 0
         self.unknowns = np.zeros(r)  # xi of the last step
         self._forget()
 
@@ -59,12 +59,6 @@ class DenseKernel:
         self._Q, self._R = np.zeros((r, 0)), np.zeros((0, 0))
 
     @property
-    def control(self) -> Array:
-        """Return u_0 of the last step, (m,)."""
-        m = self.tables.loop.shape[2]
-        return self._plan[:m] + self.tables.loop.K @ self._x
-
-    @property
     def plan(self) -> Array:
         """Return v of the last step, (T m,)."""
         return self._plan
@@ -72,7 +66,7 @@ class DenseKernel:
     @property
     def multipliers(self) -> Array:
         """Return the multipliers of the rows, (families, T+1)."""
-        return self._lambda.reshape(len(self.tables.families), -1).copy()
+        return self._lambda.reshape(len(self.tables.families), self.tables.loop.shape[0] + 1).copy()
 
     @one_blas_thread
     def step(self, x: Array, most_changes: int | None = None) -> int:
@@ -84,7 +78,7 @@ class DenseKernel:
         if not np.isfinite(x).all():
             return INFEASIBLE
         self._most_changes = self.tables.most_changes if most_changes is None else most_changes
-        self._x, start, self.changes, corrections = x, np.append(x, 1.0), 0, 0
+        start, self.changes, corrections = np.append(x, 1.0), 0, 0
         y_0, xi = self.of_start @ start, -self.gradients.T @ self._lambda
         if not 0.5 * xi @ xi + self._lambda @ self._distance(y_0 + self.gradients @ xi) >= 0:  # worse than none
             self._forget()
@@ -116,7 +110,7 @@ class DenseKernel:
             self.ray = None
         if status == SOLVED:
             self._plan = self.tables.W @ start + self.tables.V @ xi
-        self.unknowns = xi
+        self.unknowns, self.control = xi, self._plan[: len(self.control)] + self.tables.loop.K @ x  # u_0
         return status
 
     def _distance(self, y: Array) -> Array:
