@@ -23,6 +23,7 @@ PROXIMAL_WEIGHTS = (1e-13, 1e-10, 1e-7)  # on the diagonal, tried in turn: depen
 SOLVE_REFINEMENTS = 12  # of a solve
 ACTIVE_ROUNDS = 10  # of changes of the active rows, and of the curvature of cones; most problems need one
 ZERO_GAP = 1e-11  # violations and multipliers, in a program scaled to order 1, that count as zero
+INSIDE = 1e-13  # distance of an active row from its bound, after a step, that rounding explains
 LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve that counts
 
 
@@ -53,10 +54,16 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     if before is None:
         above, below, edges = y > -over, -y > -under, price > -excess
     else:
-        # a step that leaves an active row inside its bound cannot reach it: it depends on others
-        above = np.where(before.above, np.minimum(y, over) > -ZERO_GAP, over > ZERO_GAP)
-        below = np.where(before.below, np.minimum(-y, under) > -ZERO_GAP, under > ZERO_GAP)
-        edges = np.where(before.edges, np.minimum(price, excess) > -ZERO_GAP, excess > ZERO_GAP)
+        # rows that depend on others share their prices in any way, and cannot all be reached: one row goes at a time,
+        # that with the worst price, or that which the step leaves farthest inside its bound
+        held = before.rows[~equal[before.rows]]
+        prices = np.append(np.where(before.above, y, -y)[held], price[before.edges])
+        slacks = np.append(np.where(before.above, over, under)[held], excess[before.edges])
+        least = min(-ZERO_GAP, float(prices.min(initial=0.0)))
+        farthest = min(-INSIDE, float(slacks.min(initial=0.0))) if least == -ZERO_GAP else -np.inf
+        above = np.where(before.above, (y > least) & (over > farthest), over > ZERO_GAP)
+        below = np.where(before.below, (-y > least) & (under > farthest), under > ZERO_GAP)
+        edges = np.where(before.edges, (price > least) & (excess > farthest), excess > ZERO_GAP)
     above = equal | (program.alone & above & np.isfinite(program.upper))
     return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges & (tails > 0))
 

@@ -37,7 +37,7 @@ class DenseKernel:
         self._of_states = tables.row_values(tables.W[:, :n], np.eye(n), np.zeros(n))
         self._lengths = np.linalg.norm(self.gradients, axis=1)
         self.take(tables)
-        self._plan, self.control, self.changes, self._most_changes = np.zeros(T * m), np.zeros(m), 0, 0
+        self.plan, self.control, self.changes, self._most_changes = np.zeros(T * m), np.zeros(m), 0, 0
         self.unknowns = np.zeros(r)  # xi of the last step
         self._forget()
 
@@ -57,11 +57,6 @@ class DenseKernel:
         self._flag = np.zeros(rows, dtype=int)  # 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it
         self._lambda, self._active = np.zeros(rows), list[int]()
         self._Q, self._R = np.zeros((r, 0)), np.zeros((0, 0))
-
-    @property
-    def plan(self) -> Array:
-        """Return v of the last step, (T m,)."""
-        return self._plan
 
     @property
     def multipliers(self) -> Array:
@@ -109,8 +104,8 @@ class DenseKernel:
         if status != INFEASIBLE:
             self.ray = None
         if status == SOLVED:
-            self._plan = self.tables.W @ start + self.tables.V @ xi
-        self.unknowns, self.control = xi, self._plan[: len(self.control)] + self.tables.loop.K @ x  # u_0
+            self.plan = self.tables.W @ start + self.tables.V @ xi
+        self.unknowns, self.control = xi, self.plan[: len(self.control)] + self.tables.loop.K @ x  # u_0
         return status
 
     def _distance(self, y: Array) -> Array:
