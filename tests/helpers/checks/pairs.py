@@ -33,11 +33,12 @@ Problem = lfo.OptimalControlProblem
 T = 6
 A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
 WAVE = np.sin(1.3 * np.arange(T + 1))
-AGREEMENT = 1e-5  # of two costs, relative to the sum of their absolute terms
+AGREEMENT = 1e-5  # difference of two costs, relative to max(1, |J|)
 ANSWERS = "optimal", "locally_optimal"
 FIELDS = *inspect.signature(Problem).parameters, "u_0", "x_0", "x_1", "method", *("explain", "generate")
 REASON = re.compile(rf"({'|'.join(FIELDS)})\b.*: .{{20,}}", re.DOTALL)
 """A field of the problem, a component, the method or the use, and words about it."""
+
 TOGETHER: dict[str, Callable[[Any, Any], Any]] = {
     "cost": add,
     "quadratic": or_,
