@@ -2,6 +2,7 @@
 
     python scripts/verify.py [--part NAME]... [--problems N] [--seed 0] [--processes 2]
     python scripts/verify.py --part answers [--save FILE] [--against FILE]
+    python scripts/verify.py --part pairs [--save docs/combinations.md]
 
 One file for each part in verify/; all run if none is named. Exit status 1 if a check fails.
 
@@ -30,6 +31,7 @@ loop         closed loops with disturbances, and plans of ten plants against the
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
+pairs        every pair of features, and of a feature and a use, in a small problem: it works, or is refused with reason
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
 suite        the tests with all their random seeds
 
@@ -70,6 +72,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "frequencies": 200,
     "proofs": 100,
     "uncontrollable": 1000,
+    "pairs": None,
     "answers": None,
     "limits": None,
     "suite": None,
@@ -84,7 +87,7 @@ def main() -> int:
     parser.add_argument("--problems", type=int, help="how many random problems of each part")
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument("--processes", type=int, default=2, help="for the parts of random problems")
-    parser.add_argument("--save", type=Path, help="file (npz) for what the part answers found")
+    parser.add_argument("--save", type=Path, help="file (npz) for what the part answers found, or page of pairs")
     parser.add_argument("--against", type=Path, help="file of --save to compare it with")
     options = parser.parse_args()
     console, good = Console(width=WIDTH), True
@@ -92,7 +95,7 @@ def main() -> int:
         if options.part is None or part in options.part:
             verify = import_module(f"verify.{part}").verify
             seeds = None if count is None else range(options.seed, options.seed + (options.problems or count))
-            if part == "answers":
+            if part in ("answers", "pairs"):
                 good &= verify(console, options.save, options.against)
             else:
                 good &= verify(console) if seeds is None else verify(console, seeds, options.processes)

@@ -234,7 +234,7 @@ def _condensed_problem(problem: OptimalControlProblem) -> tuple[OptimalControlPr
         raise UnsupportedError(f"control_spectrum: soft stop bands; {TAKEN}, and these bands hard.")
     for term in reduced.terms:
         if term.kind is not TermKind.STAGE_ROWS and soft_set(reduced, term) is None:
-            field = "cost" if term.kind.is_cost else str(term.kind).replace(" ", "_")
+            field = "cost" if term.kind.is_cost or term.source is None else term.source[0]
             raise UnsupportedError(f"{field}: {term.name}; {TAKEN}.")
     refused = refusal(reduced)
     if refused is not None:

@@ -15,7 +15,7 @@ row, and prices r: the optimal cost is at most that of the corrected point plus 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -69,11 +69,14 @@ class Correction:
         return max(_price(self._system, change) for change, _ in changes) / self._cost + self._hessian_rounding
 
 
-def correct(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Correction | None:
-    """Return the corrected point of a linear problem; None if the active rows determine none.
+def corrections(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+) -> Iterator[Correction]:
+    """Yield the corrected points of a linear problem; none if the active rows determine none.
 
-    If the active rows of the point lead to no trajectory that satisfies every row, those of the optimal deviations do,
-    which one more solve finds. UnsupportedError if the program does not fit into memory, or would take too long.
+    The first is that of the active rows of the point. These may be wrong: the next is that of the active rows of the
+    optimal deviations, which one more solve finds. UnsupportedError if the program does not fit into memory, or would
+    take too long.
     """
     needed = dense_rows(problem).factorisation_seconds
     if needed > LONGEST_FACTOR:
@@ -85,13 +88,10 @@ def correct(problem: OptimalControlProblem, trajectory: Trajectory, multipliers:
     scaling = scale_rows_and_cost(linear, columns, columns)
     deviations = _Deviations(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
     z, y = scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
-    corrected = deviations.corrected(z, y)
-    if corrected is not None and np.isfinite(corrected.price):
-        return corrected
+    yield from deviations.corrected(z, y)
     solution = backend("clarabel")(deviations.program, DEFAULT_TOLERANCE, None)
-    if solution.claim is not Claim.SOLVED or solution.z is None or solution.y is None:
-        return corrected
-    return deviations.corrected(solution.z, solution.y) or corrected
+    if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
+        yield from deviations.corrected(solution.z, solution.y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +104,16 @@ class _Deviations:
     program: Program
     frequencies: Mapping[str, Array]
 
-    def corrected(self, z: Array, y: Array) -> Correction | None:
-        """Return the correction from a point with its duals, which tell the active rows."""
+    def corrected(self, z: Array, y: Array) -> Iterator[Correction]:
+        """Yield the correction, if there is one, from a point with its duals, which tell the active rows."""
         linear, scaling, problem = self.linear, self.scaling, self.linear.problem
         solution = solve_active(self.program, z, y)
         if solution is None:
-            return None
+            return
         z, y, system = solution
         duals = scaling.dual(y)
         if not np.isfinite(duals).all():  # too large for the units of the problem
-            return None
+            return
         change, (_, of_u) = linear.direction(scaling.primal(z)), linear.split_signals(scaling.columns)
         origin = 0.0 if problem.origin is None else problem.origin  # digits of x are those of the user's coordinates
         x, u = (self.trajectory.x + change.x + origin) - origin, self.trajectory.u + change.u
@@ -125,7 +125,7 @@ class _Deviations:
         sizes = np.abs(corrected.x) + np.abs(origin), np.abs(corrected.u), np.abs(point[linear.signals :])
         sizes = np.concatenate([part.ravel() for part in sizes])
         terms = scaling.rows * (abs(linear.sparse.A) @ sizes)
-        return Correction(
+        yield Correction(
             corrected,
             replace(linear.multipliers(duals, 1.0), frequencies=self.frequencies),
             _repair_price(system, scaling.scaled_primal(point), terms) / scaling.cost,

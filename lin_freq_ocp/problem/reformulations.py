@@ -253,19 +253,16 @@ class OwnStates(Inverse):
     @property
     def own_values(self) -> dict[str, Mask]:
         """Return which values of terms are of x and u, (dim,), by the names of terms that have further values of w."""
-        n, sizes, found = (
-            self.given.state_dim,
-            {term.name: term.shape[1] for term in self.given.terms},
-            dict[str, Mask](),
-        )
+        n, found = self.given.state_dim, dict[str, Mask]()
+        sizes = {term.name: term.shape[1] for term in self.given.terms}
         for term in self.problem.terms:
             count = term.shape[1]
             if count > sizes.get(term.name, np.inf):
                 form = term.map.stage_form(self.problem.state_dim, self.given.control_dim)
-                found[term.name] = np.arange(count) < sizes[term.name]
+                others = np.zeros(count, dtype=bool)  # a component without a weight comes before those of w
                 if form is not None:
-                    matrix = form[0][0]
-                    found[term.name] = matrix[:, :n].any(1) | matrix[:, self.problem.state_dim :].any(1)
+                    others = ~np.delete(form[0][0], range(n, self.problem.state_dim), axis=1).any(axis=1)
+                found[term.name] = np.isin(np.arange(count), np.argsort(others, kind="stable")[: sizes[term.name]])
         return found
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:

@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERAN
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
-from lin_freq_ocp.methods.correction import Correction, correct
+from lin_freq_ocp.methods.correction import Correction, corrections
 from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -116,10 +116,13 @@ def judge_nearest(
     known = any(term.semi_infinite is not None for term in problem.terms)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            correction = correct(problem, trajectory, multipliers)
-    except UnsupportedError:  # it does not fit into memory, or would take too long
-        correction, known = None, True
-    proof = None if correction is None else _judge_correction(problem, candidate, correction, allowed)
+            judged = (
+                _judge_correction(problem, candidate, one, allowed)
+                for one in corrections(problem, trajectory, multipliers)
+            )
+            proof = next((proof for proof in judged if proof is not None), None)
+    except UnsupportedError:  # they do not fit into memory, or would take too long
+        proof, known = None, True
     if proof is not None:
         return proof
     own = own or judge(problem, trajectory, multipliers, allowed)

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.correction import correct
+from lin_freq_ocp.methods.correction import correct, corrections
 from lin_freq_ocp.program.active_rows import solve_active
 from lin_freq_ocp.program.program import Program
 
@@ -27,6 +27,11 @@ def rough(problem, error=1e-5):
     answer, rng = solve_convex(problem, "clarabel"), np.random.default_rng(0)
     x, u = (part + error * rng.standard_normal(part.shape) for part in (answer.trajectory.x, answer.trajectory.u))
     return answer, lfo.Trajectory(x, u)
+
+
+def correct(problem, trajectory, multipliers):
+    """Return the first correction with a price, None without one."""
+    return next((one for one in corrections(problem, trajectory, multipliers) if np.isfinite(one.price)), None)
 
 
 def test_it_is_the_optimum_on_the_active_rows_as_dense_matrices_have_it():
@@ -82,8 +87,24 @@ def test_no_price_is_known_where_nothing_reaches_the_end():
         lfo.LinearDynamics(np.eye(2), [[1.0], [0.0]]), 5, lfo.QuadraticCost(R=1.0), None, None, [0.0, 1.0], [1.0, 1.001]
     )
     point = lfo.Trajectory(np.ones((6, 2)), np.zeros((5, 1)))
-    corrected = correct(problem, point, zero_multipliers(problem, 1.0))
-    assert corrected is None or corrected.price == np.inf
+    assert correct(problem, point, zero_multipliers(problem, 1.0)) is None
+
+
+def test_a_wrong_active_row_is_found_out():
+    """Some rows of the solver's point are active by its error alone: they lead to a worse point with a price."""
+    A, B, wave = [[1.0, 1.0], [0.0, 1.0]], [[0.5], [1.0]], np.sin(1.3 * np.arange(7))
+    cost = lfo.QuadraticCost(Q=0.5, R=0.2, P=1.0, x_ref=np.outer(wave, [1.0, 0.0]))
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B),
+        6,
+        cost + lfo.costs.LInfCost(x=0.3, u=0.4, terminal=1.0),
+        lfo.Box(-1, 1),
+        lfo.Box(-5, 5),
+        [1.5, 0.0],
+        lfo.sets.LinkedEnds([[0.5, 0.0]], [[1.0, 0.0]], [0.2]),
+    )
+    result = lfo.solve(problem, "convex")
+    assert (result.status, round(result.cost, 9)) == ("optimal", round(lfo.solve(problem, "structured").cost, 9))
 
 
 TERMS = {

@@ -42,6 +42,7 @@ from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.reductions import Inverse
+from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -81,6 +82,7 @@ def judge_smooth(
 def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     """Judge a trajectory of a problem with formulas; a cost by formulas is a state, which has its gradient."""
     problem.require(trajectory)
+    problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
     inverse, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
     hessian = _end_hessian(problem, trajectory)

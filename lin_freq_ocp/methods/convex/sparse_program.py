@@ -208,16 +208,17 @@ def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> It
 
 
 def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
-    """Return the trajectory with controls at their references and multipliers of zero; None if it diverges.
+    """Return the trajectory with controls and first state at their references, and multipliers of zero.
 
-    Controls without a cost, and the first state, are those of the trajectory ``near``.
+    What has no cost is that of the trajectory ``near``. None if the trajectory diverges.
     """
-    cost, (T, m) = problem.quadratic, near.u.shape
-    priced = np.broadcast_to(np.diagonal(cost.R, axis1=-2, axis2=-1) > 0, (T, m))
+    cost, T = problem.quadratic, len(near.u)
+    priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
     u = np.where(priced, cost.u_ref, near.u)
+    first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
     follows = problem.dynamics.response(T) is not None  # x_0 follows from the controls, too
     try:
-        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(near.x[0]))
+        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
     except NumericalError:
         return None
     return Candidate(Status.LIMIT, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")

@@ -314,15 +314,15 @@ def _solve_sequence(
 ) -> Judged | None:
     """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all.
 
-    In place of one that violates the theorem comes a trajectory nearby that costs nothing: solvers approach it to the
-    root of their tolerance only.
+    In place of one that does not satisfy the theorem comes a trajectory nearby that costs nothing: solvers approach it
+    to the root of their tolerance only.
     """
     first = None
     inverse = fixed_modes(problem, sequence)
     options = SolveOptions(time_limit=time_limit)
     for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, options, programs):
         for point in _judge_candidate(inverse, candidate):
-            if point[2].feasible and point[2].pmp == "violated":
+            if point[2].feasible and point[2].pmp != "satisfied":
                 resting = trajectory_without_cost(inverse.problem, point[0])
                 points = () if resting is None else _judge_candidate(inverse, resting)
                 return next((one for one in points if one[2].cost <= point[2].cost and not one[2].failed), point)

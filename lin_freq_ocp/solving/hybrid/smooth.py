@@ -24,6 +24,7 @@ from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
+from lin_freq_ocp.methods.convex.sparse_program import trajectory_without_cost
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
@@ -35,7 +36,6 @@ from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.priced import CostState
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -54,7 +54,6 @@ GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short h
 SAVED_BY_TOLERANCE = 1e-6
 FEASIBILITY_LOSS = 1.0  # of each step, if no cost is known and only the existence of a trajectory is in question
 MOST_SADDLES = 10  # that are left one after the other
-AT_REST = 1e-8  # of its size: a control that is nowhere larger is zero
 # Parts of a direction of descent, whose largest entry is 1 in the sizes of the judge: those of the next optimum may be
 # far from them
 PARTS_OF_DIRECTION = 10.0 ** np.arange(-9, 10)
@@ -207,16 +206,12 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = inverse.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
-    if certificate.failed and problem.path_constraints:
-        # barriers on one side push components that are at rest, where rounding would count
-        (x, u), size, box = (local.trajectory.x, local.trajectory.u), stated_sizes(problem)[1], problem.ends[0]
-        with suppress(NumericalError):
-            controls = np.where(np.abs(u).max(0) > AT_REST * size, u, 0.0)
-            still = simulate(problem, controls, np.clip(x[0], box.lower, box.upper))
-            at_rest = best_multipliers(problem, still, first)
-            if len(at_rest[0].failed) < len(certificate.failed):
-                certificate, multipliers = at_rest
-                plain = still, multipliers, certificate
+    resting = trajectory_without_cost(problem, local.trajectory) if certificate.failed else None
+    if resting is not None and resting.trajectory is not None:  # where rounding would count
+        at_rest = best_multipliers(problem, resting.trajectory, first)
+        if not at_rest[0].failed:
+            certificate, multipliers = at_rest
+            plain = resting.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:

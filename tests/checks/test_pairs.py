@@ -1,0 +1,77 @@
+"""A share of the pairs of ``scripts/verify.py --part pairs``, and those that were once wrong."""
+
+import inspect
+
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.checks import pairs
+from helpers.combinations import PAGE, page, words_of_page
+from helpers.seeds import seeds
+
+SHARE = 30  # parts of all pairs; three of them take turns by day
+SAID = words_of_page(PAGE.read_text(encoding="utf-8"))
+ONCE_WRONG = [
+    ("free initial state", '"structured"'),  # at its references it costs nothing, as some of the next ones
+    ("piecewise-affine dynamics", "free initial state"),
+    ("piecewise-smooth dynamics", "initial box"),
+    ("levels", "initial box"),
+    ("free initial state", "path constraint"),
+    ("soft path constraint", "mask on a held control"),  # multipliers at the frequencies of the answer
+    ("L1 cost", "cost by formulas"),  # a state without a weight
+    ("linked ends", "generate"),  # its field
+]
+
+
+@pytest.mark.parametrize("start", seeds(range(3)))
+def test_a_share_has_uses_and_pairs_of_features(start):
+    share = pairs.pairs()[start::SHARE]
+    assert 10 < sum(other in pairs.USES for _, other in share) < len(share) - 10
+
+
+@pytest.mark.parametrize(
+    "pair", [pair for start in seeds(range(3)) for pair in pairs.pairs()[start::SHARE]] + ONCE_WRONG
+)
+def test_a_pair_is_as_the_page_says(pair):
+    if pairs.is_long(pair):
+        pytest.skip("a global bound takes seconds")
+    outcome = pairs.check(pair)
+    assert (outcome.verdict == "wrong") == (pair in pairs.KNOWN), outcome
+    assert " ".join(outcome.words.split()) == SAID[pair]
+
+
+def test_the_page_has_every_pair():
+    every = pairs.pairs()
+    assert SAID.keys() == set(every)
+    assert page(pairs.Outcome(pair, "", SAID[pair]) for pair in every) == PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("space", [lfo.dynamics, lfo.costs, lfo.sets, lfo.spectrum])
+def test_every_kind_is_a_feature(space):
+    text = inspect.getsource(pairs)
+    kinds = [name for name in space.__all__ if inspect.isclass(getattr(space, name)) and name not in pairs.LEFT_OUT]
+    assert [name for name in kinds if f".{name}" not in text] == []
+
+
+def test_answers_that_are_wrong_are_found_out(monkeypatch):
+    pair, honest = ("ball", "joint rows"), pairs.independent
+    monkeypatch.setattr(pairs, "independent", lambda *given: cp_plus(honest(*given), 1e-3))
+    assert pairs.check(pair).verdict == "wrong"
+    cheap = pairs.outcome_of(pair, lambda: {}["missing"])
+    assert (cheap.verdict, cheap.words) == ("wrong", "KeyError: 'missing'")
+    assert pairs.outcome_of(pair, refuse("no")).verdict == "wrong"
+    assert pairs.outcome_of(pair, refuse("control_set: got a ball; expected a box.")).verdict == "refused"
+
+
+def cp_plus(model, constant):
+    """Return a problem in CVXPY with a constant added to its cost."""
+    return pairs.cp.Problem(pairs.cp.Minimize(model.objective.expr + constant), model.constraints)
+
+
+def refuse(words):
+    """Return a trial that is refused with these words."""
+
+    def trial():
+        raise lfo.errors.UnsupportedError(words)
+
+    return trial
