@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.correction import correct, corrections
+from lin_freq_ocp.methods.correction import corrections
 from lin_freq_ocp.program.active_rows import solve_active
 from lin_freq_ocp.program.program import Program
 
