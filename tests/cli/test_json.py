@@ -90,7 +90,7 @@ def test_an_answer_that_the_judge_rejects_is_not_proven(monkeypatch):
 
     monkeypatch.setattr(solver.SpectralSolver, "solve", spoiled)
     monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.correct", lambda *given: None)
+    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
     for method, expected in (("auto", (0, "convex", "satisfied")), ("spectral", (3, "spectral", "violated"))):
         status, out, _ = run("solve", "pendulum", "--method", method, "--json")
         summary = parsed(out)

@@ -61,7 +61,7 @@ def test_exit_status_of_the_command(arguments, status, words):
 
 def test_the_command_says_which_points_are_not_proven(monkeypatch):
     monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.correct", lambda *given: None)
+    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
     status, out, _ = run(
         "sweep", "pendulum", "--grid", "control_bound=[5.0]", "--tolerance", "10", "--method", "spectral"
     )

@@ -116,7 +116,7 @@ def ticking():
 )
 def test_the_result_of_an_error_can_be_dumped(tmp_path, ticking, monkeypatch, problem, options, error, status):
     monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.correct", lambda *given: None)
+    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
     with pytest.raises(error) as caught:
         lfo.solve(problem, **options)
     caught.value.result.dump(tmp_path / "run.zip")

@@ -134,7 +134,7 @@ class TestChoiceOfMethod:
         """No certificate says more than its own multipliers do where repair and correction fail."""
         judging = import_module("lin_freq_ocp.solving.judging")
         monkeypatch.setattr(judging, "repair_trajectory", lambda *given: None)
-        monkeypatch.setattr(judging, "correct", lambda *given: None)
+        monkeypatch.setattr(judging, "corrections", lambda *given: ())
         result = lfo.solve(lfo.library.pendulum(), method="spectral", throw=False)
         assert result.status == "locally_optimal"
         assert "no trajectory that satisfies every constraint is known to cost" in result.message
