@@ -23,7 +23,7 @@ PROXIMAL_WEIGHTS = (1e-13, 1e-10, 1e-7)  # on the diagonal, tried in turn: depen
 SOLVE_REFINEMENTS = 12  # of a solve
 ACTIVE_ROUNDS = 10  # of changes of the active rows, and of the curvature of cones; most problems need one
 ZERO_GAP = 1e-11  # violations and multipliers, in a program scaled to order 1, that count as zero
-INSIDE = 1e-13  # distance of an active row from its bound, after a step, that rounding explains
+INSIDE = 1e-13  # distance of an active row from its bound, after a step, that its solve may leave
 LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve that counts
 
 

@@ -137,8 +137,8 @@ def test_points_of_every_kind_of_constraint_are_corrected(fields):
 
 @pytest.mark.parametrize("cones", [False, True])
 def test_of_two_limits_that_cannot_both_be_reached_the_nearer_one_holds(cones):
-    """The least 500 (z - 2)^2 with |z| <= 1 and |z| <= 1 + 4e-11, from prices on both: the farther limit has none."""
-    limits = np.array([1.0, 1.0 + 4e-11])
+    """The least 500 (z - 2)^2 with |z| <= 1 and |z| <= 1 + 4e-12, from prices on both: the farther limit has none."""
+    limits = np.array([1.0, 1.0 + 4e-12])
     if cones:  # s = (limit, z) in a cone each
         A, lower = [[0.0], [1.0], [0.0], [1.0]], [-limits[0], 0.0, -limits[1], 0.0]
         prices, shape = np.array([-500.0, 500.0, -500.0, 500.0]), (slice(0, 2), slice(2, 4))
@@ -149,3 +149,18 @@ def test_of_two_limits_that_cannot_both_be_reached_the_nearer_one_holds(cones):
     z, y, _ = solve_active(program, np.array([1.0]), prices)
     assert z[0] == pytest.approx(1.0, abs=1e-14)
     np.testing.assert_allclose(y, [-1e3, 1e3, 0.0, 0.0] if cones else [1e3, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("cones", [False, True])
+def test_of_rows_that_depend_on_each_other_one_leaves_at_a_time(cones):
+    """The point nearest to (1, 2) with four rows, of which three end at the optimum, zero. All at once, they return."""
+    A, limits = np.array([[3.0, 2.0], [3.0, 1.0], [-3.0, -1.0], [-2.0, 0.0]]), np.array([0.0, 0.0, 1e-6, 0.0])
+    lower, prices, shape = np.full(4, -np.inf), np.ones(4), ()
+    if cones:  # limit + 1 - a'z >= |(1)|
+        A, lower, limits = np.kron(-A, [[1.0], [0.0]]), -np.ravel([limits + 1.0, np.ones(4)], "F"), np.full(8, np.inf)
+        prices, shape = np.tile([-1.0, 1.0], 4), tuple(slice(i, i + 2) for i in range(0, 8, 2))
+    program = Program(sp.csc_array(np.eye(2)), np.array([-1.0, -2.0]), sp.csc_array(A), lower, limits, cones=shape)
+    z, y, _ = solve_active(program, np.zeros(2), prices)
+    np.testing.assert_allclose(z, 0.0, atol=1e-11)
+    np.testing.assert_allclose(program.A.T @ y, [1.0, 2.0], rtol=0, atol=1e-6)
+    assert (y[::2] <= 0).all() if cones else (y >= 0).all()
