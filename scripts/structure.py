@@ -4,11 +4,14 @@
 
 With the name of a figure, it lists every place that counts, for example `python scripts/structure.py "used once"`.
 
-Code lines are lines with a token that is no comment and no docstring. The linear part is base, formulas and the five
+Code lines are lines with a token that is no comment and no docstring. Shipped lines are those of every language that a
+wheel contains, lfo_check.py included: code that moves from Python to C remains in the count. A commit that raises a
+limit names the feature, and the removal that pays for it. The linear part is base, formulas and the five
 floors without their folders named hybrid, and the door is between the two. Circles of files count every import, within
 functions and for type checkers too. Lines of functions are counted without their docstrings. isinstance on kinds of
 dynamics and of terms is what their protocols replace. A solve is the second `lfo.solve(lfo.library.pendulum())` of a
-process. lfo_check.py is not counted: it is a program of its own.
+process. Only shipped lines count lfo_check.py: it is a program of its own. Modules that tests import, and attributes
+that they replace (monkeypatch.setattr), show how far tests depend on where code stands.
 """
 
 from __future__ import annotations
@@ -36,10 +39,17 @@ from scipy.sparse.csgraph import connected_components
 import lin_freq_ocp as lfo
 
 PACKAGE = Path(lfo.__file__).parent
+TESTS = Path(__file__).parent.parent / "tests"
+CHECKER = "lfo_check.py"
+LANGUAGES = {".c": r"/\*.*?\*/|//[^\n]*", ".h": r"/\*.*?\*/|//[^\n]*", ".css": r"/\*.*?\*/"}
+LANGUAGES |= {".js": r"/\*.*?\*/|^\s*//[^\n]*", ".jinja": r"{#.*?#}|<!--.*?-->|/\*.*?\*/|^\s*//[^\n]*"}
+"""The comments of each language but Python; in the last two, // may stand in a text."""
+
 FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
+    "shipped lines": 44_530,
     "code lines": 41_690,
     "code lines, linear part": 20_620,
     "code lines, hybrid": 8_604,
@@ -55,6 +65,9 @@ LIMITS: dict[str, float] = {
     "files entered by a solve": 48,
     "functions entered by a solve": 387,
     "calls of a solve": 779,
+    "modules that tests import": 221,
+    "attributes that tests replace": 228,
+    "private attributes that tests read": 16,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,
@@ -144,9 +157,24 @@ def is_string(node: ast.expr) -> bool:
 
 def read_modules() -> list[Module]:
     """Return all modules of the package."""
-    paths = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "lfo_check.py")
-    texts = [(path.relative_to(PACKAGE), path.read_text(encoding="utf-8")) for path in paths]
-    return [Module(path, text, ast.parse(text)) for path, text in texts]
+    return [read_module(path) for path in sorted(PACKAGE.rglob("*.py")) if path.name != CHECKER]
+
+
+def read_module(path: Path) -> Module:
+    """Return a file of the package or of its tests."""
+    text = path.read_text(encoding="utf-8")
+    return Module(path.relative_to(PACKAGE if path.is_relative_to(PACKAGE) else TESTS), text, ast.parse(text))
+
+
+def shipped_lines(modules: Sequence[Module]) -> Figure:
+    """Return the code lines of each language that a wheel contains."""
+    checker = next(PACKAGE.rglob(CHECKER))
+    lines = Counter({"Python": sum(module.code for module in modules), CHECKER: read_module(checker).code})
+    for path in PACKAGE.rglob("*"):
+        if path.suffix in LANGUAGES:
+            text = re.sub(LANGUAGES[path.suffix], "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+            lines[path.suffix[1:]] += sum(bool(line.strip()) for line in text.splitlines())
+    return Figure(lines.total(), [f"{language} {count}" for language, count in lines.most_common()])
 
 
 def sizes(modules: Sequence[Module]) -> Iterator[tuple[str, Figure]]:
@@ -154,6 +182,7 @@ def sizes(modules: Sequence[Module]) -> Iterator[tuple[str, Figure]]:
     parts = Counter[str]()
     for module in modules:
         parts[module.part] += module.code
+    yield "shipped lines", shipped_lines(modules)
     yield "code lines", Figure(parts.total(), [f"{part} {code}" for part, code in parts.most_common()])
     yield "code lines, linear part", Figure(parts["linear"])
     yield "code lines, hybrid", Figure(parts["hybrid"])
@@ -264,6 +293,27 @@ def contracts(modules: Sequence[Module]) -> Iterator[tuple[str, Figure]]:
     yield "Any", counted(anything)
 
 
+def doors() -> Iterator[tuple[str, Figure]]:
+    """Yield what tests take from inside the package."""
+    imported, replaced, private = Counter[str](), list[str](), list[str]()
+    for test in map(read_module, sorted(TESTS.rglob("*.py"))):
+        imported.update({name for name in imported_modules(test.tree) if name.startswith("lin_freq_ocp.")})
+        attributes = [node for node in ast.walk(test.tree) if isinstance(node, ast.Attribute)]
+        own = {
+            node.attr for node in attributes if isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
+        }
+        replaced += [f"{test.path}:{node.lineno}" for node in attributes if node.attr == "setattr"]
+        private += [
+            f"{test.path}:{node.lineno} {node.attr}"
+            for node in attributes
+            if re.fullmatch(r"_[a-z]\w*[^_]", node.attr) and node.attr not in own
+        ]
+    most = [f"{name} {times}" for name, times in imported.most_common()]
+    yield "modules that tests import", Figure(len(imported), most)
+    yield "attributes that tests replace", counted(replaced)
+    yield "private attributes that tests read", counted(private)
+
+
 def imported_modules(tree: ast.Module) -> Iterator[str]:
     """Yield the names of all modules that a module imports, or imports from."""
     for node in ast.walk(tree):
@@ -334,7 +384,8 @@ def solve_figures() -> Iterator[tuple[str, Figure]]:
 def measure() -> dict[str, Figure]:
     """Return every figure, in the order of their limits."""
     modules = read_modules()
-    figures = dict(part for group in (sizes, names, contracts) for part in group(modules)) | dict(solve_figures())
+    figures = dict(part for group in (sizes, names, contracts) for part in group(modules))
+    figures |= dict(doors()) | dict(solve_figures())
     return {name: figures[name] for name in LIMITS}
 
 
