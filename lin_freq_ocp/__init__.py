@@ -54,13 +54,13 @@ if TYPE_CHECKING:
         write_problem,
     )
     from lin_freq_ocp.problem.ocp import OptimalControlProblem
-    from lin_freq_ocp.problem.reformulations import rate_limited
-    from lin_freq_ocp.problem.simulation import simulate
     from lin_freq_ocp.results import Trajectory
     from lin_freq_ocp.sets import Box, FiniteSet, Periodic, StageRows
     from lin_freq_ocp.solvers import SpectralSolver
     from lin_freq_ocp.solving.certify import certify
     from lin_freq_ocp.spectrum import MagnitudeBound, ResidualVibration, low_pass, stop_band
+    from lin_freq_ocp.transform.reformulations import rate_limited
+    from lin_freq_ocp.transform.simulation import simulate
 
 __version__ = "0.1.0"
 
@@ -80,8 +80,8 @@ _HOMES = {
     "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
     "problem.ocp": "OptimalControlProblem",
-    "problem.reformulations": "rate_limited",
-    "problem.simulation": "simulate",
+    "transform.reformulations": "rate_limited",
+    "transform.simulation": "simulate",
     "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows",
     "solvers": "SpectralSolver",

@@ -26,12 +26,12 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.problem.limits import constraints, numbers
-from lin_freq_ocp.problem.reformulations import RATE_LIMIT
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.transform.limits import constraints, numbers
+from lin_freq_ocp.transform.reformulations import RATE_LIMIT
 
 __all__ = ["Case", "Report", "check", "check_terms", "conformance_cases"]
 

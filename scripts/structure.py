@@ -6,7 +6,7 @@ With the name of a figure, it lists every place that counts, for example `python
 
 Code lines are lines with a token that is no comment and no docstring. Shipped lines are those of every language that a
 wheel contains, lfo_check.py included: code that moves from Python to C remains in the count. A commit that raises a
-limit names the feature, and the removal that pays for it. The linear part is base, formulas and the five
+limit names the feature, and the removal that pays for it. The linear part is base, formulas and the six
 floors without their folders named hybrid, and the door is between the two. Circles of files count every import, within
 functions and for type checkers too. Lines of functions are counted without their docstrings. isinstance on kinds of
 dynamics and of terms is what their protocols replace. A solve is the second `lfo.solve(lfo.library.pendulum())` of a
@@ -45,7 +45,7 @@ LANGUAGES = {".c": r"/\*.*?\*/|//[^\n]*", ".h": r"/\*.*?\*/|//[^\n]*", ".css": r
 LANGUAGES |= {".js": r"/\*.*?\*/|^\s*//[^\n]*", ".jinja": r"{#.*?#}|<!--.*?-->|/\*.*?\*/|^\s*//[^\n]*"}
 """The comments of each language but Python; in the last two, // may stand in a text."""
 
-FLOORS = ("problem", "program", "methods", "certificate", "solving")
+FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
@@ -54,9 +54,9 @@ LIMITS: dict[str, float] = {
     "code lines, linear part": 20_620,
     "code lines, hybrid": 8_604,
     SHARE_SAID: 19.5,  # at least
-    "files": 304,
-    "folders": 40,
-    "folders at the root": 17,
+    "files": 306,
+    "folders": 42,
+    "folders at the root": 18,
     "modules at the root": 11,
     "names in __all__": 55,
     "lines of a file": 535,

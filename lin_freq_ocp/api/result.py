@@ -16,12 +16,12 @@ from lin_freq_ocp.files.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
 from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, uniqueness
-from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.hybrid.forms import linear_along
 
 if TYPE_CHECKING:
     from control import TimeResponseData

@@ -19,8 +19,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
-from lin_freq_ocp.problem.limits import CUTOFFS, changed_fields, cutoff_band, numbers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.transform.limits import CUTOFFS, changed_fields, cutoff_band, numbers
 
 # What a sweep varies: a problem, whose fields are replaced, or a function that builds one from keywords.
 Source = OptimalControlProblem | Callable[..., OptimalControlProblem]

@@ -29,13 +29,13 @@ from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
 from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.bound import NUMERICAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import RATE_LIMIT
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.reformulations import RATE_LIMIT
 
 AT_ONCE = 4  # horizons that an executor gets
 ROUNDING = 1e-13  # relative, of A x + d: the drift over 10^4 steps stays far below what the judge allows

@@ -18,8 +18,6 @@ from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, extrem
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import Translation, far_origin, translated_by, translated_set
-from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import choose_method, saved_options
 from lin_freq_ocp.solving.judging import judge_candidate
@@ -28,6 +26,8 @@ from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_translated
 from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
+from lin_freq_ocp.transform.reformulations import Translation, far_origin, translated_by, translated_set
+from lin_freq_ocp.transform.starts import start_of
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor

@@ -21,10 +21,10 @@ from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
 from lin_freq_ocp.problem.costs.quadratic import least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reformulations import at_frequencies
 
 
 @dataclass(frozen=True, eq=False)

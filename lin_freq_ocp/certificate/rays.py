@@ -22,9 +22,9 @@ from lin_freq_ocp.certificate.response_bound import farkas_bound
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR, STATE_ROUNDING, TRIVIALITY
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 CLEAR_MARGIN = 1e-4  # margin of a proof from which half of its bound is far above the rounding of data
 SHARE_TOLERANCE = 0.1  # share of the heaviest bounds in a proof from which bounds on a component are named

@@ -21,8 +21,8 @@ from lin_freq_ocp.certificate.tolerances import (
 )
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.simulation import simulate
 
 Pair = tuple[Array, Array]
 TwoSided = dict[int, list[tuple[Array, float]]]  # per time, rows of (x_t, u_t) and the distance that they can move

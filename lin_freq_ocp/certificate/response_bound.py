@@ -5,7 +5,7 @@ With x(u) = base + Y u, multipliers mu of bounds on states and lambda of terms h
     l(u) = J(x(u), u) + <mu, x(u)> - sigma(mu) + <rho, bands> + sum (<lambda+, L> - h*(lambda+))  <=  J  if feasible
 
 is convex on the controls that the bands allow, for any stage Hessian, if it is convex at every bin
-(``control_curvature``; derived in problem/response_curvature.py, whose code the judge does not use). Therefore
+(``control_curvature``; derived in transform/response_curvature.py, whose code the judge does not use). Therefore
 D = l(u_0) + min over U of the tangent of l plus the least curvature over all bins. The multiplier eta of x = Y u does
 not enter: slopes in x are pulled back to the controls exactly.
 

@@ -11,8 +11,8 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, shape_and_range
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.transform.reformulations import at_frequencies
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files.problem_file import read_problem
 from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
-from lin_freq_ocp.problem.limits import CUTOFFS, NUMBER_WORDS, changed_fields
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transform.limits import CUTOFFS, NUMBER_WORDS, changed_fields
 
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:

@@ -33,10 +33,10 @@ from lin_freq_ocp.files.summary import (
     result_summary,
 )
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.problem.hybrid.forms import linear_along
-from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
+from lin_freq_ocp.transform.hybrid.forms import linear_along
+from lin_freq_ocp.transform.starts import start_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

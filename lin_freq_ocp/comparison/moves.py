@@ -37,13 +37,13 @@ from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizo
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
-from lin_freq_ocp.problem.limits import replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import semi_infinite_terms
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.limits import replace_bounds
+from lin_freq_ocp.transform.reformulations import semi_infinite_terms
 
 INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 

@@ -22,13 +22,13 @@ from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
 from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 REACHED = 1e-6  # of a limit: a spectrum that comes nearer reaches it
 

@@ -20,7 +20,13 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.limits import (
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.solving.families import family_of
+from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
+from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.limits import (
     BOXES,
     SPECTRA,
     Limit,
@@ -31,14 +37,8 @@ from lin_freq_ocp.problem.limits import (
     map_sets,
     replace_bounds,
 )
-from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import AddedStates, add_states
-from lin_freq_ocp.problem.sets.box import Box, box_of
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.sizes import stated_sizes
-from lin_freq_ocp.solving.families import family_of
-from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.reformulations import AddedStates, add_states
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem has a solution; None if undecided
 

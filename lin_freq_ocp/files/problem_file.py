@@ -30,9 +30,9 @@ from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import finite, head
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.frequency_response import read_response
-from lin_freq_ocp.problem.limits import CUTOFFS
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.transform.limits import CUTOFFS
 
 ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a solution
 MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arrays belong into an .npz

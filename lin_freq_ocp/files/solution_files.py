@@ -28,8 +28,8 @@ from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.reading import FileArray, FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.simulation import simulate
 
 CLOCK_TOLERANCE = 0.1  # error of a clock in periods since its first time: times are rounded, a wrong rate adds up
 

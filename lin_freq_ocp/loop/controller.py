@@ -36,9 +36,7 @@ from lin_freq_ocp.loop.step_problem import (
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import SetOrSets
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.hybrid.modes import TreeCache
@@ -46,6 +44,8 @@ from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.transform.simulation import simulate
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
 

@@ -38,9 +38,9 @@ from lin_freq_ocp.methods.spectral.model import LtiUnits, lti_problem, natural_u
 from lin_freq_ocp.methods.spectral.reductions import soft_set
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import reduce_problem
-from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.transform.reductions import reduce_problem
+from lin_freq_ocp.transform.reformulations import translation_of
 
 TEMPLATES = ("controller.h", "controller.c", "lfo_settings.h", "test_controller.c", "Makefile", "README.md")
 TAKEN = "a generated controller takes quadratic costs, bounds, joint rows, rate limits and stop bands of controls"

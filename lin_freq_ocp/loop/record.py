@@ -17,11 +17,11 @@ from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import Translation, translation_of
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, WindowSpectra, named_entries
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 NOT_JUDGED = "not judged"  # in place of a status
 Plant = Callable[[int, Array, Array], Array]  # from k, x (n,) and u (m,) to the next state (n,)

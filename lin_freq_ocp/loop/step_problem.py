@@ -19,15 +19,15 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.limits import SPECTRA, intersection, map_constraints, map_sets
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import Translation
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
 from lin_freq_ocp.problem.sets.convex import softened_set
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.limits import SPECTRA, intersection, map_constraints, map_sets
+from lin_freq_ocp.transform.reformulations import Translation
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
 EXACTLY_WITHIN = 1e-12  # a row this close to its limit, relative to its terms, is compared in exact arithmetic

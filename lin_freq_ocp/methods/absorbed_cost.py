@@ -1,6 +1,6 @@
 """Costs that are convex over a frequency response, but not at each time, as squares of further outputs.
 
-With H_k = L_k^2 >= 0, L_k Hermitian (problem/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
+With H_k = L_k^2 >= 0, L_k Hermitian (transform/response_curvature.py), the quadratic part of the cost is 1/2 sum w_t^2
 of the outputs w = L u, for x = Y u + g and up to a constant:
 
     1/2 x'Q x + x'S u + 1/2 u'R u  =  1/2 w'w + (Q g)'x + (S'g)'u.
@@ -20,11 +20,11 @@ from lin_freq_ocp.base.arrays import with_columns
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Reduction
-from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
-from lin_freq_ocp.problem.response_curvature import BinCurvature, bin_curvature
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reductions import Reduction
+from lin_freq_ocp.transform.reformulations import OwnStates, augment_states
+from lin_freq_ocp.transform.response_curvature import BinCurvature, bin_curvature
 
 
 @dataclass(frozen=True, eq=False)

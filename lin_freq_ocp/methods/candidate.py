@@ -13,9 +13,9 @@ from lin_freq_ocp.base.arrays import NO_BOUND
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.response_curvature import require_convex_bins
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Residuals
+from lin_freq_ocp.transform.response_curvature import require_convex_bins
 
 SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is accepted, in units of the answer
 

@@ -24,14 +24,14 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import ZERO_GAP, ActiveSystem, solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scale_rows_and_cost
+from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated

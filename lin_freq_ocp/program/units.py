@@ -15,9 +15,9 @@ from scipy.sparse.linalg import splu
 
 from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program, Scaling, regularised_kkt, scale_matrix
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 HESSIAN_REGULARISATION = 1e-6  # relative to the mean diagonal: directions without cost get the smallest trajectory
 ROW_REGULARISATION = 1e-10  # dependent equations (an unreachable end) get a least-squares trajectory

@@ -22,7 +22,6 @@ from flint import arb_mat, ctx
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.problem.limits import Limit, of_source, replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -32,6 +31,7 @@ from lin_freq_ocp.proof.dual import growth, precision
 from lin_freq_ocp.proof.statement import line, rows
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.limits import Limit, of_source, replace_bounds
 
 SHARES = (1e-3, 1e-5, 1e-7, 1e-9)  # of the sizes, by which limits are tightened; the first that leaves a solution
 MOST = 0.25  # of the width of bounds, by which each may be moved

@@ -32,7 +32,6 @@ from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE, RADIUS_MA
 from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum, is_semidefinite
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
@@ -43,6 +42,7 @@ from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.reformulations import at_frequencies
 
 LEAST_RISE = 2.0**-52  # of a diagonal that is tried
 LARGER_RISE = 2.0**-46  # with less, a slope along the least eigenvector may cost much; with more, states far away do

@@ -21,7 +21,6 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import AffineMap
@@ -30,6 +29,7 @@ from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 CHUNK = 1 << 16  # numbers turned into text at once: the text of a long signal is never whole in memory
 NORMS = {1: "1", 2: "2", np.inf: "inf"}

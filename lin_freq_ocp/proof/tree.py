@@ -15,16 +15,16 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, ReachedSets, reached_nodes
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
-from lin_freq_ocp.problem.limits import replace_bounds
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.proof.dual import domain_multipliers, signal_lines
 from lin_freq_ocp.proof.statement import Text, Value, encode, line, multiplier_lines
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.limits import replace_bounds
+from lin_freq_ocp.transform.reformulations import at_frequencies
 
 
 @dataclass(frozen=True, eq=False)

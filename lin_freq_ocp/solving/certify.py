@@ -19,12 +19,12 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reformulations import at_frequencies, translation_of
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
 from lin_freq_ocp.solving.outcome import Evidence
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.reformulations import at_frequencies, translation_of
+from lin_freq_ocp.transform.simulation import simulate
 
 NEAR_LIMIT = 0.99  # of its limit: a peak of a spectrum above this may have a multiplier
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried if a trajectory of few decimals fails the default one

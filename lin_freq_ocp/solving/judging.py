@@ -17,12 +17,12 @@ from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
 from lin_freq_ocp.methods.correction import Correction, corrections
 from lin_freq_ocp.methods.repair import repair_trajectory
-from lin_freq_ocp.problem.level_rows import few_between_levels
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.level_rows import few_between_levels
+from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.simulation import simulate
 
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 

@@ -11,9 +11,9 @@ import numpy as np
 from lin_freq_ocp.base.clock import seconds_left
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
+from lin_freq_ocp.transform.starts import Start
 
 Report = Callable[[Progress], None]
 

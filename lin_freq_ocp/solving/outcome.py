@@ -14,10 +14,10 @@ from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_sam
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.problem.level_rows import LevelUse, level_use
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.level_rows import LevelUse, level_use
+from lin_freq_ocp.transform.reductions import Inverse
 
 
 @dataclass(frozen=True)

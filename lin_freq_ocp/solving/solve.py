@@ -26,9 +26,6 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.reductions import Inverse
-from lin_freq_ocp.problem.reformulations import Translation, sampled_masks, translation_of
-from lin_freq_ocp.problem.starts import start_of
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.program.backends.base import backend as solver_named
 from lin_freq_ocp.program.backends.base import names
@@ -42,6 +39,9 @@ from lin_freq_ocp.solving.judging import (
 )
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reformulations import Translation, sampled_masks, translation_of
+from lin_freq_ocp.transform.starts import start_of
 
 COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as much as the allowed gap
 

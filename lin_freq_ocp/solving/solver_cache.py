@@ -18,10 +18,10 @@ from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Chain, reduce_problem
-from lin_freq_ocp.problem.reformulations import add_disturbance
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
+from lin_freq_ocp.transform.reductions import Chain, reduce_problem
+from lin_freq_ocp.transform.reformulations import add_disturbance
 
 CONDENSED_SOLVES = 3
 """The solve from which the condensed method is tried: its set-up takes as long as some ten solves of the Fourier-domain

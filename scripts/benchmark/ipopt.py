@@ -15,10 +15,10 @@ import numpy as np
 
 from lin_freq_ocp.formulas.nodes import Formula, evaluate, kinks
 from lin_freq_ocp.formulas.operations import POWER, PRODUCT, QUOTIENT, SUM, TABLE, TIME, VARIABLE
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 TOLERANCE = 1e-9  # of IPOPT, relative
 

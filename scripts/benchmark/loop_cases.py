@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 ROUNDING = 1e-9  # of a linear program, by which a row may cut nothing off
 ARRIVAL = np.diag([10.0, 100.0, 1.0, 1.0])  # the pendulum's terminal weights

@@ -41,8 +41,8 @@ from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.path_native import path_library
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 GAP, LIMIT = 1e-6, 60.0
 # Costs and bounds that differ by this many gaps are still right: a solver's gap is not met to the last digit

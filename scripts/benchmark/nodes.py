@@ -20,10 +20,10 @@ from lin_freq_ocp.methods.hybrid.search import branch_and_bound, node
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 Build = Callable[[], lfo.OptimalControlProblem]
 

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import Member, ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals, Groups, RowTemplate, Sense
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 
 class HullRelaxation(ModeRelaxation):

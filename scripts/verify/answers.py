@@ -24,7 +24,7 @@ from helpers.checks.structured import kind_of, problem_of
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.library import LINEAR, MEASURED, WAVEFORMS
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
+from lin_freq_ocp.transform.sizes import search_scale, stated_sizes
 
 METHODS = "convex", "structured"
 SEEDS = 120  # random problems, with the kinds in turn

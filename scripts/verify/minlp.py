@@ -11,10 +11,10 @@ from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, solver_status
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution
 from lin_freq_ocp.program.units import COST_LEVEL
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from verify import minlp_scip
 from verify.minlp_program import SmoothProgram, smooth_program
 

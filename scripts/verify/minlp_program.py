@@ -23,12 +23,12 @@ from lin_freq_ocp.formulas.intervals import Interval
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
 from lin_freq_ocp.formulas.operations import QUOTIENT
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.units import common_scaling
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 
 @dataclass(frozen=True, eq=False)

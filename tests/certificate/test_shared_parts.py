@@ -1,6 +1,7 @@
 """What the judge shares with a search or a solver's scaling, broken on purpose: no wrong answer is called optimal."""
 
 import ast
+import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,31 +17,32 @@ from lin_freq_ocp.certificate import hamiltonian, rays
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search import multipliers as search_weights
-from lin_freq_ocp.problem import measures, sizes
-from lin_freq_ocp.problem.hybrid import mode_reach
+from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.program import units
 from lin_freq_ocp.solving.certify import certify
+from lin_freq_ocp.transform.hybrid import mode_reach
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 library = lfo.library
 
 ALLOWED = {
     "lin_freq_ocp.problem.hybrid.mode_tree": {"ModeMultipliers", "ModeTree", "PathMultipliers"},
-    "lin_freq_ocp.problem.sizes": {"stated_sizes"},
+    "lin_freq_ocp.transform.sizes": {"stated_sizes"},
 }
 """What the judge imports of modules that searches and scalings use: plain data, and one size (docs/judge.md)."""
 
 SEARCHED_WITH = {
-    f"lin_freq_ocp.problem.{name}"
+    f"lin_freq_ocp.{name}"
     for name in (
-        "sizes",
-        "measures",
-        "response_curvature",
-        "hybrid.mode_tree",
-        "hybrid.mode_reach",
-        "hybrid.level_rows",
+        "problem.measures",
+        "problem.hybrid.mode_tree",
+        "transform.sizes",
+        "transform.response_curvature",
+        "transform.level_rows",
+        "transform.hybrid.mode_reach",
     )
 }
 
@@ -68,6 +70,7 @@ def wrongly_optimal(result, cost):
 def test_the_judge_imports_nothing_else_that_a_search_uses():
     folder = Path(hamiltonian.__file__).parent
     found = {}
+    assert all(importlib.util.find_spec(name) for name in SEARCHED_WITH)
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module in SEARCHED_WITH:
@@ -183,7 +186,7 @@ def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch,
 @pytest.mark.parametrize("make", [library.pendulum, SHORT, library.crane])
 def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeypatch, make, factors):
     """They bound the box of a numerical ray, and measure directions: no optimum is called infeasible or unbounded."""
-    problem, right, rng = make(), sizes.stated_sizes, np.random.default_rng(0)
+    problem, right, rng = make(), stated_sizes, np.random.default_rng(0)
     result = lfo.solve(problem)
     monkeypatch.setattr(
         rays, "stated_sizes", lambda given: tuple(f * s for f, s in zip(factors, right(given), strict=True))

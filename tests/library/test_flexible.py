@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from helpers.library_physics import bins_around, energy, frequencies, removed, solved
 from lin_freq_ocp import library
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.transform.simulation import simulate
 
 # --- crane
 

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 
 from helpers.library_physics import bins_around, energy, frequencies, removed, solved
 from lin_freq_ocp import library
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.spectrum.bands import stop_band
+from lin_freq_ocp.transform.simulation import simulate
 
 # --- two masses and a spring
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from helpers.library_physics import solved
 from lin_freq_ocp import library
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.transform.simulation import simulate
 
 # --- quadcopter
 

@@ -11,7 +11,7 @@ PAGES = Path(lin_freq_ocp.__file__).parent / "pages"
 FOR_DRAWING = {"ZERO_PADDING", "padded_spectrum", "stopped_runs"}
 FACTS = {"facts_where_modes_meet", "tree_of"}  # of a certificate and an outcome
 JUDGING = tuple(
-    f"lin_freq_ocp.{floor}" for floor in ("problem.measures", "problem.sizes", "certificate", "solving", "methods")
+    f"lin_freq_ocp.{floor}" for floor in ("problem.measures", "transform.sizes", "certificate", "solving", "methods")
 )
 
 

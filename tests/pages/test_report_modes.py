@@ -34,10 +34,10 @@ from lin_freq_ocp.pages.report.page import draw_figures, render_page, tiles
 from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, worst_location
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 
 def vanishing_norm() -> OptimalControlProblem:

@@ -13,13 +13,14 @@ import lin_freq_ocp as lfo
 from helpers.linear_problems import generator, problem
 from helpers.seeds import examples
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem import measures, sizes
+from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 
 @settings(max_examples=examples(15), derandomize=True, deadline=None)
@@ -177,15 +178,15 @@ def test_stated_sizes_come_from_ends_then_references_then_bounds():
         terminal_state=Box([-2.0, None], [1.0, None]),
         control_set=Box(-3.0, None),
     )
-    states, controls = sizes.stated_sizes(made)
+    states, controls = stated_sizes(made)
     np.testing.assert_array_equal(states, [2.0, 7.0])
     np.testing.assert_array_equal(controls, [3.0])
     tracking = problem(
         state_set=Box([-9.0, -7.0], [5.0, 3.0]), cost=QuadraticCost(R=1.0, x_ref=[0.25, -4.0], u_ref=[-0.5])
     )
-    states, controls = sizes.stated_sizes(tracking)
+    states, controls = stated_sizes(tracking)
     np.testing.assert_array_equal(states, [0.25, 4.0])
     np.testing.assert_array_equal(controls, [0.5])
-    for part in sizes.stated_sizes(problem()):  # nothing is said, but a size is a size
+    for part in stated_sizes(problem()):  # nothing is said, but a size is a size
         assert (part > 0).all()
         assert np.isfinite(part).all()

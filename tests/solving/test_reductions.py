@@ -14,9 +14,9 @@ import lin_freq_ocp as lfo
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.problem.reductions import Chain, Inverse, Reduction, reduce_problem
 from lin_freq_ocp.solving.judging import candidate_of, judge_candidate
 from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.transform.reductions import Chain, Inverse, Reduction, reduce_problem
 
 CASES = [(name, case) for name, entry in REDUCTIONS.items() for case in entry.problems]
 
@@ -66,7 +66,7 @@ def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
 
 def test_every_way_back_of_the_package_has_its_cases():
     for module in pkgutil.walk_packages(lin_freq_ocp.__path__, "lin_freq_ocp."):
-        if module.name.startswith(("lin_freq_ocp.problem", "lin_freq_ocp.methods", "lin_freq_ocp.solving")):
+        if module.name.startswith(("lin_freq_ocp.transform", "lin_freq_ocp.methods", "lin_freq_ocp.solving")):
             importlib.import_module(module.name)
     known, pending = set(), [Inverse]
     while pending:

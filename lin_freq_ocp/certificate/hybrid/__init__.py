@@ -5,7 +5,7 @@ from lin_freq_ocp.certificate.hybrid.smooth import judge_priced
 from lin_freq_ocp.certificate.verdict import JUDGES
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.problem.hybrid.priced import DynamicsWithFormulaCost
+from lin_freq_ocp.transform.hybrid.priced import DynamicsWithFormulaCost
 
 JUDGES[PiecewiseAffineDynamics] = judge_modes
 JUDGES[PiecewiseSmoothDynamics] = judge_priced

@@ -37,11 +37,11 @@ from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajec
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import fix_values
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 SHOWN_FLIPS = 4  # flips in the text; all are in the data
 

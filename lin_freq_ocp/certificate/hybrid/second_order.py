@@ -24,10 +24,10 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 ACTIVE_BOUND = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
 # Part of the largest multiplier above which one counts as not zero. Interior points leave less of inactive bounds.

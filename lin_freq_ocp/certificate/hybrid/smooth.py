@@ -37,15 +37,15 @@ from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine, piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.reductions import Inverse
-from lin_freq_ocp.problem.reformulations import at_frequencies
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine, piecewise_smooth
+from lin_freq_ocp.transform.hybrid.priced import CostState, cost_as_state
+from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
 

@@ -15,13 +15,13 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.active_rows import solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Program, Scaling, scale_matrix
 from lin_freq_ocp.program.units import stated_scaling
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 PROJECTED_ROUNDING = 1e-14  # entries of a projection, in its units, that are zero
 RESTING = 1e-3  # unit of a component that rests along a direction, relative to its size in the data

@@ -28,8 +28,6 @@ from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, Scale
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import reduce_problem
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
@@ -42,6 +40,8 @@ from lin_freq_ocp.program.units import (
     revised_scaling,
     stated_scaling,
 )
+from lin_freq_ocp.transform.reductions import reduce_problem
+from lin_freq_ocp.transform.simulation import simulate
 
 REDUCTIONS = (ABSORBED_COST,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors

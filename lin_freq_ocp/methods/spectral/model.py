@@ -25,8 +25,8 @@ from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sizes import FAR_BEYOND, completed_sizes, given_sizes
 from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.transform.sizes import FAR_BEYOND, completed_sizes, given_sizes
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
 

@@ -15,13 +15,13 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse, Reduction
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reductions import Inverse, Reduction
 
 SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
 PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding

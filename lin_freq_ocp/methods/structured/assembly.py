@@ -32,11 +32,11 @@ from lin_freq_ocp.methods.structured.rows import (
 from lin_freq_ocp.methods.structured.scaling import fix_unused_entries, scale_dynamics, scale_stages
 from lin_freq_ocp.methods.structured.stages import Balls, Coupling, Equations, Inequalities, Stages
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import is_revision, point_units
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
 PARTS = ("terms", "control_tube", "state_boxes", "state_stop", "control_stop")  # of problems with the same rows

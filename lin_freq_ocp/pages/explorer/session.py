@@ -1,7 +1,7 @@
 """The answers of a live page: a problem at the values of its sliders, re-solved and certified.
 
 Changes of bounds and ends use the solver cache (``batch.repeated``); other changes build the problem again. The sliders
-are the numbers that the problem lists of its limits (``problem.limits``), and its horizon.
+are the numbers that the problem lists of its limits (``transform.limits``), and its horizon.
 
 The page draws plain data in the axes' units: signals over time, and their spectra. The spectrum of a signal v of N
 samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as in limits on magnitudes.
@@ -29,15 +29,15 @@ from lin_freq_ocp.pages.explorer.sliders import GROUP_OF, Slider, sliders_of_lim
 from lin_freq_ocp.pages.report.findings import finding_of
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.units import frequency_scale, time_scale
-from lin_freq_ocp.problem.limits import SPECTRA, changed_fields
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import semi_infinite_terms
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.transform.limits import SPECTRA, changed_fields
+from lin_freq_ocp.transform.reformulations import semi_infinite_terms
 
 HORIZON = "horizon"
 HORIZON_NOTCHES = 60  # about so many between half and twice the problem's horizon

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from math import floor, inf, log10
 
-from lin_freq_ocp.problem.limits import numbers
 from lin_freq_ocp.problem.numbers import NOTCHES, Number
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transform.limits import numbers
 
 ROUNDING = 1e-9  # of a notch: a limit closer than this to a notch counts as that notch
 

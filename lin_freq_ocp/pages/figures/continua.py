@@ -21,10 +21,10 @@ from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.units import align
-from lin_freq_ocp.problem.reformulations import semi_infinite_terms
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, ZeroOrderHoldMask
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.reformulations import semi_infinite_terms
 
 PANEL_HEIGHT = 1.15 * look.ROW_HEIGHT
 LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7, 2)))  # of the shapers

@@ -29,16 +29,16 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import LARGEST_BOUND, ModeReach
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.units import common_scaling
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, ModeReach
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 # Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
 RELAXATION = 1e-6

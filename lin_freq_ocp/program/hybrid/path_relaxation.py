@@ -33,11 +33,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.hybrid.mode_reach import LARGEST_BOUND, Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import THIN, Duals, PathModel
 from lin_freq_ocp.program.program import StandardForm
+from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, Reach
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,6 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -46,6 +44,8 @@ from lin_freq_ocp.program.hybrid.rows import (
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.units import common_scaling
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
 
 Number = TypeVar("Number", float, Array)
 

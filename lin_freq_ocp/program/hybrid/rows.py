@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.linear_program import signal_columns
 from lin_freq_ocp.program.program import StandardForm
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import AnyAnswer, Inverse
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reductions import AnyAnswer, Inverse
+from lin_freq_ocp.transform.simulation import simulate
 
 
 @dataclass(frozen=True, eq=False)

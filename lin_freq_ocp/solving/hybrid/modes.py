@@ -29,7 +29,6 @@ from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -39,6 +38,7 @@ from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
+from lin_freq_ocp.transform.reductions import Inverse
 
 
 @dataclass(frozen=True, eq=False)

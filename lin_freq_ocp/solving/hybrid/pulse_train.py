@@ -20,10 +20,10 @@ from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.simulation import simulate
 
 COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
 AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge

@@ -31,17 +31,17 @@ from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothP
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.hybrid.convex_cost import with_convex_terms
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import CostState
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
+from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid.priced import CostState
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.starts import Start
 
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"

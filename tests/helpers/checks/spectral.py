@@ -25,7 +25,7 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.convex.sparse_program import solve_convex
 from lin_freq_ocp.problem.measures import one_step_residual
-from lin_freq_ocp.problem.sizes import stated_sizes
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 REFERENCE_TOLERANCE = 1e-11  # what is asked of both reference solvers
 # Statuses of answers: without any bound on a free end, no bound on the cost is rigorous

@@ -14,9 +14,9 @@ from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch, shifted_cover
 from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 FIELDS = {
     "plain": {},

@@ -16,8 +16,8 @@ from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid.search import common as search
 from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
 
 SEEDS = range(4)
 

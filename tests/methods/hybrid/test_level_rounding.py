@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding, neighbouring_levels
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.transform.simulation import simulate
 
 PERIOD = 200
 

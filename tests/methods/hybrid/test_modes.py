@@ -14,10 +14,10 @@ from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import enumeration, parts
 from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import ModeReach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
 
 library = lfo.library
 

@@ -14,8 +14,8 @@ from helpers.modes import random_problem
 from lin_freq_ocp.methods import native_code
 from lin_freq_ocp.methods.hybrid.search import node, path_native
 from lin_freq_ocp.methods.hybrid.search.path_native import OPTIMAL, path_library, run_path
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 
 @pytest.fixture

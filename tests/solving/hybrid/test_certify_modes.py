@@ -21,9 +21,9 @@ from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import worst_location
-from lin_freq_ocp.problem.hybrid.forms import linear_along
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
-from lin_freq_ocp.problem.reductions import Inverse
+from lin_freq_ocp.transform.hybrid.forms import linear_along
+from lin_freq_ocp.transform.reductions import Inverse
 
 
 def best(problem):

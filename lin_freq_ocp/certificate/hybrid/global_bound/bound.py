@@ -38,9 +38,9 @@ from lin_freq_ocp.certificate.hybrid.global_bound.samples import costs_to_come
 from lin_freq_ocp.certificate.hybrid.global_bound.step import BackwardStep, Boxes, met_cells, second_order_least
 from lin_freq_ocp.formulas.jets import interval_jets
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 Progress = Callable[[float], None] | None  # told the share of a level that is done
 FINEST_CELL = 1e-12  # width over the largest state at which a cell is not halved: it consists of rounding errors

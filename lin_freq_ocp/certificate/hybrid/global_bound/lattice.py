@@ -15,12 +15,12 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 # Of the absolute terms of a bound, subtracted; boxes widen by this part
 ROUNDING = 64 * float(np.finfo(np.float64).eps)

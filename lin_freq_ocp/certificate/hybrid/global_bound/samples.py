@@ -11,8 +11,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, PricedProblem, index_tuples
 from lin_freq_ocp.formulas.jets import interval_jets, values_of
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import SmoothMode
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
 SLOPE_SAMPLES = 128  # controls at which slopes are estimated

@@ -34,15 +34,15 @@ from lin_freq_ocp.methods.hybrid.search.common import (
 )
 from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import search_scale
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import search_scale
 
 Shift = Callable[[Duals], Duals | None]
 

@@ -12,12 +12,12 @@ from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, solve_by_clarabel, solve_path_relaxation
 from lin_freq_ocp.methods.progress import Progress
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 GAP = 1e-6  # relative gap (J - D)/S, S of ``cost_scale``, at which the search ends by default
 SEARCH_SHARE = 0.6  # of the time, at first: in the rest the leaves are checked, each at most as long as a node takes

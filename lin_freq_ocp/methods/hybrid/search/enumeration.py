@@ -17,12 +17,12 @@ from lin_freq_ocp.methods.hybrid.search.common import (
     solve_relaxation,
     tree_with_proofs,
 )
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 MOST_SEQUENCES = 10_000  # solved within minutes
 

@@ -28,9 +28,9 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
+from lin_freq_ocp.transform.simulation import simulate
 
 MOST_RESPONSE_ENTRIES = 2e7  # of the response of x and u to u (160 MB): nothing is rounded if there are more
 MOST_PAIR_WORK = 1e9  # flips^2 times rows, some seconds: with more, only single flips are made

@@ -44,13 +44,13 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
-from lin_freq_ocp.problem.hybrid.forms import linear_along, measured_modes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scaled_program
+from lin_freq_ocp.transform.hybrid.forms import linear_along, measured_modes
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: the tolerance of the judge
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms

@@ -15,13 +15,13 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.path_native import INFEASIBLE, STALLED, path_library, run_path
-from lin_freq_ocp.problem.hybrid.mode_reach import Reach
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation, path_form
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
 from lin_freq_ocp.program.program import StandardForm
+from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 # Relative residual and gap of a point at which a node is known to need a split
 CLEAR_RESIDUAL, CLEAR_GAP = 1e-3, 3e-5

@@ -22,15 +22,15 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
 from lin_freq_ocp.methods.progress import Progress
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.problem.hybrid.priced import cost_as_state
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.simulation import simulate
-from lin_freq_ocp.problem.sizes import search_scale, stated_sizes
 from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.problem.starts import Start
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid.priced import cost_as_state
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import search_scale, stated_sizes
+from lin_freq_ocp.transform.starts import Start
 
 if TYPE_CHECKING:
     from scipy.interpolate import RegularGridInterpolator

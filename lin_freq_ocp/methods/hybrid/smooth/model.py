@@ -18,12 +18,12 @@ from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
 from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.stages import Stages
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.units import cost_factor
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1

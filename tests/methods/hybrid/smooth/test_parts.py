@@ -7,7 +7,7 @@ import numpy as np
 from lin_freq_ocp import library
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import Filter, Measure
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.transform.simulation import simulate
 
 
 def test_a_filter_takes_what_improves_either_and_remembers_where_it_was():

@@ -5,7 +5,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.response_curvature import bin_curvature
+from lin_freq_ocp.transform.response_curvature import bin_curvature
 
 
 def power_problem(G, **named):

@@ -12,7 +12,7 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.simulation import simulate
+from lin_freq_ocp.transform.simulation import simulate
 
 
 @pytest.mark.parametrize("varying", VARYING)

@@ -28,9 +28,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, bins_far_from_passed, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_words, entries_of
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 SPECTRA = "state_spectrum", "control_spectrum", "output_spectrum"
 BOXES = {  # the fields that hold sets, and where a problem has their bounds

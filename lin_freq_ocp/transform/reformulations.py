@@ -23,7 +23,6 @@ from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -31,6 +30,7 @@ from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectr
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reductions import Inverse
 
 FAR_FROM_ZERO = 10.0  # distance of an origin, in distances between the data of a state, that costs more than a digit
 ROUNDING = 1e-12  # largest value of a bin, relative to its terms, that a constant does not change

@@ -11,8 +11,8 @@ from lin_freq_ocp.base.arrays import Indices, brief
 from lin_freq_ocp.base.errors import NumericalError, ProblemError, UnsupportedError, located_at
 from lin_freq_ocp.problem.dynamics.base import mode_sequence
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.simulation import simulate
 
 
 @dataclass(frozen=True, eq=False)

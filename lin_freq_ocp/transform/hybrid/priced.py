@@ -21,14 +21,14 @@ from lin_freq_ocp.problem.costs.formula_cost import PRICED
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for, require_form, signal_labels, unique_names
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode, affine_formulas
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.reformulations import OwnStates, augment_states
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.reformulations import OwnStates, augment_states
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -17,11 +17,11 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reductions import Inverse
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.simulation import simulate
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.simulation import simulate
 
 AT_LEVEL = 1e-6  # smallest share of a second level that is more than the error of a solver, which the judge allows
 INDEPENDENT = 1e-10  # smallest relative singular value of rows of size 1 that is no rounding

@@ -8,8 +8,8 @@ from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.sizes import stated_sizes
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 
 def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:

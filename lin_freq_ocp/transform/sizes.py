@@ -8,9 +8,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.reformulations import translation_of
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.reformulations import translation_of
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale

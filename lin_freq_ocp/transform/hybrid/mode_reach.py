@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.problem.hybrid.forms import piecewise_affine
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
 INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
