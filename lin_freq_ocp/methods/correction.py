@@ -25,7 +25,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.active_rows import ZERO_GAP, ActiveSystem, solve_active
+from lin_freq_ocp.program.active_rows import EPSILON, ZERO_GAP, ActiveSystem, solve_active
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling
@@ -37,7 +37,6 @@ CONTRACTION = 0.1  # part of the residual that the solve which prices it may lea
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
-EPSILON = float(np.finfo(float).eps)
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
 DATA_ROUNDING = 4 * EPSILON  # of the terms of a row
 SIGN_VECTORS = 3  # random signs of the rounding of rows
@@ -148,14 +147,17 @@ def _repair_price(system: ActiveSystem, z: Array, terms: Array) -> float:
     Equations that depend on each other contradict each other by rounding, which is no more than ROW_ULPS rounding
     errors of the terms of each row.
     """
-    residual = system.residual(z)
+    residual, rounding = system.residual(z), ROW_ULPS * EPSILON * system.gaps(terms)
     change, left = system.change(residual)
-    rounded = bool((np.abs(residual) <= ROW_ULPS * EPSILON * system.gaps(terms)).all())
+    holds = left <= CONTRACTION
+    if not holds and rounding.any():
+        change = system.nearest_change(residual, rounding)
+        holds = bool((np.abs(residual - system.M @ change) <= rounding).all())
     program, values = system.program, system.program.A @ (z + change)
     others = program.alone & ~system.active.above & ~system.active.below
     outside = np.maximum(values - program.upper, program.lower - values)[others]
-    holds = max(outside.max(initial=0.0), program.outside_cones(values - program.lower)) <= ZERO_GAP
-    return _price(system, change) if (left <= CONTRACTION or rounded) and holds else np.inf
+    holds &= max(outside.max(initial=0.0), program.outside_cones(values - program.lower)) <= ZERO_GAP
+    return _price(system, change) if holds else np.inf
 
 
 def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajectory:

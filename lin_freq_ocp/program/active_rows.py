@@ -24,6 +24,7 @@ SOLVE_REFINEMENTS = 12  # of a solve
 ACTIVE_ROUNDS = 10  # of changes of the active rows, and of the curvature of cones; most problems need one
 ZERO_GAP = 1e-11  # violations and multipliers, in a program scaled to order 1, that count as zero
 INSIDE = 1e-13  # distance of an active row from its bound, after a step, that its solve may leave
+EPSILON = float(np.finfo(float).eps)
 LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve that counts
 
 
@@ -113,6 +114,12 @@ class ActiveSystem:
         """Return the least costly change of z that changes the rows so, and the part of that which it leaves."""
         size, change = float(np.linalg.norm(of_rows)), self.solve(np.zeros(self.H.shape[0]), of_rows)[0]
         return change, float(np.linalg.norm(of_rows - self.M @ change)) / size if size > 0 else 0.0
+
+    def nearest_change(self, of_rows: Array, errors: Array) -> Array:
+        """Return the change of z that leaves the least of these changes of rows, each relative to its error."""
+        count, weights = self.H.shape[0], np.maximum(errors / errors.max(), EPSILON) ** 2
+        system = regularised_kkt(sp.csc_array(self.H.shape), self.M, PROXIMAL_WEIGHTS[-1], weights)
+        return splu(system).solve(np.append(np.zeros(count), of_rows))[:count]
 
 
 def solve_active(program: Program, z: Array, y: Array) -> tuple[Array, Array, ActiveSystem] | None:

@@ -319,12 +319,12 @@ def scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_ar
     return scaled
 
 
-def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_rows: float) -> sp.csc_array:
-    """Return [[P, A'], [A, 0]] with one number added to the diagonal of P, and another taken from that of 0."""
+def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_rows: float | Array) -> sp.csc_array:
+    """Return [[P, A'], [A, 0]] with a number added to the diagonal of P, and others, or one, taken from that of 0."""
     variables, count = P.shape[0], A.shape[0]
     every, rows = np.arange(variables + count), A.indices + variables
     of_P, of_A = (np.repeat(every[:variables], np.diff(matrix.indptr)) for matrix in (P, A))
-    diagonal = np.append(np.full(variables, of_variables), np.full(count, -of_rows))
+    diagonal = np.append(np.full(variables, of_variables), np.broadcast_to(-of_rows, count))
     values = np.concatenate([P.data, A.data, A.data, diagonal])
     i, j = np.concatenate([P.indices, rows, of_A, every]), np.concatenate([of_P, of_A, rows, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))

@@ -19,7 +19,8 @@ METHODS = ("auto", "spectral", "structured", "convex")
 
 
 @pytest.mark.parametrize(
-    ("question", "seed"), seeds((question, seed) for question, given in SEEDS.items() for seed in given)
+    ("question", "seed"),
+    seeds(((question, seed) for question, given in SEEDS.items() for seed in given), always=[(None, 384)]),
 )
 def test_the_same_problem_far_from_zero_has_the_same_answer(question, seed):
     outcome = translation.check(seed, question)
