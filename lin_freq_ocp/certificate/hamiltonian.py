@@ -10,7 +10,7 @@ for multipliers lambda of any sign.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -19,7 +19,7 @@ from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
-from lin_freq_ocp.problem.costs.quadratic import least_rise
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost, least_rise
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.term import Term
@@ -118,13 +118,8 @@ class Extremal:
     @cached_property
     def curvatures(self) -> tuple[Array, Array] | None:
         """Return lower bounds of the curvature in states (T+1, n) and controls (T, m); None if J is not convex."""
-        problem, n, eta_C = self.problem, self.problem.state_dim, self.multipliers.eta_C
-        stage = diagonal_curvature(eta_C * problem.quadratic.stage_hessians())
-        terminal = diagonal_curvature(eta_C * problem.quadratic.P)
-        if stage is None or terminal is None:
-            return None
-        stage = np.broadcast_to(stage, (problem.horizon, stage.shape[-1]))
-        return np.vstack([stage[:, :n], terminal]), stage[:, n:]
+        curvatures, eta_C = cost_curvatures(self.problem.quadratic, self.problem.horizon), self.multipliers.eta_C
+        return curvatures and (eta_C * curvatures[0], eta_C * curvatures[1])
 
     @cached_property
     def terms_gap(self) -> float:
@@ -228,6 +223,16 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
             raise ProblemError(field, f"shape {on_term.shape}", f"shape {term.shape}")
         for t, row in np.argwhere((on_term != 0) & term.penalty.unlimited)[:1]:
             raise ProblemError(f"{field}[{t}, {row}]", f"{on_term[t, row]:g}", "0", "The row has no limit there.")
+
+
+@lru_cache(maxsize=4)  # a loop judges plans of one cost, one after another
+def cost_curvatures(cost: QuadraticCost, horizon: int) -> tuple[Array, Array] | None:
+    """Return lower bounds of a cost's curvature in states (T+1, n) and controls (T, m); None if it is not convex."""
+    stage, terminal = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
+    if stage is None or terminal is None:
+        return None
+    stage, n = np.broadcast_to(stage, (horizon, stage.shape[-1])), len(terminal)
+    return np.vstack([stage[:, :n], terminal]), stage[:, n:]
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:
