@@ -51,7 +51,7 @@ SHARE_SAID = "docstrings and comments [% of lines]"
 LIMITS: dict[str, float] = {
     "shipped lines": 44_530,
     "code lines": 41_690,
-    "code lines, linear part": 20_620,
+    "code lines, linear part": 20_819,
     "code lines, hybrid": 8_604,
     SHARE_SAID: 19.5,  # at least
     "files": 306,

@@ -18,13 +18,13 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, html_table, number, plural, settings
 from lin_freq_ocp.batch.grid import Source
 from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
-from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
 from lin_freq_ocp.files.batch_files import ManyFile, SweepFile, read_sweep, save_sweep_csv
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.solving.resolver import Resolver
+from lin_freq_ocp.transform.reformulations import Change
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,12 +62,12 @@ class Solver:
     """
 
     def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
-        self._repeated = Repeated(problem, method, tolerance)
+        self._resolver = Resolver(problem, method, tolerance)
 
     @property
     def problem(self) -> OptimalControlProblem:
         """Return the problem with its original ends and references."""
-        return self._repeated.problem
+        return self._resolver.problem
 
     def solve(
         self,
@@ -98,7 +98,7 @@ class Solver:
         SolveError
             As for ``lfo.solve``.
         """
-        outcome = self._repeated.solve(Change(initial_state, terminal_state, references), time_limit)
+        outcome = self._resolver.solve(Change(initial_state, terminal_state, references), time_limit)
         return result_of(outcome, throw, time_limit)
 
 
@@ -126,7 +126,7 @@ class Solutions(ManyOutcome):
         change = self.changes[i]
         if isinstance(change, ProblemError):
             raise change
-        return result_of(self.again.solve(change), throw=False)
+        return result_of(self.resolver.solve(change), throw=False)
 
 
 def solve_many(

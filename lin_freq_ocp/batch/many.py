@@ -20,12 +20,12 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import fingerprint, require_executor
-from lin_freq_ocp.batch.repeated import Repeated, proven_in_batch
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.many import batch_judge_takes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.solving.resolver import Resolver, proven_in_batch
+from lin_freq_ocp.transform.reformulations import Change
 
 UNSOLVED = "unsolved"  # status of the problems that were left when Ctrl-C came
 
@@ -53,7 +53,7 @@ class ManyOutcome:
     problem: OptimalControlProblem
     changes: tuple[Change | ProblemError, ...] = field(repr=False)
     items: tuple[Item, ...] = field(repr=False)
-    again: Repeated = field(repr=False)
+    resolver: Resolver = field(repr=False)
     interrupted: bool = False
 
     def __len__(self) -> int:
@@ -113,7 +113,7 @@ def run_many(
     progress: Callable[[int, int], None] | None,
 ) -> ManyOutcome:
     """Solve all problems, unless interrupted; see ``lfo.solve_many``."""
-    again = Repeated(problem, method)
+    resolver = Resolver(problem, method)
     changes = changes_of(problem, initial_states, references)
     require_executor(executor, problem, {"method": [method]})
     keys = [
@@ -128,7 +128,7 @@ def run_many(
         if missing and good[missing[0]].initial_state is not None:
             order: list[int] = tour(np.array([good[key].initial_state for key in missing], dtype=np.float64)).tolist()
             missing = [missing[i] for i in order]
-        return _solve_parts(again, {key: good[key] for key in missing}, time_limit, executor)
+        return _solve_parts(resolver, {key: good[key] for key in missing}, time_limit, executor)
 
     record = open_record({"fingerprint": fingerprint(problem), "options": options})
     found, interrupted = finish_run(list(good), solve_missing, record, progress)
@@ -136,23 +136,23 @@ def run_many(
         Item(ERROR, message=str(change)) if isinstance(change, ProblemError) else found.get(key, Item(UNSOLVED))
         for key, change in zip(keys, changes, strict=True)
     )
-    return ManyOutcome(problem, tuple(changes), items, again, interrupted)
+    return ManyOutcome(problem, tuple(changes), items, resolver, interrupted)
 
 
 def _solve_parts(
-    again: Repeated, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
+    resolver: Resolver, changes: Mapping[str, Change], time_limit: float | None, executor: Executor | None
 ) -> Generator[Mapping[str, Item]]:
     """Yield the solved items; the problems of a part whose worker died are submitted again one by one."""
     if executor is None:
         for part in _split_parts(changes, PART).values():
-            solved = solve_part(again, part, time_limit)
+            solved = solve_part(resolver, part, time_limit)
             yield solved.items
             if solved.interrupted:
                 raise KeyboardInterrupt
         return
 
     work = Work[Mapping[str, Change], SolvedPart](
-        partial(_solve_in_worker, again.problem, again.name, time_limit),
+        partial(_solve_in_worker, resolver.problem, resolver.name, time_limit),
         lambda part, reason: SolvedPart(
             {key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part}
         ),
@@ -180,7 +180,7 @@ def _solve_in_worker(
     attempt: int,
 ) -> SolvedPart:
     """Solve a part in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    return solve_part(Repeated(problem, method), changes, time_limit)
+    return solve_part(Resolver(problem, method), changes, time_limit)
 
 
 def changes_of(
@@ -257,26 +257,31 @@ class SolvedPart:
     interrupted: bool = False
 
 
-def solve_part(again: Repeated, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
+def solve_part(resolver: Resolver, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
     """Solve problems one after another, each from the one before; a failure is an item, too."""
     items, interrupted = dict[str, Item](), False
     try:
-        items, interrupted = _solve_batched(again, changes) if time_limit is None else ({}, False)
+        items, interrupted = _solve_batched(resolver, changes) if time_limit is None else ({}, False)
         for key in changes if not interrupted else ():
             if key not in items:
-                items[key] = _solve_single(again, changes[key], time_limit)
+                items[key] = _solve_single(resolver, changes[key], time_limit)
     except KeyboardInterrupt:
         interrupted = True
     return SolvedPart({key: items[key] for key in changes if key in items}, interrupted)
 
 
-def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
+def _solve_batched(resolver: Resolver, changes: Mapping[str, Change]) -> tuple[dict[str, Item], bool]:
     """Return the items that the condensed method solves and the batch judge proves, and whether Ctrl-C came."""
     states = [change.initial_state for change in changes.values() if change.references is None]
-    if len(states) < len(changes) or states[0] is None or not again.linear or not batch_judge_takes(again.problem):
+    if (
+        len(states) < len(changes)
+        or states[0] is None
+        or not resolver.linear
+        or not batch_judge_takes(resolver.problem)
+    ):
         return {}, False
     started, keys = now(), list(changes)
-    plans, interrupted = again.plan_batch(np.array(states, dtype=np.float64))
+    plans, interrupted = resolver.plan_batch(np.array(states, dtype=np.float64))
     proven = proven_in_batch(plans) if plans else {}
     optimal, seconds = str(Status.OPTIMAL), (now() - started) / len(keys)
     items = {
@@ -286,19 +291,19 @@ def _solve_batched(again: Repeated, changes: Mapping[str, Change]) -> tuple[dict
     return items, interrupted
 
 
-def _solve_single(again: Repeated, change: Change, time_limit: float | None) -> Item:
+def _solve_single(resolver: Resolver, change: Change, time_limit: float | None) -> Item:
     started = now()
-    if again.excluded(change):
+    if resolver.excluded(change):
         message = "proven by a rigorous ray of another initial state"
         return Item(str(Status.INFEASIBLE), proven=True, message=message, seconds=now() - started)
     try:
-        outcome = again.solve(change, time_limit)
+        outcome = resolver.solve(change, time_limit)
     except LinFreqOCPError as error:
         return Item(ERROR, message=str(error), seconds=now() - started)
     if outcome.interrupted:
         raise KeyboardInterrupt
     if change.references is None:
-        again.keep(outcome)
+        resolver.keep(outcome)
     # Costs and trajectories are reported of feasible points only
     trajectory = outcome.trajectory if outcome.primal else None
     optimal = outcome.certificate is not None and outcome.certificate.globally_optimal

@@ -19,7 +19,6 @@ from lin_freq_ocp.base.arrays import Array, brief, one_component, positive_integ
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
@@ -43,8 +42,8 @@ from lin_freq_ocp.solving.hybrid.modes import TreeCache
 from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solver_cache import Change
-from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
+from lin_freq_ocp.transform.reformulations import Change, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
@@ -91,8 +90,8 @@ class Controller:
             warnings.warn(limits_of_plans(problem), ClosedLoopWarning, stacklevel=3)
         self._problem = free_first_state(problem)
         method = family_of(problem).in_loop if method == "auto" else method
-        self._hard = Repeated(self._problem, method)
-        self._soft = Repeated(soften(self._problem, self.penalties), method) if self.penalties else None
+        self._hard = Resolver(self._problem, method)
+        self._soft = Resolver(soften(self._problem, self.penalties), method) if self.penalties else None
         self._trees = {one: TreeCache() for one in (self._hard, self._soft) if one is not None}
         self._remembers, self._method, self._limit = depends_on_past(problem), method, time_limit
         self._later = certify == "later"
@@ -125,8 +124,8 @@ class Controller:
         started, plain, begin = now(), preview.empty, x
         if self.delay:  # the state to which the last control leads
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
-        for repeated in self._trees if plain and not self._remembers else ():
-            repeated.prepare(x)  # so that also the first step without a solution takes no longer than others
+        for resolver in self._trees if plain and not self._remembers else ():
+            resolver.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
         if quick is not None:
             control = self._limits.clip(begin, quick.control)
@@ -178,7 +177,7 @@ class Controller:
         rest of the last one; the first step, which sets up the method, has no limits.
         """
         if self._most is not None:
-            without = [repeated.no_plans for repeated in self._trees if self._remembers or not repeated.plans(begin)]
+            without = [resolver.no_plans for resolver in self._trees if self._remembers or not resolver.plans(begin)]
             if without:
                 past = "windows of applied samples make each step another problem."
                 raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
@@ -247,10 +246,10 @@ class Controller:
             return hard, None
         return hard, self._solve_step(self._soft, change, x)
 
-    def _solve_step(self, repeated: Repeated, change: Change, x: Array) -> Outcome:
+    def _solve_step(self, resolver: Resolver, change: Change, x: Array) -> Outcome:
         """Solve the problem of a step; steps with the same data share the set-up of the solver."""
-        tree = self._trees[repeated]
-        problem = repeated.problem
+        tree = self._trees[resolver]
+        problem = resolver.problem
         if self._remembers:  # the states and controls before a plan that begins after the measured state
             states, controls = [step.state for step in self._steps], list(self._applied)
             if self.delay:
@@ -258,10 +257,10 @@ class Controller:
             dimensions = problem.state_dim, problem.control_dim
             past = (np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True))
             problem = with_past(problem, *past)
-        if problem is not repeated.problem:
-            known, repeated = repeated, Repeated(problem, self._method)
-            repeated.take_programs(known)
-        return repeated.solve(change, self._limit, self._later_plan(), tree)
+        if problem is not resolver.problem:
+            known, resolver = resolver, Resolver(problem, self._method)
+            resolver.take_programs(known)
+        return resolver.solve(change, self._limit, self._later_plan(), tree)
 
     def _later_plan(self) -> Trajectory | None:
         """Return the last plan from its second step on, its last control repeated; None without one."""

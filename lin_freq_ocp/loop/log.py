@@ -15,14 +15,13 @@ from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import PlannedStart, Repeated, proven_in_batch
 from lin_freq_ocp.loop.embedded import REALS, log_header, step_problem
 from lin_freq_ocp.loop.step_problem import ControlLimits, excess
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solver_cache import Change
-from lin_freq_ocp.transform.reformulations import Translation, translation_of
+from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
+from lin_freq_ocp.transform.reformulations import Change, Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
@@ -186,24 +185,24 @@ def certify_log(
         starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.dynamics.stepper(1)
         for k in np.flatnonzero(valid):
             starts[k], acting = step(0, log.states[k], acting), log.controls[k]
-    repeated, verdicts = Repeated(stated), dict[int, _Verdict]()
+    resolver, verdicts = Resolver(stated), dict[int, _Verdict]()
     steps = np.flatnonzero(valid).tolist()
     for first in range(0, len(steps), STEPS_AT_ONCE):
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
             references, plan = None, None
             if log.references is None:
-                plan = repeated.plan(starts[k])
+                plan = resolver.plan(starts[k])
             else:
                 references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
             change = Change(starts[k], references=references)
             if plan is not None:
                 groups.setdefault(id(plan.translation), {})[k] = plan
-            elif repeated.excluded(change):
+            elif resolver.excluded(change):
                 verdicts[k] = _Verdict(Status.INFEASIBLE)
             else:
-                outcome = repeated.solve(change)
-                repeated.keep(outcome)
+                outcome = resolver.solve(change)
+                resolver.keep(outcome)
                 verdicts[k] = _Verdict.of(outcome, tolerance)
         for group in groups.values():
             for k, one in proven_in_batch(group).items():

@@ -12,7 +12,6 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.batch.repeated import PlannedStart, ProvenPlan
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -21,6 +20,7 @@ from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Sign
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.resolver import PlannedStart, ProvenPlan
 from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 NOT_JUDGED = "not judged"  # in place of a status

@@ -12,7 +12,8 @@ from lin_freq_ocp.base.clock import seconds_left
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
+from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache
+from lin_freq_ocp.transform.reformulations import Change
 from lin_freq_ocp.transform.starts import Start
 
 Report = Callable[[Progress], None]

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from numpy.typing import ArrayLike
-
-from lin_freq_ocp.base.arrays import Array, known_entries
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -18,53 +15,19 @@ from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.transform.reductions import Chain, reduce_problem
-from lin_freq_ocp.transform.reformulations import add_disturbance
+from lin_freq_ocp.transform.reformulations import Change
 
 CONDENSED_SOLVES = 3
 """The solve from which the condensed method is tried: its set-up takes as long as some ten solves of the Fourier-domain
 method, so that a problem that is solved twice does not need it."""
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
-
-    A disturbance, (n,) or (T, n), is added to the coming states.
-    """
-
-    initial_state: ConvexSet | ArrayLike | None = None
-    terminal_state: ConvexSet | ArrayLike | None = None
-    references: Mapping[str, ArrayLike] | None = None
-    bounds: Mapping[str, SetOrSets] | None = None
-    disturbance: ArrayLike | None = None
-
-    @property
-    def starts_elsewhere(self) -> bool:
-        """Whether at most the initial state changes."""
-        others = self.terminal_state, self.references, self.disturbance
-        return not self.bounds and all(other is None for other in others)
-
-    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
-        """Return the changed problem."""
-        if self.bounds:
-            problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
-        if self.references is not None:
-            problem = problem.with_references(self.references)
-        if self.disturbance is not None:
-            problem = add_disturbance(problem, self.disturbance)
-        if self.initial_state is None and self.terminal_state is None:
-            return problem
-        return problem.with_ends(self.initial_state, self.terminal_state)
-
-
 def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Candidate:
     """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
     reduced = reduce_problem(problem, REDUCTIONS)
     solver = SpectralSolver(reduced.problem)
-    return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
+    return reduced.recover(solver.solve_changed(Change(), None, options.tolerance, options.time_limit))
 
 
 class SolverCache:
@@ -90,16 +53,7 @@ class SolverCache:
             return solve_spectral(problem, options)
         reduced, solver = self._spectral_solver()
         try:
-            solution = solver.solve(
-                change.initial_state,
-                change.terminal_state,
-                change.references,
-                change.bounds,
-                warm_start=self._last,
-                tolerance=options.tolerance,
-                time_limit=options.time_limit,
-                disturbance=change.disturbance,
-            )
+            solution = solver.solve_changed(change, self._last, options.tolerance, options.time_limit)
         except (ProblemError, UnsupportedError):
             return solve_spectral(problem, options)
         if solution.status == Status.OPTIMAL:
@@ -118,9 +72,8 @@ class SolverCache:
         if condensed is None:
             return None
         reduced, solver = self._spectral_solver()
-        changes = change.initial_state, change.terminal_state, change.references, change.bounds, change.disturbance
         try:
-            changed, lti = solver.changed_problem(*changes)
+            changed, lti = solver.changed_problem(change)
         except (ProblemError, UnsupportedError):
             return None
         started = now()

@@ -1,4 +1,4 @@
-"""Reductions of any problem: another origin of the states, added states, rate limits, sampled frequencies.
+"""Changes and reductions of any problem: other data, another origin, added states, rate limits, sampled frequencies.
 
 A far origin costs digits: ``translation_of`` moves it to the trajectory. The memory of a constraint becomes a state; a
 limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have terms at finitely many
@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, known_entries, real_array
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -110,6 +110,38 @@ def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> O
     if expected.shape not in ((n,), (T, n)):
         raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
     return replace_fields(problem, dynamics=problem.dynamics.disturbed(expected))
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
+
+    A disturbance, (n,) or (T, n), is added to the coming states.
+    """
+
+    initial_state: ConvexSet | ArrayLike | None = None
+    terminal_state: ConvexSet | ArrayLike | None = None
+    references: Mapping[str, ArrayLike] | None = None
+    bounds: Mapping[str, SetOrSets] | None = None
+    disturbance: ArrayLike | None = None
+
+    @property
+    def starts_elsewhere(self) -> bool:
+        """Whether at most the initial state changes."""
+        others = self.terminal_state, self.references, self.disturbance
+        return not self.bounds and all(other is None for other in others)
+
+    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+        """Return the changed problem."""
+        if self.bounds:
+            problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
+        if self.references is not None:
+            problem = problem.with_references(self.references)
+        if self.disturbance is not None:
+            problem = add_disturbance(problem, self.disturbance)
+        if self.initial_state is None and self.terminal_state is None:
+            return problem
+        return problem.with_ends(self.initial_state, self.terminal_state)
 
 
 def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import brief, known_entries, positive_number
+from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
@@ -26,8 +26,9 @@ from lin_freq_ocp.methods.spectral.rows import Rows
 from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.spectrum.base import entries_of
-from lin_freq_ocp.transform.reformulations import add_disturbance
+from lin_freq_ocp.transform.reformulations import Change
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ class SpectralSolver:
         initial_state: ArrayLike | ConvexSet | None = None,
         terminal_state: ArrayLike | ConvexSet | None = None,
         references: Mapping[str, ArrayLike] | None = None,
-        bounds: Mapping[str, object] | None = None,
+        bounds: Mapping[str, SetOrSets] | None = None,
         warm_start: SpectralSolution | None = None,
         tolerance: float | None = None,
         time_limit: float | None = None,
@@ -177,9 +178,16 @@ class SpectralSolver:
         for field, value in (("tolerance", tolerance), ("time_limit", time_limit)):
             if value is not None:
                 positive_number(field, value)
+        change = Change(initial_state, terminal_state, references, bounds, disturbance)
+        return self.solve_changed(change, warm_start, tolerance, time_limit)
+
+    def solve_changed(
+        self, change: Change, warm_start: SpectralSolution | None, tolerance: float | None, time_limit: float | None
+    ) -> SpectralSolution:
+        """Solve the changed problem; see ``solve``."""
         with self._lock:
             started = now()
-            problem, lti = self.changed_problem(initial_state, terminal_state, references, bounds, disturbance)
+            problem, lti = self.changed_problem(change)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
@@ -201,33 +209,20 @@ class SpectralSolver:
                         answer = second
                 return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
-    def changed_problem(
-        self,
-        initial_state: ArrayLike | ConvexSet | None,
-        terminal_state: ArrayLike | ConvexSet | None,
-        references: Mapping[str, ArrayLike] | None,
-        bounds: Mapping[str, object] | None,
-        disturbance: ArrayLike | None,
-    ) -> tuple[OptimalControlProblem, Lti]:
-        """Return the problem with new data and its form in ``units``; ProblemError if its structure is another one."""
-        changes = known_entries("bounds", bounds, ("state_set", "control_set"))
-        problem = replace(self.problem, **changes) if changes else self.problem
-        if references is not None:
-            problem = problem.with_references(references)
-        if disturbance is not None:
-            if self._end_rows:  # those on x_T are rows on the step before, in which the disturbance acts
-                raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
-            problem = add_disturbance(problem, disturbance)
-        if initial_state is not None or terminal_state is not None:
-            problem = problem.with_ends(initial_state, terminal_state)
+    def changed_problem(self, change: Change) -> tuple[OptimalControlProblem, Lti]:
+        """Return the changed problem and its form in ``units``; ProblemError if its structure is another one."""
+        if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
+            raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
+        problem = change.apply(self.problem)
         if problem is self.problem:
             return self.problem, self._lti
+        initial_state, terminal_state = change.initial_state, change.terminal_state
         ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
-        new_sets = [entry for sets in (bounds or {}).values() for entry in entries_of(sets)]
+        new_sets = [entry for sets in (change.bounds or {}).values() for entry in entries_of(sets)]
         for entry in (*new_sets, *(end for given, end in ends if given is not None)):
             if entry is not None and not all(member.soft for member in entry.members):
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
-        data = changes or references or disturbance is not None
+        data = change.bounds or change.references or change.disturbance is not None
         ends_only = not (data or (terminal_state is not None and self._lti.prices is not None))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)

@@ -1,6 +1,6 @@
 """The answers of a live page: a problem at the values of its sliders, re-solved and certified.
 
-Changes of bounds and ends use the solver cache (``batch.repeated``); other changes build the problem again. The sliders
+Changes of bounds and ends are solved by ``solving.resolver``; other changes build the problem again. The sliders
 are the numbers that the problem lists of its limits (``transform.limits``), and its horizon.
 
 The page draws plain data in the axes' units: signals over time, and their spectra. The spectrum of a signal v of N
@@ -20,7 +20,6 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, brief
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError, UnsupportedError, suggestion
 from lin_freq_ocp.base.phrases import number
-from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.comparison.compare import PREFERRED_FILTER, ComparisonOutcome, Filtered
 from lin_freq_ocp.comparison.filters import apply_filter, can_be_filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, frequencies_around, vibration
@@ -35,9 +34,9 @@ from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.solving.resolver import Resolver
 from lin_freq_ocp.transform.limits import SPECTRA, changed_fields
-from lin_freq_ocp.transform.reformulations import semi_infinite_terms
+from lin_freq_ocp.transform.reformulations import Change, semi_infinite_terms
 
 HORIZON = "horizon"
 HORIZON_NOTCHES = 60  # about so many between half and twice the problem's horizon
@@ -131,7 +130,7 @@ class Session:
             )
         self.problem, self.rebuild = problem, rebuild
         self.sliders = sliders_of(problem, rebuild)
-        self._repeated = Latest[Repeated](CACHED_PROBLEMS)
+        self._resolvers = Latest[Resolver](CACHED_PROBLEMS)
         self._outcomes = Latest[Outcome](CACHED_ANSWERS)
 
     def answer(self, values: object) -> Data:
@@ -200,13 +199,13 @@ class Session:
             (cached if slider.group in CACHED else structure)[slider.key] = values[slider.key]
 
         def solve() -> Outcome:
-            repeated = self._repeated.get(
+            resolver = self._resolvers.get(
                 (classical, *structure.items()),
-                lambda: Repeated(problem_at(self.problem, self.rebuild, structure, classical)),
+                lambda: Resolver(problem_at(self.problem, self.rebuild, structure, classical)),
             )
-            fields: dict[str, Any] = changed_fields(repeated.problem, cached)
+            fields: dict[str, Any] = changed_fields(resolver.problem, cached)
             ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
-            return repeated.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
+            return resolver.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
 
         return self._outcomes.get((classical, *structure.items(), *cached.items()), solve)
 

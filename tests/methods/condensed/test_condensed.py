@@ -25,6 +25,7 @@ from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.transform.reformulations import Change
 
 FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1
@@ -248,8 +249,7 @@ def test_other_references_offsets_bounds_and_ends():
         "another end alone": dict(terminal_state=[0.005, 0.0, 0.0, 0.0]),
     }
     for name, change in changes.items():
-        arguments = [change.get(key) for key in ("terminal_state", "references", "bounds", "disturbance")]
-        stated, lti = spectral.changed_problem(start, *arguments)
+        stated, lti = spectral.changed_problem(Change(start, **change))
         plan = solver.plan(start, lti)
         assert plan is not None, name
         candidate = plan.candidate(stated)

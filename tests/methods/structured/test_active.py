@@ -19,7 +19,8 @@ from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
 from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.solver_cache import Change, SolverCache
+from lin_freq_ocp.solving.solver_cache import SolverCache
+from lin_freq_ocp.transform.reformulations import Change
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]

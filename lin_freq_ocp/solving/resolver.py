@@ -1,4 +1,4 @@
-"""Solver state that is reused when one problem is solved repeatedly with other ends and references."""
+"""A problem that is solved again with other ends, references and bounds, and the solver state that its solves share."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_translated
-from lin_freq_ocp.solving.solver_cache import Change, SearchCache, SolverCache
-from lin_freq_ocp.transform.reformulations import Translation, far_origin, translated_by, translated_set
+from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache
+from lin_freq_ocp.transform.reformulations import Change, Translation, far_origin, translated_by, translated_set
 from lin_freq_ocp.transform.starts import start_of
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
@@ -129,7 +129,7 @@ def proven_in_batch(planned: Mapping[int, PlannedStart]) -> dict[int, ProvenPlan
     return proven
 
 
-class Repeated:
+class Resolver:
     """A problem with its method, and the solver state that earlier solves left."""
 
     def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
@@ -154,7 +154,7 @@ class Repeated:
             return False
         return isinstance(method, Spectral) or method.backend == "auto"
 
-    def take_programs(self, other: Repeated) -> None:
+    def take_programs(self, other: Resolver) -> None:
         """Share the programs of another problem, for those with the same matrices."""
         self._programs = other._programs
 

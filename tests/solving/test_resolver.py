@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.repeated import Repeated
 from lin_freq_ocp.methods.structured import assembly
-from lin_freq_ocp.solving.solver_cache import Change
+from lin_freq_ocp.solving.resolver import Resolver
+from lin_freq_ocp.transform.reformulations import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
@@ -80,9 +80,9 @@ FIXED = {
 
 @pytest.mark.parametrize(("problem", "change"), FIXED.values(), ids=FIXED)
 def test_other_fixed_values_are_solved_from_scratch(problem, change):
-    repeated = Repeated(problem)
-    repeated.solve(Change())
-    again, fresh = repeated.solve(change), lfo.solve(change.apply(problem))
+    resolver = Resolver(problem)
+    resolver.solve(Change())
+    again, fresh = resolver.solve(change), lfo.solve(change.apply(problem))
     assert again.status == fresh.status == "optimal"
     assert again.cost == pytest.approx(fresh.cost, rel=1e-7)
 
@@ -147,7 +147,7 @@ def test_masks_at_every_frequency_are_judged_by_the_tolerance_of_the_method():
 
 def test_states_that_hardly_move_do_not_set_the_method_up_again():
     problem = lfo.library.pendulum(horizon=20, terminal_state=None)
-    solver, start = Repeated(problem), np.array([0.02, 0.0, 0.0, 0.0])
+    solver, start = Resolver(problem), np.array([0.02, 0.0, 0.0, 0.0])
     caches = set()
     for _ in range(3):  # the position moves by less than a hundredth of what it is
         solver.solve(Change(start))
