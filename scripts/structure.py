@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_690,
-    "code lines, linear part": 20_620,
+    "code lines": 41_689,
+    "code lines, linear part": 20_619,
     "code lines, hybrid": 8_604,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
@@ -53,8 +53,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
-    "functions entered by a solve": 387,
-    "calls of a solve": 779,
+    "functions entered by a solve": 386,
+    "calls of a solve": 778,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,

@@ -2,5 +2,4 @@
 
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
-if __name__ == "__main__":
-    loops()
+loops()
