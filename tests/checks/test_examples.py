@@ -25,7 +25,7 @@ SAYS = {
     "printer_move": "optimal   40 samples, 0.16 s",
     "kinks": "maximum principle satisfied",
     "torque_map": "modes meet at t = 4; joint inclusion holds",
-    "receding_horizon": "with bounded windows             5.439 deg       0.143 N       5.000 N",
+    "receding_horizon": "with bounded windows             6.120 deg       0.114 N       5.000 N",
     "oscillating_mass": "at most 1 of the limit, 0 above it",
     "satellite": "largest torque 0.725 N m",
     "rendezvous": f"solved by method {'structured' if can_compile() else 'convex'}",
@@ -65,8 +65,8 @@ SHORTER = {
     "inverter": {"node_limit=50": "node_limit=5"},
     "kinks": {"tolerance=1e-3": "tolerance=1e-2"},
     "minimum_time": {"horizons=(20, 120)": "horizons=(110, 120)"},
-    "oscillating_mass": {"STEPS, SEED, SAMPLING = 300, ": "STEPS, SEED, SAMPLING = 70, ", "LATE = 100": "LATE = 50"},
-    "receding_horizon": {"STEPS, LATE, SEED = 120, 80, ": "STEPS, LATE, SEED = 50, 40, "},
+    "oscillating_mass": {"STEPS, SEED, SAMPLING = 300, ": "STEPS, SEED, SAMPLING = 45, ", "LATE = 100": "LATE = 35"},
+    "receding_horizon": {"STEPS, LATE, SEED = 120, 80, ": "STEPS, LATE, SEED = 30, 25, "},
 }
 """What a test runs in place of texts: fewer steps, and less accuracy, take the same way."""
 

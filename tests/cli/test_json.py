@@ -187,7 +187,7 @@ def test_json_of_a_replay_without_meaning_is_null():
 
 def test_json_of_compare_where_nothing_can_be_compared():
     """Even without its band the problem has no solution: that is an answer, and as JSON it is one object as ever."""
-    ended, out, _ = run("compare", "pendulum", "--set", "control_bound=1", "--filters", "brickwall", "--json")
+    ended, out, _ = run("compare", "pendulum", *TOO_WEAK, "--filters", "brickwall", "--json")
     summary = parsed(out)
     assert (ended, summary["status"]) == (1, "infeasible")
     assert set(summary) == set(compared())
