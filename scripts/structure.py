@@ -40,8 +40,8 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_689,
-    "code lines, linear part": 20_619,
+    "code lines": 41_687,
+    "code lines, linear part": 20_617,
     "code lines, hybrid": 8_604,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
