@@ -46,6 +46,7 @@ def pytest_configure(config):
     Ctrl-C need the handler of Python.
     """
     choose_seeds()
+    gc.disable()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     threads = os.environ.setdefault("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
@@ -79,8 +80,9 @@ def _sparse_arrays():
 
 
 def pytest_collection_finish():
-    """Collect garbage less often, and never what was imported: it lives until the end."""
+    """Collect garbage from now on, less often, and never what was imported: it lives until the end."""
     gc.freeze()
+    gc.enable()
     gc.set_threshold(50_000, 50, 100)
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, seal
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -17,6 +18,10 @@ FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING cos
 WEIGHTY = 0.1  # a row limits a component whose coefficient is at least this part of the row's largest
 NO_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
 FAR_BEYOND = 1e4  # a bound that exceeds the other sizes of its component by this factor counts as none
+
+
+# of the problems in use: methods and judge ask for the sizes of one problem again and again
+KNOWN_SIZES: WeakKeyDictionary[OptimalControlProblem, tuple[Array, Array]] = WeakKeyDictionary()
 
 
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
@@ -37,8 +42,11 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     be to cause the sizes of the others; the limits of other sets and rows; 1. A bound far above what ends, references
     and dynamics imply counts as none. States are measured from the origin of ``translation_of``.
     """
-    translated = translation_of(problem).problem
-    return completed_sizes(translated, given_sizes(translated))
+    if problem not in KNOWN_SIZES:
+        translated = translation_of(problem).problem
+        x, u = completed_sizes(translated, given_sizes(translated))
+        KNOWN_SIZES[problem] = seal(x), seal(u)
+    return KNOWN_SIZES[problem]
 
 
 def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array, Array]:
@@ -60,8 +68,7 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
     stated = np.concatenate([ends, references])
     tubes = problem.state_tube, problem.control_tube
-    sides = [_median_size(np.stack(tube.bounds, 1)) for tube in tubes]
-    bounds = np.concatenate([side.max(axis=0) for side in sides])
+    bounds = np.concatenate([_median_size(np.stack(tube.bounds, 1)).max(axis=0) for tube in tubes])
     others = np.where(stated > 0, stated, bounds)
     implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
     # nor does a bound on one side say how far the other side reaches
@@ -73,16 +80,11 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
 
 def _median_size(bounds: Array) -> Array:
     """Return the median of the finite |bound| > 0 over axis 0, times; 0 without any."""
-    constant = len(bounds) > 5 and bool((bounds[1:-1] == bounds[1]).all())
-    chosen = bounds[[0, 1, -1]] if constant else bounds
-    sizes = np.where(np.isfinite(chosen), np.abs(chosen), 0.0)
-    if constant:  # two ends do not outweigh more equal bounds
-        first, between, last = sizes
-        return np.where(between > 0, between, (first + last) / np.where((first > 0) & (last > 0), 2, 1))
+    sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
     sizes.sort(axis=0)
-    count, end = np.count_nonzero(sizes, axis=0)[None], len(sizes) - 1
-    below, above = (np.take_along_axis(sizes, end - i // 2, 0)[0] for i in (count, np.maximum(count - 1, 0)))
-    return (below + above) / 2
+    count = np.count_nonzero(sizes, axis=0)
+    middle = len(sizes) - 1 - np.stack([count, np.maximum(count - 1, 0)]) // 2
+    return np.take_along_axis(sizes, middle, axis=0).mean(axis=0)
 
 
 def _limited_sizes(problem: OptimalControlProblem) -> Array:

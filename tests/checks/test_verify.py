@@ -144,7 +144,9 @@ def test_a_judge_that_knows_no_flips_or_too_many_is_found_out(monkeypatch):
         assert any(words in one for seed in range(8) for one in flips.check(seed).wrong)
 
 
-@pytest.mark.parametrize("name", ["rotation, T = 6, freq", "pendulum, T = 6", "buck, T = 6", "network, T = 4, freq"])
+@pytest.mark.parametrize(
+    "name", seeds(["rotation, T = 6, freq", "pendulum, T = 6", "network, T = 4, freq"], always=["buck, T = 6"])
+)
 def test_four_methods_find_the_same_mode_sequences(name):
     outcome = modes.check(name)
     assert outcome.passed, outcome

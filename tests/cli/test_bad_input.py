@@ -417,7 +417,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
             "control bound on force [N]",
         ),
         (
-            ("compare", "pendulum", "--filters", "clipped", *settings("control_bound=4.5")),
+            ("compare", "pendulum", "--filters", "clipped", *settings("horizon=100", "control_bound=5.5")),
             NO_SOLUTION,
             "control bound on force [N]",
         ),
@@ -437,9 +437,9 @@ def test_no_solution_and_no_proof(arguments, status, words, files, monkeypatch):
 
 
 def test_a_band_without_which_there_is_a_solution_is_part_of_the_conflict():
-    """With 4.5 N the pendulum arrives without its low pass and not with it, so the low pass is to be named."""
-    assert lfo.solve(lfo.library.pendulum(control_bound=4.5, cutoff=None)).status == "optimal"
-    out = run("solve", "pendulum", *settings("control_bound=4.5"))[1]
+    """With 5.5 N the pendulum arrives without its low pass and not with it, so the low pass is to be named."""
+    assert lfo.solve(lfo.library.pendulum(100, control_bound=5.5, cutoff=None)).status == "optimal"
+    out = run("solve", "pendulum", *settings("horizon=100", "control_bound=5.5"))[1]
     assert "control stop band on force [N]" in " ".join(out.split())
 
 

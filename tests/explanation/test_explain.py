@@ -261,7 +261,7 @@ def test_without_throw_nothing_more_is_solved():
 
 def test_a_busy_machine_takes_no_cure_away():
     """Every look costs a second on the wall, and a thousandth of one of the processor: solve explains all the same."""
-    problem = lfo.library.double_integrator(cutoff_hz=0.3, horizon=40, sampling_time=0.06)
+    problem = lfo.library.double_integrator(cutoff_hz=0.3, horizon=24, sampling_time=0.1)
     with use_clock(Clock(1.0), Clock(1e-3)):
         with pytest.raises(lfo.errors.InfeasibleError) as caught:
             lfo.solve(problem)

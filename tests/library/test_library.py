@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.library_physics import solved
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -61,7 +62,7 @@ def test_frequency_constraint_is_there_by_default_and_absent_on_request(name):
     assert not free.state_stop.any()
 
 
-@pytest.mark.parametrize("name", library.LINEAR)
+@pytest.mark.parametrize("name", seeds(library.LINEAR))
 def test_optimum_agrees_with_cvxpy_and_the_frequency_constraint_costs_something(name):
     with_band, without_band = OPTIMA[name]
     problem = library.by_name(name)()

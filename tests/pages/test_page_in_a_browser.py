@@ -4,7 +4,6 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
-from helpers.compared_pages import moved
 
 PAPER = 720  # px: what is left of A4 between its margins
 
@@ -32,7 +31,7 @@ SAVED = {
     ),
     "periodic": lambda: lfo.compare(move(terminal_state=lfo.Periodic(), **slow(1.5)), ["brickwall"]),
     "response": lambda: lfo.compare(lfo.library.wave_energy(horizon=40), ["brickwall"]),
-    "vibration": moved,
+    "vibration": lambda: lfo.compare(lfo.library.printer_move(14, distance=2e-3, vibration_bound=2.0)),
     "loop": lambda: lfo.RecedingHorizon(move(terminal_state=[0.0, 0.0])).run([0.2, 0.0], 3),
 }
 

@@ -69,7 +69,7 @@ def test_the_price_is_that_of_the_docstring(name):
         x = lfo.simulate(given, u).x
         over = sum(max(np.linalg.norm(G @ u[:, 0]) - limit, 0.0) for G in rows)
         assert given.value(x, u) - plain.value(x, u) == pytest.approx(PRICE * over, rel=1e-12, abs=1e-12)
-        assert lfo.certify(given, lfo.Trajectory(x, u)).cost == pytest.approx(given.value(x, u))
+    assert lfo.certify(given, lfo.Trajectory(x, u)).cost == pytest.approx(given.value(x, u))
 
 
 @pytest.mark.parametrize("name", [name for name in BOUNDS if "windows" not in name and "16, " not in name])

@@ -1,5 +1,5 @@
-"""Compile the loops of the structured method ahead: ``python -m lin_freq_ocp.methods.structured``."""
+"""Compile the loops of the structured method ahead, if numba can: ``python -m lin_freq_ocp.methods.structured``."""
 
-from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
 
-KERNELS.prepare()
+loops()

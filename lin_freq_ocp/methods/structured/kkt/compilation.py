@@ -63,8 +63,7 @@ class Kernels:
     @property
     def ready(self) -> bool:
         """Whether nothing remains to be compiled."""
-        record = self._record
-        return self.loaded or (record is not None and record.exists())
+        return self.loaded or ((record := self._record) is not None and record.exists())
 
     def prepare(self) -> None:
         """Compile everything, or load it from the cache; if that takes long, say so in the terminal."""

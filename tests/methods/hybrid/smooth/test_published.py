@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.published import PUBLISHED, mass_around_disc
+from helpers.seeds import seeds
 
 QUICK = [
     "DTOC1L, N = 10",
@@ -27,7 +28,7 @@ QUICK = [
 ]
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", seeds(QUICK))
 def test_a_published_optimum_is_found_or_a_better_one(name):
     case = PUBLISHED[name]
     result = lfo.solve(case.build(case.horizon), global_bound=False)
