@@ -87,10 +87,10 @@ def corrections(
     scaling = scale_rows_and_cost(linear, columns, columns)
     deviations = _Deviations(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
     z, y = scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
-    yield from deviations.corrected(z, y)
+    yield from filter(None, [deviations.correct(z, y)])
     solution = backend("clarabel")(deviations.program, DEFAULT_TOLERANCE, None)
     if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
-        yield from deviations.corrected(solution.z, solution.y)
+        yield from filter(None, [deviations.correct(solution.z, solution.y)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +103,16 @@ class _Deviations:
     program: Program
     frequencies: Mapping[str, Array]
 
-    def corrected(self, z: Array, y: Array) -> Iterator[Correction]:
-        """Yield the correction, if there is one, from a point with its duals, which tell the active rows."""
+    def correct(self, z: Array, y: Array) -> Correction | None:
+        """Return the correction of a point, whose duals tell the active rows; None if they determine none."""
         linear, scaling, problem = self.linear, self.scaling, self.linear.problem
         solution = solve_active(self.program, z, y)
         if solution is None:
-            return
+            return None
         z, y, system = solution
         duals = scaling.dual(y)
         if not np.isfinite(duals).all():  # too large for the units of the problem
-            return
+            return None
         change, (_, of_u) = linear.direction(scaling.primal(z)), linear.split_signals(scaling.columns)
         origin = 0.0 if problem.origin is None else problem.origin  # digits of x are those of the user's coordinates
         x, u = (self.trajectory.x + change.x + origin) - origin, self.trajectory.u + change.u
@@ -124,7 +124,7 @@ class _Deviations:
         sizes = np.abs(corrected.x) + np.abs(origin), np.abs(corrected.u), np.abs(point[linear.signals :])
         sizes = np.concatenate([part.ravel() for part in sizes])
         terms = scaling.rows * (abs(linear.sparse.A) @ sizes)
-        yield Correction(
+        return Correction(
             corrected,
             replace(linear.multipliers(duals, 1.0), frequencies=self.frequencies),
             _repair_price(system, scaling.scaled_primal(point), terms) / scaling.cost,

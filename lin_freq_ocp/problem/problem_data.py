@@ -108,7 +108,7 @@ class ProblemData:
         implied = self.dynamics.links(self.horizon)
         if given and any(one.periodic for one in implied):
             advice = "Its outputs are periodic by themselves: x_T = x_0."
-            raise ProblemError("terminal_state", given[0].name, "none beside a periodic FrequencyResponse", advice)
+            raise ProblemError("terminal_state", given[0].name, "none with a periodic FrequencyResponse", advice)
         return (*given, *implied)
 
     @cached_property

@@ -164,16 +164,16 @@ FEATURES: dict[str, Callable[[], Fields]] = {
 
 def exclude_each_other(one: str, other: str) -> bool:
     """Whether two features need different values of a field that cannot be shared."""
-    return bool((_named(one).keys() & _named(other).keys()) - TOGETHER.keys())
+    return bool((_fields_of(one).keys() & _fields_of(other).keys()) - TOGETHER.keys())
 
 
 @cache
-def _named(name: str) -> Fields:
+def _fields_of(name: str) -> Fields:
     """Return the fields of a feature."""
     return FEATURES[name]()
 
 
-def _together(field: str, one: Any, other: Any) -> Any:
+def _combine_values(field: str, one: Any, other: Any) -> Any:
     """Return two values of a field as one; sets for each time meet time by time."""
     if not field.endswith("set") or not (isinstance(one, list) or isinstance(other, list)):
         return TOGETHER[field](one, other)
@@ -185,8 +185,8 @@ def problem_of(*names: str) -> Problem:
     """Return the problem with these features; ProblemError or UnsupportedError if there is none."""
     fields: Fields = {}
     for name in names:
-        for field, value in _named(name).items():
-            fields[field] = _together(field, fields[field], value) if field in fields else value
+        for field, value in _fields_of(name).items():
+            fields[field] = _combine_values(field, fields[field], value) if field in fields else value
     quadratic = {"Q": 0.5, "R": 0.2, "P": 1.0, "x_ref": [0.6, 0.0]} | fields.pop("quadratic", {})
     cost = lfo.QuadraticCost(**quadratic)
     cost = cost + fields.pop("cost") if "cost" in fields else cost
@@ -262,7 +262,7 @@ def quick_method(problem: Problem) -> str:
     return "nonsmooth" if "nonsmooth" in family_of(problem).shorthands else "auto"
 
 
-def solved(problem: Problem) -> lfo.results.Result:
+def solve_quickly(problem: Problem) -> lfo.results.Result:
     """Return the result by the quick method."""
     return lfo.solve(problem, quick_method(problem), throw=False)
 
@@ -326,7 +326,7 @@ def _solve_by(method: str, feature: str) -> str:
 
 
 def _certify(problem: Problem) -> str:
-    result = solved(problem)
+    result = solve_quickly(problem)
     for given in ((result.multipliers,), ()):
         certificate = lfo.certify(problem, result.trajectory, *given)
         if certificate.pmp != result.certificate.pmp:
@@ -354,7 +354,7 @@ def _step_twice(problem: Problem) -> str:
 
 def _starts(problem: Problem) -> list[Array]:
     """Return two initial states that the problem can begin with."""
-    x = solved(problem).trajectory.x
+    x = solve_quickly(problem).trajectory.x
     return [x[0], 0.9 * x[0]]
 
 
@@ -370,7 +370,7 @@ def _sweep(problem: Problem) -> str:
 def _write_proof(problem: Problem) -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "proof"
-        solved(problem).write_proof(path)
+        solve_quickly(problem).write_proof(path)
         with path.open("rb") as file:
             lfo_check.check(file, lambda words: None)
     return ""
@@ -391,7 +391,7 @@ def _store(problem: Problem) -> str:
         path = Path(folder) / "problem.toml"
         lfo.write_problem(problem, path)
         again = lfo.read_problem(path)
-    one, other = solved(problem).cost, solved(again).cost
+    one, other = solve_quickly(problem).cost, solve_quickly(again).cost
     return "" if one == other else f"cost {other}, and {one} before"
 
 
