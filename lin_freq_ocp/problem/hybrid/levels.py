@@ -264,7 +264,7 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class SwitchedDynamics(Dynamics):
+class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
     """x_{t+1} = A x_t + B u_t + d with u_t one of the points of a set: mode i holds where u_t is point i.
 
     The regions are single points; no two of them meet.
@@ -292,9 +292,8 @@ class SwitchedDynamics(Dynamics):
     def _modes(self) -> PiecewiseAffineDynamics:
         A, B, d = self.dynamics.A, self.dynamics.B, self.dynamics.offset
         sides = np.vstack([np.eye(self.control_dim), -np.eye(self.control_dim)])
-        numbers = [
-            ", ".join(f"{value:.17g}" for value in point) for point in self.choices
-        ]  # of all digits: they differ
+        # of all digits: they differ
+        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.choices]
         names = [f"u = {text}" if self.control_dim == 1 else f"u = ({text})" for text in numbers]
         choices = zip(self.choices, names, strict=True)
         modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=name) for point, name in choices]

@@ -92,7 +92,7 @@ def _with_constant_state(
         q=unit * np.append(np.zeros(n), price),
         x_ref=np.append(reference, 0.0),
     )
-    states = lfo.Box(np.full(n + 1, -9.0), np.full(n + 1, 9.0))
+    states = lfo.Box(np.append(np.full(n, -9.0), 1.0), np.append(np.full(n, 9.0), 1.0))
     return lfo.OptimalControlProblem(dynamics, T, cost, lfo.Box(-bound, bound), states, np.append(start, 1.0))
 
 
