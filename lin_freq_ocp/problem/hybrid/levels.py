@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from itertools import product
-from math import prod
+from math import gcd, lcm, prod
 from typing import ClassVar
 
 import numpy as np
@@ -30,9 +31,11 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.sets.stage_rows import StageSets
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
+from lin_freq_ocp.problem.terms.term import TermKind
 
 ON_ENVELOPE = 1e-12  # of the largest cost: a level this little above the line between others is on it (rounding)
 MOST_POINTS = 256  # combinations of levels of all components: the same limit as for pieces of piecewise-affine maps
@@ -261,6 +264,22 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
     return Levels(freeze(increasing), freeze(price[order]))
+
+
+def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:
+    """Return the unit of which all costs are whole multiples, and their error; 0 unless levels alone have costs.
+
+    The unit is the greatest common divisor of the costs of the levels as they are in double precision. The error is how
+    much the envelope may lie below them.
+    """
+    control_set, others = problem.dynamics.given[1], [term for term in problem.terms if not term.hard]
+    alone = problem.quadratic.zero and all(term.kind == TermKind.CONTROL_SET for term in others)
+    if not isinstance(control_set, FiniteSet) or not alone:
+        return 0.0, 0.0
+    costs = [Fraction(cost) for component in control_set.components for cost in component.costs.tolist()]
+    whole = lcm(*(cost.denominator for cost in costs))
+    unit = Fraction(gcd(*(int(cost * whole) for cost in costs)), whole)
+    return float(unit), problem.horizon * problem.control_dim * ON_ENVELOPE * float(max(costs))
 
 
 @dataclass(frozen=True, eq=False, init=False)
