@@ -209,6 +209,9 @@ class FiniteSet(ConvexSet):
     def levels_of(self, dimension: int) -> list[Array]:
         return [component.values for component in self.of(dimension)]
 
+    def costs_of(self, dimension: int) -> list[Array]:
+        return [component.costs for component in self.of(dimension)]
+
     def shares(self, u: Array) -> list[Array]:
         return [component.shares(u[:, i]) for i, component in enumerate(self.of(u.shape[1]))]
 
@@ -272,11 +275,12 @@ def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:
     The unit is the greatest common divisor of the costs of the levels as they are in double precision. The error is how
     much the envelope may lie below them.
     """
-    control_set, others = problem.dynamics.given[1], [term for term in problem.terms if not term.hard]
-    alone = problem.quadratic.zero and all(term.kind == TermKind.CONTROL_SET for term in others)
-    if not isinstance(control_set, FiniteSet) or not alone:
+    control_set = problem.dynamics.given[1]
+    alone = problem.quadratic.zero and all(term.hard or term.kind == TermKind.CONTROL_SET for term in problem.terms)
+    stated = control_set.costs_of(problem.control_dim) if control_set is not None and alone else ()
+    if not stated:
         return 0.0, 0.0
-    costs = [Fraction(cost) for component in control_set.components for cost in component.costs.tolist()]
+    costs = [Fraction(cost) for row in stated for cost in row.tolist()]
     whole = lcm(*(cost.denominator for cost in costs))
     unit = Fraction(gcd(*(int(cost * whole) for cost in costs)), whole)
     return float(unit), problem.horizon * problem.control_dim * ON_ENVELOPE * float(max(costs))

@@ -231,10 +231,10 @@ def spring(horizon, costs):
     return lfo.OptimalControlProblem(dynamics, horizon, lfo.QuadraticCost(), thrusters, states, [0, 0], end)
 
 
-@pytest.mark.parametrize("costs", [[1, 0, 1], [0.1, 0, 0.1]])
+@pytest.mark.parametrize("costs", [[0.1, 0, 0.1]])
 def test_a_bound_is_raised_to_the_next_cost_that_levels_can_have(costs):
     """The relaxation switches within samples: its cost is no whole number, and only its root is needed."""
-    result = lfo.solve(spring(10, costs), node_limit=1)
+    result = lfo.solve(spring(16, costs), node_limit=1)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(costs[0])
     assert result.cost * (1 - 1e-9) < result.lower_bound < result.cost
