@@ -40,9 +40,9 @@ FLOORS = ("problem", "program", "methods", "certificate", "solving")
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "code lines": 41_690,
-    "code lines, linear part": 20_620,
-    "code lines, hybrid": 8_604,
+    "code lines": 41_711,
+    "code lines, linear part": 20_622,
+    "code lines, hybrid": 8_623,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
     "folders": 40,
