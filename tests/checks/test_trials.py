@@ -28,6 +28,11 @@ def test_large_weights_make_nothing_optimal_that_balls_refute(seed):
     assert weights.check(seed).passed, weights.check(seed)
 
 
+@pytest.mark.parametrize("seed", [28, 83])
+def test_rest_at_a_saddle_is_no_answer_where_a_start_leads_to_less(seed):
+    assert weights.check(seed).statuses == ("locally_optimal",)
+
+
 @pytest.mark.parametrize("seed", seeds([3, 5, 6]))
 def test_controls_keep_hard_limits_exactly_where_the_state_jumps(seed):
     assert jumps.check(seed).passed, jumps.check(seed)
