@@ -49,10 +49,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_530,
-    "code lines": 41_690,
+    "shipped lines": 44_540,
+    "code lines": 41_700,
     "code lines, linear part": 20_819,
-    "code lines, hybrid": 8_604,
+    "code lines, hybrid": 8_623,
     SHARE_SAID: 19.5,  # at least
     "files": 306,
     "folders": 42,
@@ -64,10 +64,10 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
     "functions entered by a solve": 387,
-    "calls of a solve": 779,
-    "modules that tests import": 221,
-    "attributes that tests replace": 228,
-    "private attributes that tests read": 16,
+    "calls of a solve": 776,
+    "modules that tests import": 222,
+    "attributes that tests replace": 231,
+    "private attributes that tests read": 17,
     "imports through the door": 0,
     "files in circles": 0,
     "class names used twice": 0,

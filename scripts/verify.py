@@ -32,6 +32,11 @@ embedded     disturbed steps of ten generated controllers in C, against the spar
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
 pairs        every pair of features, and of a feature and a use, in a small problem: it works, or is refused with reason
+cancellation  costs and constraints by formulas that lose most digits of their values, against balls of 400 bits
+cost_units    costs in units of 1e-9 to 1e9 and with constants of 1e6 times their variation: no status may change
+weights       weights of 1e4 to 1e10 on one component, time or control: nothing that balls refute is called optimal
+names         hostile names through every writer: C is compiled, TOML and pages are parsed
+jumps         states that jump to 1e30 and to no number, in loops and in generated C: controls keep hard limits exactly
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
 suite        the tests with all their random seeds
 
@@ -71,6 +76,11 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "embedded": 10_000,
     "frequencies": 200,
     "proofs": 100,
+    "cancellation": 300,
+    "cost_units": 300,
+    "weights": 300,
+    "names": 300,
+    "jumps": 300,
     "uncontrollable": 1000,
     "pairs": None,
     "answers": None,

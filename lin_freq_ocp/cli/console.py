@@ -52,7 +52,7 @@ class PatientConsole(Console):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-out, err = PatientConsole(), Console(stderr=True)
+out, err = PatientConsole(emoji=False), Console(stderr=True, emoji=False)
 
 
 def write_files(status: int, *writes: Callable[[], object]) -> int:

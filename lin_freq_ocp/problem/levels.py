@@ -29,7 +29,7 @@ def with_levels(dynamics: Dynamics, control_set: SetOrSets) -> tuple[Dynamics, S
     linear = dynamics.given[0].standard_form
     if not isinstance(linear, LinearDynamics):
         advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
-        raise ProblemError("control_set", f"levels with {type(dynamics).__name__}", "LinearDynamics", advice)
+        raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
     return entry_for(LEVELS, linear)(linear, control_set), control_set.hull
 
 

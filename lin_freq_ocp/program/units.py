@@ -7,7 +7,7 @@ residuals are measured in them (``point_scaling``), and further solves may be.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -121,13 +121,13 @@ def is_revision(columns: Array, cost: float) -> bool:
     return bool(np.abs(np.log(np.append(columns, cost))).max() > np.log(REVISED))
 
 
-def cost_factor(slopes: Array, priced: Mask) -> float:
-    """Return the factor of the cost that makes the steepest of the slopes COST_LEVEL.
+def cost_factor(slopes: Array, priced: Mask, mean: Callable[[Array], np.floating] = np.max) -> float:
+    """Return the factor of the cost that makes the steepest of the slopes, or another ``mean``, COST_LEVEL.
 
     Those of variables that are not ``priced`` count where there are no others: the cost has penalties only.
     """
-    steepest = float(slopes[priced].max(initial=0.0)) or float(slopes.max(initial=0.0))
-    return COST_LEVEL / steepest if np.isfinite(steepest) and steepest > 0 else 1.0
+    counted = slopes[priced & (slopes > 0)] if (slopes[priced] > 0).any() else slopes[slopes > 0]
+    return COST_LEVEL / float(mean(counted)) if len(counted) and np.isfinite(counted).all() else 1.0
 
 
 def scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:

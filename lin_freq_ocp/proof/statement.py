@@ -88,8 +88,8 @@ def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
     try:
         modes = _modes(problem)
     except UnsupportedError:
-        got = type(problem.dynamics).__name__
-        raise UnsupportedError(f"dynamics: got {got}; a proof states linear or piecewise-affine dynamics.") from None
+        got = f"dynamics: got {problem.dynamics.words}"
+        raise UnsupportedError(f"{got}; a proof states linear or piecewise-affine dynamics.") from None
     yield line(
         section="problem",
         name=problem.name,

@@ -277,3 +277,15 @@ def test_a_library_problem_is_described_shortly():
     for name in ("pendulum", "buck_affine", "ball_and_paddle", "elliptic_rendezvous", "max_min_network"):
         for _, value in problem_facts(getattr(lfo.library, name)()):
             assert len(value) <= LONGEST_FACT
+
+
+def test_errors_name_dynamics_as_they_were_stated():
+    """Levels and formulas make other classes of them, which no user states."""
+    plant = lfo.LinearDynamics([[1.0]], [[1.0]])
+    levels = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), lfo.FiniteSet([0, 1]), lfo.Box(-9, 9), [0.0])
+    with pytest.raises(lfo.errors.UnsupportedError, match="got LinearDynamics with levels; expected LinearDynamics"):
+        _ = levels.linear
+    formulas = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="cosh(x_0)")
+    problem = lfo.OptimalControlProblem(plant, 2, formulas, initial_state=[0.0])
+    with pytest.raises(lfo.errors.UnsupportedError, match="these are dynamics with a cost or path constraints by form"):
+        problem.dynamics.disturbed(np.zeros(1))

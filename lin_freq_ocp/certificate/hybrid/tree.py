@@ -31,6 +31,7 @@ from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, box_
 from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -218,6 +219,9 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
         if stages is not None and proof is not None:
             proven[index] = stages, proof
     bounds[list(proven)] = LeafJudge(problem).bounds(list(proven.values()), end)
+    unit, error = cost_unit(problem)
+    if unit > 0:  # the least cost that is no lower
+        bounds = np.maximum(bounds, np.ceil((bounds - error) / unit) * unit - error)
     value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)
 

@@ -59,6 +59,10 @@ class Dynamics(ABC):
     control_names: tuple[str, ...]
     plant: ContinuousPlant | None = None  # the continuous model whose zero-order hold they are, if it is known
 
+    def __init_subclass__(cls, words: str = ""):
+        """Keep the words by which errors name the class, by default its name."""
+        cls.words = words or cls.__name__
+
     @property
     @abstractmethod
     def standard_form(self) -> Dynamics:
@@ -159,8 +163,7 @@ class Dynamics(ABC):
 
     def disturbed(self, disturbance: Array) -> Dynamics:
         """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states, if they are linear."""
-        kind = type(self).__name__
-        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {kind}.")
+        raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {self.words}.")
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
@@ -235,7 +238,7 @@ class StandardDynamics(Dynamics):
         return {}
 
 
-class StateEquations(StandardDynamics):
+class StateEquations(StandardDynamics, words="LinearDynamics or FrequencyResponse"):
     """x_{t+1} = f_t, affine in all states and controls of the trajectory: the linear dynamics that the judge sees."""
 
     def linear_at(self, x: Array, u: Array) -> Dynamics:
@@ -271,8 +274,7 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
     if dynamics.without_cost is not dynamics:
         expected = "quadratic, L1 and L-infinity costs, and linear rows"
         raise UnsupportedError(f"cost: got a cost by formulas, or stage_rows: a path constraint; expected {expected}.")
-    expected = kind.__name__ if kind is not StateEquations else "LinearDynamics or FrequencyResponse"
-    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected {expected}. {advice}".rstrip())
+    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {kind.words}. {advice}".rstrip())
 
 
 def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
@@ -284,7 +286,7 @@ def entry_for(table: Mapping[type, Entry], dynamics: Dynamics) -> Entry:
         if kind in table:
             return table[kind]
     known = ", ".join(kind.__name__ for kind in table)
-    raise UnsupportedError(f"dynamics: got {type(dynamics).__name__}; expected one of {known}.")
+    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected one of {known}.")
 
 
 def signal_labels(

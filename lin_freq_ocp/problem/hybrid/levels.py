@@ -14,9 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from itertools import product
-from math import prod
+from math import gcd, lcm, prod
 from typing import ClassVar
 
 import numpy as np
@@ -30,9 +31,11 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.sets.stage_rows import StageSets
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
+from lin_freq_ocp.problem.terms.term import TermKind
 
 ON_ENVELOPE = 1e-12  # of the largest cost: a level this little above the line between others is on it (rounding)
 MOST_POINTS = 256  # combinations of levels of all components: the same limit as for pieces of piecewise-affine maps
@@ -206,6 +209,9 @@ class FiniteSet(ConvexSet):
     def levels_of(self, dimension: int) -> list[Array]:
         return [component.values for component in self.of(dimension)]
 
+    def costs_of(self, dimension: int) -> list[Array]:
+        return [component.costs for component in self.of(dimension)]
+
     def shares(self, u: Array) -> list[Array]:
         return [component.shares(u[:, i]) for i, component in enumerate(self.of(u.shape[1]))]
 
@@ -263,8 +269,25 @@ def _levels(name: str, values: Array, costs: Array | None) -> Levels:
     return Levels(freeze(increasing), freeze(price[order]))
 
 
+def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:
+    """Return the unit of which all costs are whole multiples, and their error; 0 unless levels alone have costs.
+
+    The unit is the greatest common divisor of the costs of the levels as they are in double precision. The error is how
+    much the envelope may lie below them.
+    """
+    control_set = problem.dynamics.given[1]
+    alone = problem.quadratic.zero and all(term.hard or term.kind == TermKind.CONTROL_SET for term in problem.terms)
+    stated = control_set.costs_of(problem.control_dim) if control_set is not None and alone else ()
+    if not stated:
+        return 0.0, 0.0
+    costs = [Fraction(cost) for row in stated for cost in row.tolist()]
+    whole = lcm(*(cost.denominator for cost in costs))
+    unit = Fraction(gcd(*(int(cost * whole) for cost in costs)), whole)
+    return float(unit), problem.horizon * problem.control_dim * ON_ENVELOPE * float(max(costs))
+
+
 @dataclass(frozen=True, eq=False, init=False)
-class SwitchedDynamics(Dynamics):
+class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
     """x_{t+1} = A x_t + B u_t + d with u_t one of the points of a set: mode i holds where u_t is point i.
 
     The regions are single points; no two of them meet.
@@ -292,9 +315,8 @@ class SwitchedDynamics(Dynamics):
     def _modes(self) -> PiecewiseAffineDynamics:
         A, B, d = self.dynamics.A, self.dynamics.B, self.dynamics.offset
         sides = np.vstack([np.eye(self.control_dim), -np.eye(self.control_dim)])
-        numbers = [
-            ", ".join(f"{value:.17g}" for value in point) for point in self.choices
-        ]  # of all digits: they differ
+        # of all digits: they differ
+        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.choices]
         names = [f"u = {text}" if self.control_dim == 1 else f"u = ({text})" for text in numbers]
         choices = zip(self.choices, names, strict=True)
         modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=name) for point, name in choices]

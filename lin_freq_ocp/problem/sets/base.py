@@ -91,6 +91,10 @@ class ConvexSet(ABC):
         """Return the levels of each of so many components, (levels,); empty for a set without levels."""
         return ()
 
+    def costs_of(self, dimension: int) -> Sequence[Array]:
+        """Return the costs of the levels of each of so many components, (levels,); empty for a set without levels."""
+        return ()
+
     def shares(self, u: Array) -> Sequence[Array]:
         """Return the duty cycles of the levels of each component, (T, levels); empty for a set without levels."""
         return ()

@@ -342,8 +342,8 @@ class ModeRelaxation:
             t, _, j = (int(i) for i in np.argwhere(missing)[0])
             name = (*self.problem.state_names, *self.problem.control_names)[j]
             raise UnsupportedError(
-                f"{name}: unbounded at t = {t}, where several modes are possible; the search over modes needs bounds "
-                "that states and controls, or the reach from the initial state, have."
+                f"{name}: no Box bounds it at t = {t}, where several modes are possible; the search over modes needs "
+                "one, alone or in an Intersection, unless the initial state implies bounds."
             )
         return self._stages.scaled(np.where(bounded, bounds, 0.0))
 

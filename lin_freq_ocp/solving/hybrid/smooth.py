@@ -209,7 +209,7 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     resting = trajectory_without_cost(problem, local.trajectory) if certificate.failed else None
     if resting is not None and resting.trajectory is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting.trajectory, first)
-        if not at_rest[0].failed:
+        if not at_rest[0].failed and at_rest[0].cost <= certificate.cost + certificate.allowed_gap:
             certificate, multipliers = at_rest
             plain = resting.trajectory, multipliers, certificate
     if certificate.pmp == "satisfied" and is_smooth(problem):

@@ -32,7 +32,7 @@ from lin_freq_ocp.transform.reformulations import OwnStates, augment_states
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class DynamicsWithFormulaCost(Dynamics):
+class DynamicsWithFormulaCost(Dynamics, words="dynamics with a cost or path constraints by formulas"):
     """Dynamics with the stage cost of a problem by formulas, whose kinks are modes.
 
     ``form`` are the dynamics as smooth modes, ``stage`` is the cost, None where a terminal cost or path constraints are

@@ -63,3 +63,11 @@ def test_a_large_weight_on_one_component_loosens_no_other():
     problem = lfo.OptimalControlProblem(dynamics, 3, cost, free, initial_state=[0, 0], terminal_state=[0, 0])
     assert lfo.certify(problem, [[0.5, 0], [0, 0], [-0.5, 0]]).pmp == "violated"
     assert lfo.certify(problem, [[1.0, 0], [0, 0], [-1, 0]]).pmp == "satisfied"
+
+
+@pytest.mark.parametrize("weight", [2e5, 2e7])
+def test_the_accuracy_of_a_solve_does_not_fall_with_a_large_weight(weight):
+    """From the saddle 0, where the cost falls to second order."""
+    result = lfo.solve(stated("-x_0**2", 2, lfo.QuadraticCost(R=0.2, P=weight)), global_bound=False)
+    assert result.status == "locally_optimal"
+    assert result.cost == pytest.approx(-0.8, rel=1e-5)

@@ -348,7 +348,7 @@ def test_what_is_refused(monkeypatch):
     monkeypatch.setattr(enumeration, "MOST_SEQUENCES", 100)
     with pytest.raises(lfo.errors.UnsupportedError, match="more than"):
         lfo.solve(library.buck_affine(horizon=12), method="enumerate")
-    with pytest.raises(lfo.errors.UnsupportedError, match="unbounded at t = 0"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="no Box bounds it at t = 0"):
         lfo.solve(random_problem(1, control_set=None))
     with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue"):
         lfo.solve(replace(hybrid, cost=lfo.QuadraticCost(Q=-1.0, R=1.0)))

@@ -13,6 +13,7 @@ from helpers.clocks import Clock
 from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.transform.level_rows import level_rows
 from lin_freq_ocp.transform.simulation import simulate
 
@@ -219,3 +220,47 @@ def test_the_result_says_where_a_quadratic_cost_counts_means_only():
     plain = lfo.solve(lfo.library.pulse_pattern(samples=32))
     assert not plain.level_use.means
     assert "quadratic cost" not in str(plain)
+
+
+def spring(horizon, costs):
+    """Return a mass on a spring that thrusters move away and stop again, nearly."""
+    dynamics = lfo.LinearDynamics([[0.995, 0.1], [-0.1, 0.995]], [[0.005], [0.1]])
+    end = lfo.Box([0.04, -0.02], [0.16, 0.02])
+    thrusters = lfo.FiniteSet([-1, 0, 1], costs=costs)
+    states = lfo.Box([-9, -9], [9, 9])
+    return lfo.OptimalControlProblem(dynamics, horizon, lfo.QuadraticCost(), thrusters, states, [0, 0], end)
+
+
+@pytest.mark.parametrize("costs", [[0.1, 0, 0.1]])
+def test_a_bound_is_raised_to_the_next_cost_that_levels_can_have(costs):
+    """The relaxation switches within samples: its cost is no whole number, and only its root is needed."""
+    result = lfo.solve(spring(16, costs), node_limit=1)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(costs[0])
+    assert result.cost * (1 - 1e-9) < result.lower_bound < result.cost
+
+
+@pytest.mark.parametrize("costs", [[1, 0, 2], [0.5, 0, 0.75], [0.1, 0, 0.3]])
+def test_no_bound_is_raised_above_the_least_cost_of_all_sequences(costs):
+    problem = spring(6, costs)
+    problem = replace(problem, terminal_state=lfo.Box([0.02, -0.12], [0.06, 0.12]))
+    prices, least = dict(zip((-1, 0, 1), costs, strict=True)), np.inf
+    for levels in product((-1, 0, 1), repeat=6):
+        x = np.zeros(2)
+        for u in levels:
+            x = problem.dynamics.given[0].A @ x + problem.dynamics.given[0].B[:, 0] * u
+        if (problem.terminal_box.lower <= x).all() and (x <= problem.terminal_box.upper).all():
+            least = min(least, sum(prices[u] for u in levels))
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(least)
+    assert result.lower_bound <= least
+
+
+def test_costs_of_states_and_controls_are_no_multiples():
+    problem = spring(4, [1, 0, 1])
+    assert cost_unit(problem)[0] == 1.0
+    for change in ({"cost": lfo.QuadraticCost(R=1.0)}, {"control_set": lfo.FiniteSet([-1, 0, 1])}):
+        assert cost_unit(replace(problem, **change))[0] == 0.0
+    soft = replace(problem, state_set=lfo.sets.Soft(lfo.Box([-9, -9], [9, 9]), 1.0))
+    assert cost_unit(soft)[0] == 0.0

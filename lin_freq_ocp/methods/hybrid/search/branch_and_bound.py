@@ -34,6 +34,7 @@ from lin_freq_ocp.methods.hybrid.search.common import (
 )
 from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution
+from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
@@ -121,7 +122,7 @@ class TreeSearch:
         self._duals: list[Duals | None] = []
         self._heap: list[OpenNode] = []
         self._best: Indices | None = None
-        self._cost, self._scale = np.inf, 0.0
+        self._cost, self._scale, self._unit = np.inf, 0.0, cost_unit(self.problem)[0]
         self._tried: set[bytes] = set()
         self._solved, self._next_rounding = 0, 0
         self._setup = now() - self._started
@@ -351,7 +352,8 @@ class TreeSearch:
     def _cutoff(self) -> float:
         if not np.isfinite(self._cost):
             return np.inf
-        return self._cost - SHARE_OF_GAP * self.limits.gap * self._scale
+        share = SHARE_OF_GAP * self.limits.gap * self._scale
+        return self._cost - max(share, self._unit - share)
 
     def _relax_node(self, reach: Reach, cutoff: float) -> NodeSolution:
         self._solved += 1

@@ -97,13 +97,12 @@ class Filter:
 
 
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
-
-
 NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second solver to know that a step is convex
 # Multiples of the identity that make a Hessian convex, in units of order 1: the first and the least, the factor from
 # one to the next, that by which the next step begins lower (Waechter and Biegler, 2006), and the largest
 FIRST_SHIFT, LEAST_SHIFT, SHIFT_RISE, SHIFT_FALL, LARGEST_SHIFT = 1e-4, 1e-10, 8.0, 24.0, 1e20
 FRACTION = 0.99  # of the way to the boundary, at least
+STABILISED = 1e-4  # compliance of a fixed end, of which dynamics may imply a part, per infeasibility (Wright, 1998)
 
 
 class Trial(NamedTuple):
@@ -148,13 +147,8 @@ class BarrierPoint:
     def __init__(
         self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, derivatives: Derivatives
     ):
-        self._model, self._objective, self._loops, self.point, self._derivatives = (
-            model,
-            objective,
-            loops,
-            point,
-            derivatives,
-        )
+        self._model, self._objective, self._loops = model, objective, loops
+        self.point, self._derivatives = point, derivatives
         self.system = System(model.linearised(point.y, derivatives), loops)
         self.system.stages.H[:] = objective.H
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
@@ -240,7 +234,9 @@ class BarrierPoint:
 
     def _factor_system(self, solver: KKTSolver) -> bool:
         """Factor the system; return whether the solver finds the problem convex."""
-        self._step = StepSystem(self.system, solver.exchanged(self.system.stages))
+        coupling = self.system.coupling
+        of_end: Array = STABILISED * (np.arange(coupling.equation_count) < len(coupling.terminal)).astype(np.float64)
+        self._step = StepSystem(self.system, solver.exchanged(self.system.stages), min(self.theta, 1.0) * of_end)
         return self._step.factor()
 
     def step(self, left: Values | None = None) -> tuple[Array, Values, dict[int, Array]]:
@@ -338,6 +334,8 @@ class Barrier:
             if self._last is None:
                 raise
             ended = End.INTERRUPTED
+        except np.linalg.LinAlgError:  # the map, linearised along the trajectory, overflows within the horizon
+            ended = End.STALLED
         last = self._last
         if last is None:
             return BarrierResult(ended, EmbeddedPoint(y, [], {}), np.inf, np.inf, 0)

@@ -202,7 +202,7 @@ class SmoothModel:
         assembly, y = self.assembly, self.assembly.point(trajectory)
         H, h = self.expanded_cost(y)
         slopes = np.abs(np.einsum("tij,tj->ti", H, y) + h) + np.abs(H).sum(axis=2)
-        factor = cost_factor(np.nan_to_num(slopes), assembly.priced)
+        factor = cost_factor(np.nan_to_num(slopes), assembly.priced, np.median)
         stages, units = assembly.stages, assembly.units
         scaled = {name: factor * getattr(stages, name) for name in ("H", "h", "constant")}
         return replace(assembly, stages=replace(stages, **scaled), units=replace(units, cost=factor * units.cost))

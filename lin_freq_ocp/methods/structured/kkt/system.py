@@ -154,22 +154,25 @@ class KKTSolver(Protocol):
 
 
 class StepSystem:
-    """The system of a step at the scalings of the cones; call ``factor`` before ``solve``."""
+    """The system of a step at the scalings of the cones; call ``factor`` before ``solve``.
 
-    def __init__(self, system: System, solver: KKTSolver):
-        self.system, self._solver, self._loops = system, solver, system.loops
+    ``compliance`` is what a unit of the multiplier of each equation leaves of its residual: steps stay short where
+    equations depend on each other and contradict each other to first order.
+    """
+
+    def __init__(self, system: System, solver: KKTSolver, compliance: Array | float = 0.0):
+        self.system, self._solver, self._loops, self._compliance = system, solver, system.loops, compliance
 
     def factor(self) -> bool:
         """Factor at the present scalings; return the answer of the KKT solver on convexity."""
         system, stages = self.system, self.system.stages
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
-        diagonal = np.arange(Phi.shape[1])
-        Phi[:, diagonal, diagonal] += REGULARISATION
+        np.einsum("tii->ti", Phi)[:] += REGULARISATION
         balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
         squares = [_value_compliance(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
         roots = [_value_root(cone) for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
-        equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION)
+        equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION + self._compliance)
         return self._solver.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
 
     def solve(self, of_y: Array, of_z: Values, refined: bool = True) -> tuple[Array, Values]:
@@ -222,6 +225,7 @@ class StepSystem:
     def _residual(self, of_y: Array, of_z: Values, y: Array, z: Values) -> tuple[Array, Values]:
         system = self.system
         residual = [right - rows for right, rows in zip(of_z, system.rows(y), strict=True)]
+        residual[EQUATIONS] += self._compliance * z[EQUATIONS]
         for i, cone in system.cones.items():
             residual[i] += cone.scaled(z[i], 2)
         return of_y - system.curvature(y) - system.adjoint(z), residual

@@ -11,7 +11,7 @@ from helpers.random.smooth import random_problem
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
@@ -228,3 +228,48 @@ def test_an_answer_that_costs_less_by_its_violation_is_no_better_one():
     """Rest costs nothing; from other starts, the dynamics are violated by 1e-11, which the cost falls by."""
     result = lfo.solve(random_problem(57), global_bound=False)
     assert (result.status, result.cost) == ("locally_optimal", 0.0)
+
+
+def qubit(end, horizon=20, step=0.25):
+    """Return a qubit that turns about (u, 0, 1) from its north pole, on the unit sphere."""
+
+    def rotate(x, u):
+        rate = np.sqrt(u[0] ** 2 + 1)
+        c, s, n, m = np.cos(rate * step), np.sin(rate * step), u[0] / rate, 1 / rate
+        d = (1 - c) * (n * x[0] + m * x[2])
+        return [c * x[0] + n * d - s * m * x[1], c * x[1] + s * (m * x[0] - n * x[2]), c * x[2] + m * d + s * n * x[1]]
+
+    return lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(rotate, 3, 1),
+        horizon,
+        lfo.QuadraticCost(R=2 * step),
+        lfo.Box(0, 2.5),
+        initial_state=[0, 0, 1],
+        terminal_state=end,
+        control_spectrum=lfo.low_pass(0.8),
+    )
+
+
+def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start():
+    """As |x| = 1, two components of the south pole imply the third but for its sign."""
+    problem = qubit([0, 0, -1])
+    optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0], warm=False)
+    assert ended is End.OPTIMAL
+    assert optimum.cost == pytest.approx(13.844711544, rel=1e-9)  # that of the problem with x_2 < 0 at the end
+
+
+def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):
+    """A map linearised far away may grow by 1e300 within the horizon; the last point is the answer."""
+    problem, honest, factored = qubit([0, 0, -1]), interior_point.BarrierPoint.factor, list[float]()
+
+    def factor(self, *given):
+        factored.append(self.theta)
+        if len(factored) > 2:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return honest(self, *given)
+
+    monkeypatch.setattr(interior_point.BarrierPoint, "factor", factor)
+    optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0])
+    assert ended is End.STALLED
+    assert not optimum.converged
+    assert np.isfinite(optimum.trajectory.x).all()
