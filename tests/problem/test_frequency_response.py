@@ -106,7 +106,7 @@ def test_data_of_another_record_are_named(dynamics, message):
 
 def test_what_a_period_says_already_is_refused():
     dynamics, cost = lfo.FrequencyResponse(np.ones(5)), lfo.QuadraticCost(R=1.0)
-    with pytest.raises(ProblemError, match="terminal_state: got periodic ends; expected none beside a periodic"):
+    with pytest.raises(ProblemError, match="terminal_state: got periodic ends; expected none with a periodic"):
         lfo.OptimalControlProblem(dynamics, 8, cost, terminal_state=lfo.Periodic())
     with pytest.raises(ProblemError, match=r"initial_state: got .* expected None for a FrequencyResponse"):
         lfo.simulate(lfo.OptimalControlProblem(dynamics, 8, cost), np.ones((8, 1)), [0.0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -83,7 +85,7 @@ def test_solver_export_and_proof_have_the_same_price(name):
     assert result.certificate.globally_optimal
     assert result.cost == pytest.approx(expected, rel=1e-6)
     assert exported.solve(solver="CLARABEL") == pytest.approx(expected, rel=1e-6)
-    if "16" not in name:  # its file has 16 times as many numbers
+    if "16" not in name and find_spec("flint"):  # its file has 16 times as many numbers
         assert result.enclosure.lower == pytest.approx(expected, rel=1e-6)
 
 

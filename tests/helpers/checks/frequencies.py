@@ -49,9 +49,9 @@ class Findings:
 
     @property
     def passed(self) -> bool:
-        """Whether the cost lies between the bounds and the theorem holds, or both say infeasible."""
+        """Whether the cost lies between the bounds and the theorem holds, or both say infeasible, if without proof."""
         if self.status != "optimal":
-            return self.status == "infeasible" and self.theirs != "optimal"
+            return self.status in ("infeasible", "infeasible_claimed") and self.theirs != "optimal"
         slack = BRACKET * max(abs(self.cost), 1e-9)
         return self.lower - slack <= self.cost <= self.upper + slack and self.excess < 5e-7
 
