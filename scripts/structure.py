@@ -49,9 +49,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_540,
-    "code lines": 41_700,
-    "code lines, linear part": 20_819,
+    "shipped lines": 44_548,
+    "code lines": 41_708,
+    "code lines, linear part": 20_827,
     "code lines, hybrid": 8_623,
     SHARE_SAID: 19.5,  # at least
     "files": 306,
@@ -63,8 +63,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
-    "functions entered by a solve": 387,
-    "calls of a solve": 776,
+    "functions entered by a solve": 386,
+    "calls of a solve": 772,
     "modules that tests import": 222,
     "attributes that tests replace": 231,
     "private attributes that tests read": 17,

@@ -22,6 +22,7 @@ from lin_freq_ocp.certificate.tolerances import (
     DATA_ROUNDING,
     ENDS_TOLERANCE,
     MAXIMISATION_REACH,
+    NEGLIGIBLE_SHARE,
     PEAK_TOLERANCE,
     SCALE_FLOOR,
     TRIVIALITY,
@@ -158,8 +159,8 @@ def _with_rounding(condition: Condition, least: Floors) -> Condition:
 def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
     """C-iii: eta_{t-1} = D_x H_t - mu_t, 0 < t < T; C-iv: D_x H_0 = mu_0, eta_{T-1} = -eta_C D c_T - ... - mu_T.
 
-    C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u). Where the worth of residuals is a smaller
-    part of S than the worst residual of its scale, it is the residual of the condition.
+    C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u). Residuals count by their worth, a part of
+    S, where that is smaller than their part of their scale.
     """
     problem, at, (mu, nu) = extremal.problem, extremal.trajectory, (extremal.multipliers.mu, extremal.multipliers.nu)
     curvatures = (extremal.curvatures if extremal.multipliers.eta_C == 1 else None) or (None, None)
@@ -173,13 +174,22 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
         (in_u, curvatures[1], problem.control_tube, at.u, [("C-v", "Hamiltonian stationary in u", 0, last)]),
     ):
         residual = np.abs(difference).astype(np.float64)
-        worth = None if curvature is None else _worth(residual, scales, curvature, tube, signal)
-        for label, name, first, end in blocks:
-            condition = worst_condition(label, name, residual[first:end], scales[first:end], first)
-            total = np.inf if worth is None else float(worth[first:end].sum())
-            by_worth = total < condition.relative * least.level
-            conditions.append(replace(condition, residual=total, scale=least.level) if by_worth else condition)
+        for label, name, t, end in blocks:
+            condition = worst_condition(label, name, residual[t:end], scales[t:end], t)
+            if curvature is not None and condition.relative > NEGLIGIBLE_SHARE * CONDITION_TOLERANCE:
+                worth = _worth(residual, scales, curvature, tube, signal)[t:end]
+                condition = _count_by_worth(condition, residual[t:end], scales[t:end], worth, least.level)
+            conditions.append(condition)
     return conditions
+
+
+def _count_by_worth(condition: Condition, residual: Array, scales: Array, worth: Array, level: float) -> Condition:
+    """Return a condition whose residuals count by their worth, a part of S, where that is less than by their scales."""
+    by_worth = worth * scales < residual * level
+    rest = worst_condition(condition.label, condition.name, np.where(by_worth, 0.0, residual), scales)
+    total = float(worth[by_worth].sum())
+    share = max(rest.relative, total / level if total > 0 else 0.0)
+    return replace(condition, residual=share * level, scale=level) if share < condition.relative else condition
 
 
 def _worth(residual: Array, scales: Array, curvature: Array, tube: Box, signal: Array) -> Array:

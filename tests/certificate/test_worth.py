@@ -66,3 +66,17 @@ def test_abnormal_multipliers_are_judged_by_residuals():
     eta = 1e-5 * result.multipliers.eta
     certificate = judge(result.problem, result.trajectory, changed(result.multipliers, eta_C=0.0, eta=eta, **zero))
     assert "Hamiltonian stationary in u" in {one.name for one in certificate.failed}
+
+
+@pytest.mark.parametrize("wrong", [0.0, 1e-3])
+def test_a_component_without_a_price_leaves_the_worth_of_others(wrong):
+    """The second state has no weight and no bounds: its residual counts by its scale alone."""
+    result = lfo.solve(problem_of(cost=lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=0.3, P=np.diag([2.0, 0.0]))))
+    eta = result.multipliers.eta.copy()
+    eta[-1] += [1e-5, 1e-15 + wrong * np.abs(eta[:, 1]).max()]
+    certificate = judge(result.problem, result.trajectory, changed(result.multipliers, eta=eta))
+    (at_end,) = (one for one in certificate.conditions if one.name == "transversality at T")
+    if wrong:
+        assert 0.1 * wrong < at_end.relative < wrong
+    else:
+        assert at_end.residual == pytest.approx(1e-10 / 4, rel=1e-3)
