@@ -244,7 +244,7 @@ def test_what_is_wrong_with_a_state_band_of_a_period_fails_at_its_label(method):
     certificate = lfo.certify(problem, lfo.Trajectory(moved, u), result.multipliers)
     assert "C-vi" in {condition.label for condition in certificate.failed}
     rho = result.multipliers.rho_x.copy()
-    rho[np.argmax(np.abs(rho[:, 0])), 0] *= 1.001
+    rho[np.argmax(np.abs(rho[:, 0])), 0] *= 1.1  # by 0.001, it would be worth less than a millionth of the cost
     certificate = lfo.certify(problem, result.trajectory, replace(result.multipliers, rho_x=rho))
     assert {condition.label for condition in certificate.failed} == {"C-iii", "C-iv"}
     with pytest.raises(ProblemError, match=r"rho_x.*shape"):
