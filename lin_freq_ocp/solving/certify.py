@@ -9,7 +9,6 @@ from dataclasses import replace
 from lin_freq_ocp.base.arrays import real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
-from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.peaks import peak_points
 from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -116,9 +115,9 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     Every optimal trajectory of a convex problem has the multipliers of every other one.
     """
     with suppress(UnsupportedError):  # such as a cost that is not convex
-        optimum = solve_judged(problem)
-        if optimum.status == Status.OPTIMAL and optimum.multipliers is not None:
-            certificate = judge(problem, trajectory, optimum.multipliers, allowed)
+        multipliers = solve_judged(problem).multipliers
+        if multipliers is not None:  # proven to be optimal or not
+            certificate = judge(problem, trajectory, multipliers, allowed)
             if certificate.pmp == "satisfied":
                 return certificate
     problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))

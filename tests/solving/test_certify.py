@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks.alone import any_problem
 from lin_freq_ocp.certificate.conditions import Condition
 
 
@@ -49,3 +50,10 @@ def test_overflow_proves_nothing():
     certificate = lfo.certify(problem, trajectory, zero)
     assert certificate.pmp == "violated"
     assert not certificate.feasible
+
+
+def test_multipliers_of_an_answer_without_a_proof_are_those_of_the_trajectory_too():
+    """By one method, this problem is optimal; by the other, no more than locally, without a rigorous bound."""
+    problem = any_problem(10)
+    result = lfo.solve(problem, "structured")
+    assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
