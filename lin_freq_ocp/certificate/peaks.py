@@ -133,14 +133,14 @@ class Cells:
 
 def bound_peak(cells: Cells) -> Peak:
     """Return the largest |V| / l on cells, at a parameter, with proof."""
-    found, there, frequency, proven = 0.0, 0.0, float(cells.middle[0]), 0.0
+    found, value, frequency, proven = 0.0, 0.0, float(cells.middle[0]), 0.0
     for _ in range(HALVINGS):
         values = np.abs(cells.a[:, 0]) / cells.limit
         best = int(np.argmax(values))
         # the frequency is the first whose value, kept with it, is the largest up to rounding
-        seen, at = np.append([found, there], values), np.append([np.inf, frequency], cells.middle)
+        seen, at = np.append([found, value], values), np.append([np.inf, frequency], cells.middle)
         first = first_largest(seen, at)
-        found, there, frequency = float(seen.max()), float(seen[first]), float(at[first])
+        found, value, frequency = float(seen.max()), float(seen[first]), float(at[first])
         proven = max(proven, found * (1 + RATIO) + 2 * float(cells.error[best] / cells.limit[best]))
         cells = cells.take(_undecided_cells(cells, proven))
         if not len(cells.a) or 2 * len(cells.a) > MOST_CELLS:
