@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.problem.measures import one_step_residual
+from lin_freq_ocp.solving.solver_cache import solve_spectral
 
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
 B = np.array([[0.5, 0.0], [0.2, 0.6], [0.3, -0.4]])
@@ -21,6 +24,12 @@ LARGE_BOX = lfo.Box([-1.4, -0.7, -0.4], [1.2, 0.7, 0.5])
 
 def plant(a: Any = A, b: Any = B, offset: Any = 0.0) -> lfo.LinearDynamics:
     return lfo.LinearDynamics(a, b, offset) if np.any(offset) else lfo.LinearDynamics(a, b)
+
+
+def certificate_of_claim(problem: lfo.OptimalControlProblem) -> lfo.results.Certificate:
+    """Judge what the Fourier-domain method itself returns; ``solve`` would correct a wrong answer."""
+    claim = solve_spectral(problem, SolveOptions())
+    return judge(problem, claim.trajectory, claim.multipliers)
 
 
 def problem_of(**changes: Any) -> lfo.OptimalControlProblem:

@@ -11,6 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
+from helpers.spectral_plants import certificate_of_claim
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.errors import InfeasibleError, ProblemError, UnsupportedError
 from lin_freq_ocp.certificate.rays import prove_infeasible
@@ -155,6 +156,7 @@ def test_the_fourier_domain_method_closes_the_period(name):
     problem = double_integrator(**CLOSED[name])  # whose integrators have the eigenvalue of bin 0
     result = lfo.solve(problem, method="spectral")
     assert result.certificate.globally_optimal
+    assert certificate_of_claim(problem).globally_optimal
     assert abs(result.certificate.gap) < 1e-12
     assert result.cost == pytest.approx(lfo.solve(problem, method="structured").cost, rel=1e-8)
 

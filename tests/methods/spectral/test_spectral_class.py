@@ -20,6 +20,7 @@ from helpers.spectral_plants import (
     STATE_BOX,
     TIGHT,
     T,
+    certificate_of_claim,
     moving,
     plant,
     problem_of,
@@ -39,6 +40,7 @@ def assert_optimal(problem: lfo.OptimalControlProblem) -> lfo.results.Result:
     assert -1e-9 < result.gap < 1e-6
     for what, residual in residuals(problem, result.trajectory).items():
         assert residual < 1e-11, what
+    assert certificate_of_claim(problem).globally_optimal
     return result
 
 
