@@ -149,7 +149,7 @@ def _repair_price(system: ActiveSystem, z: Array, terms: Array) -> float:
     """
     residual, rounding = system.residual(z), ROW_ULPS * EPSILON * system.gaps(terms)
     change, left = system.change(residual)
-    holds = left <= CONTRACTION
+    holds = left <= CONTRACTION or bool((np.abs(residual) <= rounding).all())
     if not holds and rounding.any():
         change = system.nearest_change(residual, rounding)
         holds = bool((np.abs(residual - system.M @ change) <= rounding).all())

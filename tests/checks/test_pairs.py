@@ -20,6 +20,7 @@ ONCE_WRONG = [
     ("soft path constraint", "mask on a held control"),  # multipliers at the frequencies of the answer
     ("L1 cost", "cost by formulas"),  # a state without a weight
     ("linked ends", "generate"),  # its field
+    ("terminal ball", "linked ends"),  # rows that contradict each other by rounding
 ]
 
 
