@@ -7,13 +7,13 @@ of Newton's method from there, in balls. A path constraint that known controls s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from flint import arb
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import Outcome
 from helpers.exact.reduced import ReducedCost, Term, series_of
 
 STEPS = 12  # of Newton's method
@@ -40,21 +40,6 @@ FORMULAS = {
     "log(1 + s**2)": False,
     "(1 + s)*(1 - s) - cos(s)": False,
 }
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What was said of a problem, and what the balls refute."""
-
-    seed: int
-    kind: str
-    statuses: tuple[str, ...]
-    wrong: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing is refuted."""
-        return not self.wrong
 
 
 class Trial:
@@ -102,7 +87,7 @@ class Trial:
         return ReducedCost(self.A, self.B, self.start, self.T, terms or self.terms)
 
 
-def improved(cost: ReducedCost, u: list[Any]) -> list[Any]:
+def improve_controls(cost: ReducedCost, u: list[Any]) -> list[Any]:
     """Return controls that Newton's method leads to, within the bounds."""
     for _ in range(STEPS):
         slopes, hessian = cost.derivatives(u)
@@ -122,7 +107,7 @@ def _check_cost(seed: int) -> Outcome:
     if result.trajectory is None or result.cost is None:
         return Outcome(seed, KINDS[0], (str(result.status),), (f"no answer: {result.message}",))
     exact, own = trial.reduced(), [arb(value) for value in result.control[:, 0].tolist()]
-    cost, best = exact.value(own), exact.value(improved(exact, own))
+    cost, best = exact.value(own), exact.value(improve_controls(exact, own))
     best = best if best < cost else cost
     allowed = ROUNDING * trial.T
     if not abs(cost - result.cost) <= allowed:

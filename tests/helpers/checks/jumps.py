@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import Outcome
 from helpers.generated import CompiledController
 from lin_freq_ocp.methods.native_code import compiler
 
@@ -25,21 +26,6 @@ Step = Callable[[np.ndarray, np.ndarray], Answer]  # of a measured state and the
 STEPS = 12
 KINDS = ("box", "rate limit", "soft states")
 NO_STATE, NO_STEP = 4, "refused"  # status of generated C, and of this check
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of the steps of one loop."""
-
-    seed: int
-    kind: str
-    statuses: tuple[str, ...]
-    wrong: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether every control kept its limits and nothing failed."""
-        return not self.wrong
 
 
 @dataclass(frozen=True, eq=False)

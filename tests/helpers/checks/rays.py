@@ -8,12 +8,12 @@ unbounded    a free initial state with a linear cost, with states counted from z
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import Outcome
 from helpers.random.unbounded import random_unbounded
 from lin_freq_ocp.transform.reformulations import translated_by
 
@@ -22,21 +22,6 @@ METHODS = "auto", "structured", "convex"
 SHIFTS = 0.0, 1e3, 1e6
 CLOSE = 1e-6  # relative error of a cost, or of a bound, in the sum of its terms
 Rows = list[list[Fraction]]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of one problem; ``wrong`` is empty if nothing contradicts what is known."""
-
-    seed: int
-    kind: str
-    statuses: tuple[str, ...]
-    wrong: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing is wrong."""
-        return not self.wrong
 
 
 def check(seed: int) -> Outcome:

@@ -7,12 +7,12 @@ trajectories, which keep what the large weight wants, must not satisfy the maxim
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import Outcome
 from helpers.exact.reduced import ReducedCost, Term
 from lin_freq_ocp.base.arrays import Array
 
@@ -23,21 +23,6 @@ PARTS = (1.0, 0.3, 0.1, 0.01)  # of a step that are tried
 STATIONARY = 1e-6  # part of the scale of the light costs by which a step from a stationary point may lower the cost
 CURVED = 1e-3  # negative curvature that a second-order test must see, relative to the price of controls
 ACTIVE = 1e-6  # distance from a bound
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What was said of a problem with a large weight, and what is refuted."""
-
-    seed: int
-    kind: str
-    statuses: tuple[str, ...]
-    wrong: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing is refuted."""
-        return not self.wrong
 
 
 class Trial:

@@ -222,7 +222,7 @@ def test_the_result_says_where_a_quadratic_cost_counts_means_only():
     assert "quadratic cost" not in str(plain)
 
 
-def spring(horizon, costs):
+def oscillator_with_thrusters(horizon, costs):
     """Return a mass on a spring that thrusters move away and stop again, nearly."""
     dynamics = lfo.LinearDynamics([[0.995, 0.1], [-0.1, 0.995]], [[0.005], [0.1]])
     end = lfo.Box([0.04, -0.02], [0.16, 0.02])
@@ -234,7 +234,7 @@ def spring(horizon, costs):
 @pytest.mark.parametrize("costs", [[0.1, 0, 0.1]])
 def test_a_bound_is_raised_to_the_next_cost_that_levels_can_have(costs):
     """The relaxation switches within samples: its cost is no whole number, and only its root is needed."""
-    result = lfo.solve(spring(16, costs), node_limit=1)
+    result = lfo.solve(oscillator_with_thrusters(16, costs), node_limit=1)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(costs[0])
     assert result.cost * (1 - 1e-9) < result.lower_bound < result.cost
@@ -242,7 +242,7 @@ def test_a_bound_is_raised_to_the_next_cost_that_levels_can_have(costs):
 
 @pytest.mark.parametrize("costs", [[1, 0, 2], [0.5, 0, 0.75], [0.1, 0, 0.3]])
 def test_no_bound_is_raised_above_the_least_cost_of_all_sequences(costs):
-    problem = spring(6, costs)
+    problem = oscillator_with_thrusters(6, costs)
     problem = replace(problem, terminal_state=lfo.Box([0.02, -0.12], [0.06, 0.12]))
     prices, least = dict(zip((-1, 0, 1), costs, strict=True)), np.inf
     for levels in product((-1, 0, 1), repeat=6):
@@ -258,7 +258,7 @@ def test_no_bound_is_raised_above_the_least_cost_of_all_sequences(costs):
 
 
 def test_costs_of_states_and_controls_are_no_multiples():
-    problem = spring(4, [1, 0, 1])
+    problem = oscillator_with_thrusters(4, [1, 0, 1])
     assert cost_unit(problem)[0] == 1.0
     for change in ({"cost": lfo.QuadraticCost(R=1.0)}, {"control_set": lfo.FiniteSet([-1, 0, 1])}):
         assert cost_unit(replace(problem, **change))[0] == 0.0
