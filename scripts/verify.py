@@ -1,7 +1,7 @@
 """Long checks: known optima by three solvers, and random problems solved twice and judged. About half an hour.
 
     python scripts/verify.py [--part NAME]... [--problems N] [--seed 0] [--processes 2]
-    python scripts/verify.py --part answers [--save FILE] [--against FILE]
+    python scripts/verify.py --part answers|presented [--save FILE] [--against FILE]
     python scripts/verify.py --part pairs [--save docs/combinations.md]
 
 One file for each part in verify/; all run if none is named. Exit status 1 if a check fails.
@@ -26,6 +26,8 @@ smooth       random smooth problems without bounds, against IPOPT, and eigenvalu
 formulas     random problems with costs and time by formulas, against IPOPT and by differences of the cost
 answers      linear problems by the sparse program and by the structured method, compared with each other, or with the
              answers of another state of the code (--save, --against)
+presented    what users see of the same problems, JSON, texts of commands and steps of loops: nothing may change
+             (--save, --against)
 limits       time limits of 1 and 3 s on problems that take far longer
 loop         closed loops with disturbances, and plans of ten plants against the sparse program
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
@@ -84,6 +86,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "uncontrollable": 1000,
     "pairs": None,
     "answers": None,
+    "presented": None,
     "limits": None,
     "suite": None,
 }
@@ -105,7 +108,7 @@ def main() -> int:
         if options.part is None or part in options.part:
             verify = import_module(f"verify.{part}").verify
             seeds = None if count is None else range(options.seed, options.seed + (options.problems or count))
-            if part in ("answers", "pairs"):
+            if part in ("answers", "presented", "pairs"):
                 good &= verify(console, options.save, options.against)
             else:
                 good &= verify(console) if seeds is None else verify(console, seeds, options.processes)
