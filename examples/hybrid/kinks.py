@@ -43,7 +43,7 @@ print(
     "level",
     np.round(result.trajectory.x[:, 0], 4),
 )
-print("modes ", " ".join(problem.dynamics.mode_names[i] for i in result.sequence))
+print("modes ", " ".join(problem.mode_names[i] for i in result.sequence))
 print(f"maximum principle {certificate.pmp}; {certificate.borders}")
 print(f"cost {result.cost:.6f}, no trajectory below {result.lower_bound}")
 figure = result.plot()

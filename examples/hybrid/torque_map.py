@@ -70,7 +70,7 @@ result = lfo.solve(problem)
 certificate = result.certificate
 print("current", np.round(result.control[:, 0], 4))
 print("speed  ", np.round(result.trajectory.x[:, 0], 1))
-print("wheels ", " ".join(problem.dynamics.mode_names[i] for i in result.sequence))
+print("wheels ", " ".join(problem.mode_names[i] for i in result.sequence))
 print(f"maximum principle {certificate.pmp}; {certificate.borders}")
 print(f"cost {result.cost:.6f}, {result.message}")
 figure = result.plot()

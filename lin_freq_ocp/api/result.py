@@ -189,7 +189,7 @@ class Result(Outcome):
         ProblemError
             If the file cannot be written.
         """
-        checked = "_proven" in self.__dict__ or self.problem.dynamics.mode_names
+        checked = "_proven" in self.__dict__ or self.problem.mode_names
         if checked or self.problem.horizon <= LONGEST_CHECK:
             proof = self._proven[0]
         else:

@@ -146,7 +146,7 @@ def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> B
         None without a continuous plant or state bounds, if the control is modulated within a period (duty cycles of
         levels), or if the plant is so stiff that h |A| is above ``LARGEST_REACH``.
     """
-    plant, step, control_set = problem.dynamics.plant, problem.sampling_time, problem.control_set
+    plant, step, control_set = problem.form.plant, problem.sampling_time, problem.control_set
     modulated = isinstance(control_set, ConvexSet) and len(control_set.levels_of(problem.control_dim)) > 0
     if plant is None or step is None or modulated:
         return None

@@ -38,11 +38,11 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     the trajectory is zero and there are no data.
     """
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
-    A, B, offset = problem.dynamics.gains_along(trajectory.x, trajectory.u)
+    A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
     in_data = np.maximum(offset, np.abs(cost.x_ref).reshape(-1, n).max(0))
     for end in (problem.initial_box, problem.terminal_box):
         in_data = np.maximum(in_data, np.where(end.fixed, np.abs(end.lower), 0.0))
-    in_data = np.append(in_data, np.maximum(np.abs(cost.u_ref).reshape(-1, m).max(0), problem.dynamics.level_sizes))
+    in_data = np.append(in_data, np.maximum(np.abs(cost.u_ref).reshape(-1, m).max(0), problem.level_sizes))
     known = np.maximum(in_data, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
     linear_cost = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p), np.abs(cost.r).reshape(-1, m).max(0)
@@ -94,7 +94,7 @@ def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Si
     x, u = trajectory.x, trajectory.u
     pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
     in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
-    magnitudes, levels = problem.quadratic.magnitudes(), problem.dynamics.level_sizes
+    magnitudes, levels = problem.quadratic.magnitudes(), problem.level_sizes
     deviations = (np.abs(part) for part in problem.quadratic.deviations(x, u))
     rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(*deviations)
     if levels.any():

@@ -329,7 +329,7 @@ def judge(
         If shapes do not fit the problem, or a free bin or row has a multiplier.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a condition that overflows does not pass
-        judgement = entry_for(JUDGES, problem.dynamics)(problem, trajectory, multipliers)
+        judgement = entry_for(JUDGES, problem.form)(problem, trajectory, multipliers)
         scale = cost_scale(problem, trajectory) if judgement.cost_scale is None else judgement.cost_scale
         bound, normal, worth = judgement.bound, multipliers.eta_C == 1, judgement.cost_of_residuals
         if judgement.extremal is not None and normal:

@@ -316,7 +316,7 @@ class MeasuredTrajectory:
     @property
     def between_levels(self) -> bool:
         """Whether its controls are not all at levels, where the modes of the problem are levels."""
-        sets = entries_of(self.problem.control_set) if self.problem.dynamics.mode_names else ()
+        sets = entries_of(self.problem.control_set) if self.problem.mode_names else ()
         return any(
             bool((np.abs(u[:, None] - levels).min(axis=1) > CONDITION_TOLERANCE * np.abs(levels).max()).any())
             for controls in sets
@@ -337,7 +337,7 @@ class MeasuredTrajectory:
     @cached_property
     def modes(self) -> Indices | None:
         """Return the mode at every time, (T,), NO_MODE outside all regions; None without replay or with one mode."""
-        if not self.meaningful or len(self.problem.dynamics.mode_names) < 2:
+        if not self.meaningful or len(self.problem.mode_names) < 2:
             return None
         return mode_sequence(self.problem, self.trajectory) if self.sequence is None else self.sequence
 
@@ -398,12 +398,12 @@ def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned
     """Simulate u, (T, m), from the first planned state, unless that only shows amplified rounding errors."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
-    follows = problem.dynamics.response(problem.horizon) is not None  # x_0, too, from the controls
+    follows = problem.form.response(problem.horizon) is not None  # x_0, too, from the controls
     if measures.replay_is_meaningful(growth):
         try:
             return MeasuredTrajectory(label, problem, simulate(problem, u, None if follows else planned.x[0]), planned)
         except NumericalError as error:
-            if not problem.dynamics.mode_names:
+            if not problem.mode_names:
                 raise
             stopped = str(error)
     return MeasuredTrajectory(label, problem, Trajectory(planned.x, u), planned, meaningful=False, stopped=stopped)

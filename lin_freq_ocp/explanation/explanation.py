@@ -90,7 +90,7 @@ def explain(
     require_problem(problem)
     if problem.cost.has_formulas:  # no cost decides whether there is a trajectory
         problem = replace(problem, cost=QuadraticCost())
-    if problem.dynamics.affine and problem.dynamics.mode_names:
+    if problem.form.affine and problem.mode_names:
         raise UnsupportedError(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
             "explain(problem.with_modes(sequence)) tells those of one."
@@ -181,7 +181,7 @@ def least_cure(
 ) -> Cure | None:
     """Return the smallest relaxation of one limit that restores feasibility, tried on the problem; None without one."""
     rows, reached = None, np.zeros(0)
-    if problem.dynamics.response(problem.horizon) is None:  # else it takes no state delta
+    if problem.form.response(problem.horizon) is None:  # else it takes no state delta
         rows = limit.rows()
     if rows is not None:
         relaxation = _least_by_delta(problem, limit, rows, feasible, time_limit)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, positive_integer, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
@@ -420,13 +420,6 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     # a rate limit is written as its states and rows
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in ("schema", "rate_limit")}
-    dynamics, finite = problem.dynamics.given
-    fields["dynamics"] = dynamics
-    if finite is not None:
-        if problem.control_set is not finite.hull:
-            got, expected = brief(problem.control_set), "the FiniteSet of the dynamics' levels"
-            raise ProblemError("control_set", got, expected, "A file has one control set: another cannot stand beside.")
-        fields["control_set"] = finite
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
         if isinstance(given, (list, tuple)) and not any(member.members for member in given):

@@ -98,7 +98,7 @@ class Controller:
         self._most = None if max_changes is None else positive_integer("max_changes", max_changes)
         self._steps: list[Step] = []
         self._applied: list[Array] = []
-        self._step = problem.dynamics.stepper(problem.horizon)
+        self._step = problem.form.stepper(problem.horizon)
         self._limits = ControlLimits.of(self._problem)
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone

@@ -182,7 +182,7 @@ def certify_log(
     valid = np.array([status is not StepStatus.NO_STATE for status in log.statuses], dtype=bool)
     starts = log.states
     if delay:  # the control that was returned last leads to the state from which a plan begins
-        starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.dynamics.stepper(1)
+        starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.form.stepper(1)
         for k in np.flatnonzero(valid):
             starts[k], acting = step(0, log.states[k], acting), log.controls[k]
     resolver, verdicts = Resolver(stated), dict[int, _Verdict]()

@@ -268,7 +268,7 @@ def plant_of(model: object, problem: OptimalControlProblem, states: int) -> Plan
     A given model has so many ``states``.
     """
     if model is None:
-        return _plant_of_dynamics("problem.dynamics", problem.dynamics, (problem.state_dim, problem.control_dim))
+        return _plant_of_dynamics("problem.dynamics", problem.form, (problem.state_dim, problem.control_dim))
     expected_shape = states, problem.control_dim
     if isinstance(model, Dynamics):
         return _plant_of_dynamics("plant", model, expected_shape)

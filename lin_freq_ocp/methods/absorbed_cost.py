@@ -61,7 +61,7 @@ class AbsorbedCost(OwnStates):
 
 def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
     """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
-    response = problem.dynamics.response(problem.horizon)
+    response = problem.form.response(problem.horizon)
     curvature = None if response is None else bin_curvature(problem, response)
     if response is None or curvature is None or problem.quadratic.nonconvexity() is None:
         return None

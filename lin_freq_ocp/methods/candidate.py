@@ -59,7 +59,7 @@ class Candidate:
 
 def require_convex(problem: OptimalControlProblem) -> None:
     """Raise UnsupportedError, with the time or the bins and the eigenvalue, unless the cost is convex."""
-    response = problem.dynamics.response(problem.horizon)
+    response = problem.form.response(problem.horizon)
     if response is not None:
         require_convex_bins(problem, response)
         return

@@ -169,7 +169,7 @@ def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     reach = np.ptp(x, axis=0)
-    if problem.dynamics.response(problem.horizon) is None:
+    if problem.form.response(problem.horizon) is None:
         steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)
         responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)
         for t in range(steps):

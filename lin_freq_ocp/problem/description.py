@@ -25,9 +25,11 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
     if step is not None:
         horizon = f"{horizon} of {number(step)} s ({number(step * problem.horizon)} s)"
     signals = *(short_name(name) for name in problem.state_names), *problem.control_names
-    levels = any(len(part.levels_of(problem.control_dim)) for part in entries_of(problem.control_set))
-    at_levels = levels and bool(problem.dynamics.mode_names)  # modes are levels, which the dynamics describe
     facts = [("horizon", horizon), *_cost(problem), *problem.dynamics.facts(signals)]
+    choices, at_levels = problem.form.choices, problem.form.choices is not None
+    if choices is not None:
+        words = [one.describe(problem.control_names, "u") for one in entries_of(problem.control_set)]
+        facts.append(("levels", f"{words[0]}; {plural(len(choices), 'mode')}"))
     if gap and not at_levels:
         facts.append(("gap", f"no mode {gap}: infeasible there"))
     for i, name in enumerate(problem.control_names):
@@ -80,7 +82,7 @@ def _states(problem: ProblemData) -> list[Fact]:
             text = interval(float(box.lower[i]), float(box.upper[i]))
             free = "anywhere" if not convex_set.members else f"as the {end} set says"
             words.append(f"{verb} {free if text == 'no bound' else text}")
-        if problem.dynamics.response(problem.horizon) is not None:
+        if problem.form.response(problem.horizon) is not None:
             words = [word for word in words if not word.endswith(" anywhere")]
         facts.append((f"state: {name}", "; ".join(words)))
     return facts

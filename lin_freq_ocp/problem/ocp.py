@@ -13,12 +13,10 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.costs.formula_cost import with_cost
 from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, SwitchingBoundary, require_form
+from lin_freq_ocp.problem.dynamics.base import Dynamics, Form, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.levels import with_levels
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
@@ -109,13 +107,11 @@ class OptimalControlProblem(ProblemData):
         if not isinstance(cost, Cost):
             raise ProblemError("cost", brief(cost), "QuadraticCost, L1Cost, LInfCost, SmoothCost, or a sum of them")
         printable("name", name)
-        dynamics, control_set = with_levels(dynamics, control_set)
         n, m, T = dynamics.state_dim, dynamics.control_dim, positive_integer("horizon", horizon)
         dynamics.require_horizon(T)
         require_horizon(T, n, m)
         cost = cost.at_dimensions(n, m, T)
         rows = row_families(stage_rows, n, m, T)
-        dynamics = with_cost(dynamics, cost, bool(path_constraints(rows)))
         assign(
             self,
             dynamics=dynamics,
@@ -131,9 +127,16 @@ class OptimalControlProblem(ProblemData):
             output_spectrum=output_spectrum,
             name=name,
         )
-        _ = self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked and cached
-        if dynamics.mode_names:
-            dynamics.require_sets(self.stage_sets)
+        _ = (
+            self.form,
+            self.ends,
+            self.control_tube,
+            self.control_stop,
+            self.state_stop,
+            self.terms,
+        )  # checked and cached
+        if self.mode_names:
+            self.form.require_sets(self.stage_sets)
 
     def with_ends(
         self, initial_state: ConvexSet | ArrayLike | None = None, terminal_state: ConvexSet | ArrayLike | None = None
@@ -183,15 +186,22 @@ class OptimalControlProblem(ProblemData):
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
         return replace_fields(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
 
+    def in_form(self, kind: type[Form], advice: str = "") -> Form:
+        """Return the dynamics in a standard form, or raise UnsupportedError unless they are of this class."""
+        if (self.cost.has_formulas or self.path_constraints) and not isinstance(self.form.standard_form, kind):
+            got = "cost: got a cost by formulas, or stage_rows: a path constraint"
+            raise UnsupportedError(f"{got}; expected quadratic, L1 and L-infinity costs, and linear rows.")
+        return require_form(self.form, kind, advice)
+
     @cached_property
     def linear(self) -> LinearDynamics:
         """The dynamics, which must be linear; else UnsupportedError."""
-        return require_form(self.dynamics, LinearDynamics, OF_MODES)
+        return self.in_form(LinearDynamics, OF_MODES)
 
     @cached_property
     def equations(self) -> StateEquations:
         """The dynamics, which must be linear or known by a frequency response; else UnsupportedError."""
-        return require_form(self.dynamics, StateEquations, OF_MODES)
+        return self.in_form(StateEquations, OF_MODES)
 
     def affine_at(
         self, trajectory: Trajectory, selections: Mapping[Formula, Array] | None = None
@@ -211,11 +221,11 @@ class OptimalControlProblem(ProblemData):
         UnsupportedError
             If the cost has formulas: affine dynamics would lack it, unless it is a state.
         """
-        if self.dynamics.affine:
+        if self.form.affine:
             return self
         if self.cost.has_formulas:
             raise UnsupportedError("dynamics: got a cost by formulas; expected one that is a state (cost_as_state).")
-        affine = self.dynamics.affine_at(trajectory.x, trajectory.u, selections)
+        affine = self.form.affine_at(trajectory.x, trajectory.u, selections)
         problem = replace_fields(self, dynamics=affine, stage_rows=self.rows_along(trajectory))
         problem.__dict__.update(borders=(), gap=None)  # smooth pieces meet continuously, and cover the sets
         return problem
@@ -244,22 +254,26 @@ class OptimalControlProblem(ProblemData):
         UnsupportedError
             If the dynamics have no modes.
         """
-        dynamics, rows = self.dynamics.with_modes(sequence, self.horizon)
-        return replace(self, dynamics=dynamics, stage_rows=(*self.stage_rows, rows))
+        dynamics, rows = self.form.with_modes(sequence, self.horizon)
+        return replace(self, dynamics=dynamics, control_set=self.control_hull, stage_rows=(*self.stage_rows, rows))
+
+    def with_dynamics(self, dynamics: Dynamics) -> OptimalControlProblem:
+        """Return the problem with other dynamics, and controls in the convex hull of its levels."""
+        return replace(self, dynamics=dynamics, control_set=self.control_hull)
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the linear dynamics along a trajectory: those of its modes, linearised if smooth."""
-        return require_form(self.dynamics.linear_at(trajectory.x, trajectory.u), LinearDynamics)
+        return require_form(self.form.linear_at(trajectory.x, trajectory.u), LinearDynamics)
 
     @cached_property
     def borders(self) -> tuple[SwitchingBoundary, ...]:
         """The switching boundaries of affine modes within the sets, and whether the map jumps there; else empty."""
-        return self.dynamics.borders(self.stage_sets) if self.dynamics.mode_names else ()
+        return self.form.borders(self.stage_sets) if self.mode_names else ()
 
     @cached_property
     def gap(self) -> str | None:
         """A point of the sets, as text, outside the regions of all affine modes; None if they cover the sets."""
-        return self.dynamics.gap(self.stage_sets) if self.dynamics.mode_names else None
+        return self.form.gap(self.stage_sets) if self.mode_names else None
 
     @property
     def stage_sets(self) -> StageSets:
@@ -295,7 +309,7 @@ class OptimalControlProblem(ProblemData):
 
     def __str__(self) -> str:
         stops = {"control": self.control_stop, "state": self.state_stop}
-        joint, modes = sum(family.rows for family in self.stage_rows), len(self.dynamics.mode_names)
+        joint, modes = sum(family.rows for family in self.stage_rows), len(self.mode_names)
         parts = [
             f"horizon {self.horizon}",
             plural(self.state_dim, "state"),

@@ -17,8 +17,10 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, 
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.forms import form_of
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_over_time, box_of, end_within
+from lin_freq_ocp.problem.sets.path_constraint import path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, entries_of, named_entries
@@ -59,6 +61,26 @@ class ProblemData:
     def control_dim(self) -> int:
         """The number m of controls."""
         return self.dynamics.control_dim
+
+    @cached_property
+    def form(self) -> Dynamics:
+        """The dynamics that methods and the judge take, with modes for levels and for costs by formulas."""
+        return form_of(self.dynamics, self.control_set, self.cost, bool(path_constraints(self.stage_rows)))
+
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Return the name of every mode of the form; empty for a problem without modes."""
+        return self.form.mode_names
+
+    @property
+    def level_sizes(self) -> Array:
+        """Return the largest absolute level of each control, (m,); 0 for a control without levels."""
+        return np.zeros(self.control_dim) if self.form.choices is None else np.abs(self.form.choices).max(axis=0)
+
+    @property
+    def control_hull(self) -> SetOrSets:
+        """Return the control set; of levels, their convex hull."""
+        return self.control_set.hull if isinstance(self.control_set, ConvexSet) else self.control_set
 
     @property
     def sampling_time(self) -> float | None:
@@ -105,7 +127,7 @@ class ProblemData:
     def links(self) -> tuple[Link, ...]:
         """Return the equations on both ends, those that the dynamics imply last."""
         given = self.terminal_state.links(self.state_dim, self.horizon)
-        implied = self.dynamics.links(self.horizon)
+        implied = self.form.links(self.horizon)
         if given and any(one.periodic for one in implied):
             advice = "Its outputs are periodic by themselves: x_T = x_0."
             raise ProblemError("terminal_state", given[0].name, "none with a periodic FrequencyResponse", advice)
@@ -176,9 +198,9 @@ class ProblemData:
 Data = TypeVar("Data", bound=ProblemData)
 # The cached properties that depend on a field and not on all of them
 DEPENDENT = {
-    "dynamics": ("linear", "equations", "borders", "gap"),
-    "cost": ("quadratic",),
-    "stage_rows": ("terms",),
+    "dynamics": ("form", "linear", "equations", "borders", "gap"),
+    "cost": ("form", "quadratic"),
+    "stage_rows": ("form", "terms"),
     "state_set": ("state_boxes", "met_ends", "state_tube", "hard_state_sets", "terms"),
     "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),

@@ -88,7 +88,7 @@ def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
     try:
         modes = _modes(problem)
     except UnsupportedError:
-        got = f"dynamics: got {problem.dynamics.words}"
+        got = f"dynamics: got {problem.form.words}"
         raise UnsupportedError(f"{got}; a proof states linear or piecewise-affine dynamics.") from None
     yield line(
         section="problem",
@@ -113,7 +113,7 @@ def problem_lines(problem: OptimalControlProblem) -> Iterator[str]:
 def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
     """Return the name and the data of each mode; of linear dynamics, a single mode without rows."""
     n, m = problem.state_dim, problem.control_dim
-    if not problem.dynamics.mode_names:
+    if not problem.mode_names:
         linear = problem.linear
         none = {"G": (np.zeros((0, n)), 2), "H": (np.zeros((0, m)), 2), "h": (np.zeros(0), 1)}
         return [("linear", {"A": (linear.A, 2), "B": (linear.B, 2), "d": (linear.offset, 1), **none})]
@@ -123,7 +123,7 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
     return [
         # An array that memory holds once for all times is stated without its time
         (name, {field: (of[:, i] if of.strides[0] else of[0, i], ndim) for field, (of, ndim) in named.items()})
-        for i, name in enumerate(problem.dynamics.mode_names)
+        for i, name in enumerate(problem.mode_names)
     ]
 
 

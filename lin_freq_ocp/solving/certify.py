@@ -101,7 +101,7 @@ def certify(
     translation, subject = translation_of(problem), (problem, trajectory)
     problem, at = translation.judged_at(trajectory)
     if multipliers is None:
-        certificate = entry_for(CERTIFIERS, problem.dynamics)(problem, at, allowed)
+        certificate = entry_for(CERTIFIERS, problem.form)(problem, at, allowed)
     else:
         certificate = judge(problem, at, multipliers, allowed)
         if evidence is not None:

@@ -81,7 +81,7 @@ ONLY = {
 
 def family_of(problem: OptimalControlProblem) -> Family:
     """Return the methods for the dynamics of a problem."""
-    return entry_for(FAMILIES, problem.dynamics)
+    return entry_for(FAMILIES, problem.form)
 
 
 def require_shorthand(name: str) -> None:

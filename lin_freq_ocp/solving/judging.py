@@ -97,7 +97,7 @@ def judge_nearest(
     trajectory, multipliers = candidate.trajectory, candidate.multipliers
     assert trajectory is not None
     assert multipliers is not None
-    if problem.dynamics.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
+    if problem.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
         return candidate, judge(problem, trajectory, multipliers, allowed)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
         repaired = repair_trajectory(problem, trajectory)
@@ -182,7 +182,7 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
         return outcome
     after = judge(*inverse.judged_at(trajectory), multipliers, allowed)
     after = replace(after, descent=before.descent, data_rounding=before.data_rounding)
-    if inverse.given.dynamics.mode_names:
+    if inverse.given.mode_names:
         after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message
     if status.solved:
@@ -256,7 +256,7 @@ def _proof_of(problem: OptimalControlProblem, candidate: Candidate, claims: bool
 def _feasible_point(problem: OptimalControlProblem) -> Point | None:
     """Return the trajectory of the controls and the initial state nearest to zero, if it satisfies all constraints."""
     rest = np.zeros((problem.horizon, problem.control_dim)), np.zeros(problem.state_dim)
-    start = None if problem.dynamics.response(problem.horizon) is not None else problem.initial_box.project(rest[1])
+    start = None if problem.form.response(problem.horizon) is not None else problem.initial_box.project(rest[1])
     try:
         trajectory = simulate(problem, problem.control_tube.project(rest[0]), start)
     except NumericalError:

@@ -313,7 +313,7 @@ class LinearAuto:
         """Yield the methods in the order in which they are tried."""
         yield Spectral(self.tolerance)
         convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
-        if problem.dynamics.response(problem.horizon) is not None:  # there are no stages
+        if problem.form.response(problem.horizon) is not None:  # there are no stages
             yield convex
             return
         yield from (structured, convex) if structured_first(problem) else (convex, structured)

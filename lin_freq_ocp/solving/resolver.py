@@ -144,7 +144,7 @@ class Resolver:
     @property
     def linear(self) -> bool:
         """Whether the dynamics are linear."""
-        return isinstance(self.problem.dynamics.standard_form, LinearDynamics)
+        return isinstance(self.problem.form.standard_form, LinearDynamics)
 
     @property
     def spectral(self) -> bool:

@@ -193,7 +193,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
     best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
     outcome = replace(best.outcome, seconds=seconds)
-    if problem.dynamics.mode_names:  # the search bounds the relaxed problem, and so the problem itself
+    if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
         return recover_outcome(best.inverse, outcome, CONDITION_TOLERANCE, shortfall)
     candidate = best.inverse.recover(candidate_of(outcome))

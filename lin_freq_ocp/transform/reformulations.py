@@ -109,7 +109,7 @@ def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> O
     expected = real_array("disturbance", disturbance)
     if expected.shape not in ((n,), (T, n)):
         raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace_fields(problem, dynamics=problem.dynamics.disturbed(expected))
+    return replace_fields(problem, dynamics=problem.form.disturbed(expected))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,10 @@ class Change:
     def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
         if self.bounds:
-            problem = replace(problem, **known_entries("bounds", self.bounds, ("state_set", "control_set")))
+            bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
+            if problem.form.choices is not None:  # the levels stay, within the new bounds
+                bounds = {"dynamics": problem.form, "control_set": problem.control_hull} | bounds
+            problem = replace(problem, **bounds)
         if self.references is not None:
             problem = problem.with_references(self.references)
         if self.disturbance is not None:
@@ -176,7 +179,7 @@ def far_origin(problem: OptimalControlProblem) -> Array:
         return np.zeros(problem.state_dim)
     centre, drift = np.nan_to_num(centre), np.zeros(problem.state_dim)
     with suppress(LinFreqOCPError):  # outside all modes, or without a recursion
-        step = problem.dynamics.given[0].stepper(problem.horizon)
+        step = problem.dynamics.stepper(problem.horizon)
         drift = problem.horizon * np.nan_to_num(np.abs(step(0, centre, np.zeros(problem.control_dim)) - centre))
     far &= np.abs(centre) > FAR_FROM_ZERO * drift
     return np.where(far & ~_limited_about_zero(problem), centre, 0.0)

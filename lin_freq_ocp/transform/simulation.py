@@ -45,7 +45,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     if u.shape != (T, m):
         raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
-    response = problem.dynamics.response(T)
+    response = problem.form.response(T)
     if response is not None:
         if initial_state is not None:
             advice = "All outputs follow from the controls."
@@ -59,7 +59,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     start = one_component(real_array("initial_state", initial_state), n)
     if start.shape != (n,):
         raise ProblemError("initial_state", f"shape {start.shape}", f"shape {(n,)}")
-    x, step = np.empty((T + 1, n)), problem.dynamics.stepper(T)
+    x, step = np.empty((T + 1, n)), problem.form.stepper(T)
     x[0] = start
     with np.errstate(over="ignore", invalid="ignore"):
         for t in range(T):

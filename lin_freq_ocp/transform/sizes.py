@@ -65,7 +65,7 @@ def given_sizes(problem: OptimalControlProblem) -> Array:
     cost, n = problem.quadratic, problem.state_dim
     ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
     ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
-    references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.dynamics.level_sizes)
+    references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.level_sizes)
     stated = np.concatenate([ends, references])
     tubes = problem.state_tube, problem.control_tube
     bounds = np.concatenate([_median_size(np.stack(tube.bounds, 1)).max(axis=0) for tube in tubes])
@@ -120,7 +120,7 @@ def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callabl
     alone causes a known x_i, ``chosen`` (np.min or np.max) over i.
     """
     n, m = problem.state_dim, problem.control_dim
-    A, B, d = problem.dynamics.gains()
+    A, B, d = problem.form.gains()
     gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # a component says nothing of its own size
     gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     caused = gain @ known + problem.horizon * d

@@ -36,7 +36,7 @@ def start_of(problem: OptimalControlProblem, start: object) -> Start:
     ``given`` is a trajectory (also of a result, or a table of x and u), controls (T, m), which are simulated from the
     initial state, or the mode at every time, (T,) integers.
     """
-    if not problem.dynamics.mode_names:
+    if not problem.mode_names:
         raise UnsupportedError("start: got one for linear dynamics, which have no modes to search; leave it out.")
     start = start if isinstance(start, Trajectory) else getattr(start, "trajectory", start)
     T, m = problem.horizon, problem.control_dim
@@ -49,7 +49,7 @@ def start_of(problem: OptimalControlProblem, start: object) -> Start:
     if isinstance(start, Trajectory):
         with located_at("start", "trajectory"):
             problem.require(start)
-        return Start(problem.dynamics.sequence_of(start.x, start.u), start)
+        return Start(problem.form.sequence_of(start.x, start.u), start)
     expected = f"a Trajectory, controls of shape {(T, m)}, or {T} mode numbers"
     try:
         array = np.asarray(start)
@@ -61,11 +61,11 @@ def start_of(problem: OptimalControlProblem, start: object) -> Start:
         advice = "Mode numbers are integers." if array.shape == (T,) and array.dtype.kind == "f" else ""
         raise ProblemError("start", got, expected, advice)
     if whole:
-        return Start(mode_sequence("start", array, T, len(problem.dynamics.mode_names)), None)
+        return Start(mode_sequence("start", array, T, len(problem.mode_names)), None)
     try:
         with located_at("start", "mode"):
             trajectory = simulate(problem, array)
     except NumericalError as error:
         got = f"controls that cannot be simulated ({error})"
         raise ProblemError("start", got, "controls that lead through regions of modes") from None
-    return Start(problem.dynamics.sequence_of(trajectory.x, trajectory.u), trajectory)
+    return Start(problem.form.sequence_of(trajectory.x, trajectory.u), trajectory)

@@ -47,7 +47,7 @@ def timed(call: Callable[[], Found]) -> tuple[Found, float]:
 def measured(problem: lfo.OptimalControlProblem, file: Path) -> list[str]:
     """Return the figures of one problem."""
     result, solve = timed(lambda: lfo.solve(problem))
-    modes = problem.dynamics.mode_names
+    modes = problem.mode_names
     proof, build = timed(lambda: proof_of(result)[0] if modes else unchecked_proof(result))
     _, write = timed(lambda: file.write_text("".join(proof.lines())))
     with file.open("rb") as stream:

@@ -30,7 +30,7 @@ def verify(console: Console, seeds: range, processes: int) -> bool:
 def of_library(name: str) -> list[Outcome]:
     """Return the outcomes of a library problem by every method for linear dynamics; none if it has others."""
     problem = lfo.library.PROBLEMS[name]()
-    if problem.dynamics.mode_names or not isinstance(problem.dynamics, lfo.LinearDynamics | lfo.FrequencyResponse):
+    if problem.mode_names or not isinstance(problem.dynamics, lfo.LinearDynamics | lfo.FrequencyResponse):
         return []
     found = list[Outcome]()
     for method in METHODS:

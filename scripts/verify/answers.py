@@ -52,7 +52,7 @@ def problems() -> Iterator[tuple[str, lfo.OptimalControlProblem]]:
         yield name, benchmark()
     for seed in range(SEEDS):
         problem = problem_of(seed)
-        if not problem.dynamics.mode_names:
+        if not problem.mode_names:
             yield f"{kind_of(seed)} {seed}", problem
 
 

@@ -137,7 +137,7 @@ def test_tints_are_the_modes_of_the_result_at_its_times(name):
             assert [color for start, end, color in drawn if start <= step * (t + 0.5) < end] == [TINTS[mode]]
     assert not tints(figure.axes[1])  # the spectrum has no time
     names = [one.get_text() for legend in figure.legends for one in legend.get_texts()]
-    assert set(result.problem.dynamics.mode_names) <= {one.split("   ")[0] for one in names}
+    assert set(result.problem.mode_names) <= {one.split("   ")[0] for one in names}
 
 
 def test_every_trajectory_has_its_strip():

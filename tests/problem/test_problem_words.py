@@ -288,4 +288,4 @@ def test_errors_name_dynamics_as_they_were_stated():
     formulas = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="cosh(x_0)")
     problem = lfo.OptimalControlProblem(plant, 2, formulas, initial_state=[0.0])
     with pytest.raises(lfo.errors.UnsupportedError, match="these are dynamics with a cost or path constraints by form"):
-        problem.dynamics.disturbed(np.zeros(1))
+        problem.form.disturbed(np.zeros(1))

@@ -76,7 +76,7 @@ def test_modes_have_the_rows_of_their_regions():
     problem = lfo.library.switched_rotation()
     lines = stated(problem)
     modes = lines_with(lines, "mode")
-    assert lines[0]["modes"] == list(problem.dynamics.mode_names)
+    assert lines[0]["modes"] == list(problem.mode_names)
     assert [one["mode"] for one in modes] == [0, 1]
     for one, mode in zip(modes, piecewise_affine(problem).modes, strict=True):
         assert np.array_equal(numbers(one["A"]), mode.linear.A)

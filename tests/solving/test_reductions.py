@@ -58,7 +58,7 @@ def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
     else:
         assert not outcome.certificate.failed
         assert outcome.cost == pytest.approx(lfo.solve(entry.stated(given)).cost, rel=1e-7, abs=1e-9)
-        if not given.dynamics.mode_names:  # whose bound is that of a search
+        if not given.mode_names:  # whose bound is that of a search
             assert outcome.status == "optimal"
             assert outcome.certificate.pmp == "satisfied"
             assert outcome.certificate.globally_optimal

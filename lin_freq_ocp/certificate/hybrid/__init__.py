@@ -5,8 +5,6 @@ from lin_freq_ocp.certificate.hybrid.smooth import judge_priced
 from lin_freq_ocp.certificate.verdict import JUDGES
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.transform.hybrid.priced import DynamicsWithFormulaCost
 
 JUDGES[PiecewiseAffineDynamics] = judge_modes
 JUDGES[PiecewiseSmoothDynamics] = judge_priced
-JUDGES[DynamicsWithFormulaCost] = judge_priced

@@ -213,7 +213,7 @@ def facts_where_modes_meet(certificate: Certificate) -> SwitchingFacts | None:
 def modes_along(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> ModeArrays:
     """Return the modes of a problem at all times, which measure components by their sizes along a trajectory."""
     sizes = sizes or trajectory_sizes(problem, trajectory)
-    return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.dynamics.level_sizes)
+    return piecewise_affine(problem).arrays(problem.horizon).with_sizes(*sizes, problem.level_sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -449,8 +449,8 @@ def judge_modes(
             weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, scales, problem.origin)
-    least = replace(least, u=np.maximum(least.u, problem.dynamics.level_sizes))  # be the trajectory zero or not
-    along = replace(problem, dynamics=piecewise_affine(problem).along(sequence))
+    least = replace(least, u=np.maximum(least.u, problem.level_sizes))  # be the trajectory zero or not
+    along = problem.with_dynamics(piecewise_affine(problem).along(sequence))
     motion = along.equations.motion_sizes(trajectory.x, trajectory.u)
     dynamics_condition = state_equation(state_residual(along, trajectory), motion, least)
     linear = [
@@ -486,7 +486,7 @@ def judge_modes(
 def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:
     """Return by how much (x_t, u_t) lies outside each region, relative to the terms of its rows, (T, modes)."""
     arrays, (of_x, of_u) = piecewise_affine(problem).arrays(problem.horizon), sizes
-    least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.dynamics.level_sizes))
+    least = np.append(SCALE_FLOOR * of_x, np.maximum(SCALE_FLOOR * of_u, problem.level_sizes))
     x, y = trajectory.x, np.hstack([trajectory.x[:-1], trajectory.u])
     n = x.shape[1]
     images = np.einsum("tkij,tj->tki", np.abs(arrays.maps), np.abs(y)) + np.abs(arrays.offset)
@@ -500,5 +500,6 @@ def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, size
 
 def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: Indices) -> OptimalControlProblem:
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
-    dynamics, fixed = piecewise_affine(problem).averaged(weights), problem.dynamics.controls_of(sequence)
-    return replace(problem, dynamics=dynamics, control_set=fix_values(problem.control_set, fixed))
+    dynamics, choices = piecewise_affine(problem).averaged(weights), problem.form.choices
+    fixed = None if choices is None else choices[sequence]
+    return replace(problem, dynamics=dynamics, control_set=fix_values(problem.control_hull, fixed))

@@ -154,7 +154,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     problem with these in their place has a quadratic cost and rows, and the bound of one: a lower bound for the given
     problem, which is close if its multipliers fit. Rounding errors of values and slopes are those of enclosures.
     """
-    stated, (n, m), T = problem.dynamics.without_cost, (problem.state_dim, problem.control_dim), problem.horizon
+    stated, (n, m), T = problem.dynamics, (problem.state_dim, problem.control_dim), problem.horizon
     if stated.mode_names or multipliers.eta_C != 1:
         return None
     cost, (points, lower, upper) = problem.quadratic, _signals_with_bounds(problem, trajectory)
@@ -278,7 +278,7 @@ def _judge_norms(
         linear = problem.affine_at(trajectory, selections)
         modes = piecewise_affine(linear)
         sequence = modes.sequence_of(trajectory.x, trajectory.u)
-        alone = replace(linear, dynamics=modes.along(sequence))
+        alone = linear.with_dynamics(modes.along(sequence))
         extremal = extremal_at(alone, trajectory, multipliers)
         least = floors(extremal, scales)
         scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
@@ -385,13 +385,13 @@ def kinks(
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
     selections: dict[Formula, Array] = {}
-    for norm, active in problem.dynamics.active_kinks(x, u).items():
+    for norm, active in problem.form.active_kinks(x, u).items():
         selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         for t in np.flatnonzero(active):
             selections[norm][t] = judged.get((_norm_text(problem, norm), int(t)), 0.0)
     affine = problem.affine_at(trajectory, selections)
     arrays = modes_along(affine, trajectory)
-    alone = replace(affine, dynamics=piecewise_affine(affine).along(arrays.sequence(x, u)))
+    alone = affine.with_dynamics(piecewise_affine(affine).along(arrays.sequence(x, u)))
     required = required_slopes(extremal_at(alone, trajectory, multipliers))[:, :n]
     centre, radius = _mode_slopes(problem, trajectory, multipliers, selections), 0.0
     for norm, selection in selections.items():

@@ -20,7 +20,7 @@ images as well: unlike intervals they do not grow under rotations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -280,7 +280,7 @@ class LeafJudge:
         T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
         named = problem.sampling_time, problem.state_names, problem.control_names  # as bands and terms know them
         at_rest = LinearDynamics(np.zeros((n, n)), np.zeros((n, m)), None, *named)
-        self._problem = replace(problem, dynamics=at_rest)
+        self._problem = problem.with_dynamics(at_rest)
         self._arrays = piecewise_affine(problem).arrays(T)
         self._maps, self._rows = self._arrays.maps, self._arrays.rows
         self._sizes = np.abs(self._maps), np.abs(self._rows)

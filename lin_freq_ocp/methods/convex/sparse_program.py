@@ -216,7 +216,7 @@ def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) ->
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
     u = np.where(priced, cost.u_ref, near.u)
     first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
-    follows = problem.dynamics.response(T) is not None  # x_0 follows from the controls, too
+    follows = problem.form.response(T) is not None  # x_0 follows from the controls, too
     try:
         trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
     except NumericalError:

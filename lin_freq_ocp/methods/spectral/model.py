@@ -169,7 +169,7 @@ class LtiUnits:
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, response = problem.quadratic, problem.dynamics.response(problem.horizon)
+    cost, response = problem.quadratic, problem.form.response(problem.horizon)
     if response is not None and not closes_on_the_circle(problem):
         return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
     taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
@@ -211,7 +211,7 @@ def natural_units(problem: OptimalControlProblem) -> LtiUnits:
     given = given_sizes(problem)
     states, controls = completed_sizes(problem, given)
     known = given[: len(states)] > 0
-    recursion = problem.dynamics.response(problem.horizon) is None
+    recursion = problem.form.response(problem.horizon) is None
     balanced = recursion and not known.all()
     x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
     u = _power_of_two(_control_sizes(problem.control_tube, controls))
@@ -270,7 +270,7 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    outputs = problem.dynamics.response(T)
+    outputs = problem.form.response(T)
     if outputs is None:
         A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion

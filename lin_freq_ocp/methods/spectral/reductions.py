@@ -62,7 +62,7 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
     if not sets:
         return None
     polyhedra = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    recursion = problem.dynamics.response(problem.horizon) is None
+    recursion = problem.form.response(problem.horizon) is None
     unsuited = len(polyhedra) < len(sets) or priced_bounds(problem) is not None
     if unsuited or not recursion or problem.linear.time_varying:
         return None

@@ -123,7 +123,7 @@ class Session:
     """A problem with its sliders and its latest answers."""
 
     def __init__(self, problem: OptimalControlProblem, rebuild: Rebuild | None = None):
-        if "convex" not in family_of(problem).shorthands or problem.dynamics.mode_names:
+        if "convex" not in family_of(problem).shorthands or problem.mode_names:
             raise UnsupportedError(
                 f"explore: got {family_of(problem).kind} dynamics, for which one answer can take minutes; expected "
                 "linear dynamics or a frequency response. For such problems, use 'sweep --grid' or 'compare'."

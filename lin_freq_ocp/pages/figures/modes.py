@@ -103,7 +103,7 @@ def mode_legend(data: PlotData) -> ModeLegend:
 
 
 def _legend_of(data: PlotData, modes: set[int], whose: str) -> ModeLegend:
-    used, names = sorted(modes - {NO_MODE}), _short_names(data.problem.dynamics.mode_names)
+    used, names = sorted(modes - {NO_MODE}), _short_names(data.problem.mode_names)
     return ModeLegend(tuple(used), tuple(names[mode] for mode in used), whose)
 
 
@@ -114,7 +114,7 @@ def strip_rows(comparison: ComparisonOutcome) -> list[tuple[str, Indices | None]
 
 def strips_figure(data: PlotData, rows: Sequence[tuple[str, Indices | None]]) -> Figure:
     """Return one strip for each trajectory: label and mode sequence, None if its states mean nothing."""
-    names, factor, horizon = _short_names(data.problem.dynamics.mode_names), data.time.factor, data.problem.horizon
+    names, factor, horizon = _short_names(data.problem.mode_names), data.time.factor, data.problem.horizon
     drawn = [(row, span) for row, (_, modes) in enumerate(rows) if modes is not None for span in spans(modes)]
     unnamed = any(span.mode != NO_MODE and not _has_room(span, names[span.mode], horizon) for _, span in drawn)
     legend = _legend_of(data, {span.mode for _, span in drawn} if unnamed else set(), "mode")

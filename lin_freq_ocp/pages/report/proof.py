@@ -47,7 +47,7 @@ def verdict(certificate: Certificate, problem: OptimalControlProblem | None = No
         first = "The maximum principle was not checked: there are no multipliers."
     borders = facts_where_modes_meet(certificate)
     switching = [] if borders is None else switching_sentences(borders)
-    if problem is not None and not problem.dynamics.affine and certificate.bound is None:
+    if problem is not None and not problem.form.affine and certificate.bound is None:
         bound = ["There is no global lower bound: the dynamics are not affine, and none was found."]
     else:
         bound = _bound_in_words(certificate)

@@ -160,7 +160,7 @@ def worst_location(problem: OptimalControlProblem, condition: Condition) -> str:
     if condition.label in OF_ROWS:
         return f"t = {condition.time}, row {condition.component}"
     if condition.label in OF_MODES and condition.component is not None:
-        return f"t = {condition.time}, {problem.dynamics.mode_names[condition.component]}"
+        return f"t = {condition.time}, {problem.mode_names[condition.component]}"
     names = problem.control_names if condition.label in OF_CONTROL else problem.state_names
     axis = "bin" if condition.label in IN_FREQUENCY else "t ="
     if condition.component is None:

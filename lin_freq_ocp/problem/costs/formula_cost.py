@@ -16,12 +16,8 @@ from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, require_times, text_of, translate_formulas, with_states
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, TABLE, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, formula_from_text, listed_formulas, read_definitions
-from lin_freq_ocp.problem.costs.quadratic import Cost, NonsmoothCost
-from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
+from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.term import Term
-
-PRICED: dict[type, Callable[[Dynamics, Formula | None], Dynamics]] = {}
-"""Of dynamics and a stage cost by a formula, if there is one: the dynamics whose modes have this cost."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -128,15 +124,6 @@ class SmoothCost(NonsmoothCost):
         if terminal is not None:
             values[-1] = values_of([terminal], np.append(x[-1], np.zeros(u.shape[1]))[None].astype(np.float64))[0, 0]
         return values
-
-
-def with_cost(dynamics: Dynamics, cost: Cost, constrained: bool) -> Dynamics:
-    """Return dynamics whose modes have the cost by formulas of a problem; without formulas, the dynamics as stated.
-
-    They are smooth modes, too, if the problem is ``constrained`` by formulas.
-    """
-    stated = dynamics.without_cost
-    return entry_for(PRICED, stated)(stated, cost.formulas[0]) if cost.has_formulas or constrained else stated
 
 
 def _one_formula(field: str, given: object, dimensions: tuple[int, int], known: Mapping[str, Formula]) -> Formula:

@@ -23,7 +23,6 @@ from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.dynamics.response import Response
-from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 from lin_freq_ocp.problem.terms.term import Link
 
@@ -79,22 +78,8 @@ class Dynamics(ABC):
         return self.standard_form.mode_names
 
     @property
-    def given(self) -> tuple[Dynamics, ConvexSet | None]:
-        """Return the dynamics as stated, and the control set if it has become a part of them."""
-        return self, None
-
-    @property
-    def without_cost(self) -> Dynamics:
-        """Return the dynamics as stated, if a cost by formulas has become a part of them."""
-        return self
-
-    @property
-    def level_sizes(self) -> Array:
-        """Return the largest absolute level of each control, (m,); 0 for a control without levels."""
-        return np.zeros(self.control_dim)
-
-    def controls_of(self, sequence: Indices) -> Array | None:
-        """Return the controls (T, m) that a mode sequence determines; None if it leaves them free."""
+    def choices(self) -> Array | None:
+        """Return the control of each mode, (modes, m), where modes determine it."""
         return None
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
@@ -271,9 +256,6 @@ def require_form(dynamics: Dynamics, kind: type[Form], advice: str = "") -> Form
     form = dynamics.standard_form
     if isinstance(form, kind):
         return form
-    if dynamics.without_cost is not dynamics:
-        expected = "quadratic, L1 and L-infinity costs, and linear rows"
-        raise UnsupportedError(f"cost: got a cost by formulas, or stage_rows: a path constraint; expected {expected}.")
     raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {kind.words}. {advice}".rstrip())
 
 

@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, freeze, real_array
+from lin_freq_ocp.base.arrays import Array, assign, brief, freeze, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural, short_name, vector
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -275,9 +275,9 @@ def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:
     The unit is the greatest common divisor of the costs of the levels as they are in double precision. The error is how
     much the envelope may lie below them.
     """
-    control_set = problem.dynamics.given[1]
+    form = problem.form
     alone = problem.quadratic.zero and all(term.hard or term.kind == TermKind.CONTROL_SET for term in problem.terms)
-    stated = control_set.costs_of(problem.control_dim) if control_set is not None and alone else ()
+    stated = form.control_set.costs_of(problem.control_dim) if isinstance(form, SwitchedDynamics) and alone else ()
     if not stated:
         return 0.0, 0.0
     costs = [Fraction(cost) for row in stated for cost in row.tolist()]
@@ -295,16 +295,21 @@ class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
 
     dynamics: LinearDynamics
     control_set: ConvexSet
-    choices: Array  # (modes, m)
+    points: Array  # (modes, m)
 
     def __init__(self, dynamics: LinearDynamics, control_set: ConvexSet):
         n, m = dynamics.state_dim, dynamics.control_dim
         if control_set.dimension not in (None, m):
             raise ProblemError("control_set", f"levels of {control_set.dimension} components", f"levels of {m}")
-        choices = control_set.points(m)
-        assert choices is not None
+        points = control_set.points(m)
+        assert points is not None
         labels = signal_labels(n, m, dynamics.sampling_time, dynamics.state_names, dynamics.control_names)
-        assign(self, dynamics=dynamics, control_set=control_set, choices=choices, **labels)
+        assign(self, dynamics=dynamics, control_set=control_set, points=points, **labels)
+
+    @property
+    def choices(self) -> Array:
+        """Return the points of the set."""
+        return self.points
 
     @property
     def standard_form(self) -> PiecewiseAffineDynamics:
@@ -316,21 +321,11 @@ class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
         A, B, d = self.dynamics.A, self.dynamics.B, self.dynamics.offset
         sides = np.vstack([np.eye(self.control_dim), -np.eye(self.control_dim)])
         # of all digits: they differ
-        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.choices]
+        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.points]
         names = [f"u = {text}" if self.control_dim == 1 else f"u = ({text})" for text in numbers]
-        choices = zip(self.choices, names, strict=True)
+        choices = zip(self.points, names, strict=True)
         modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=name) for point, name in choices]
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
-
-    @property
-    def given(self) -> tuple[Dynamics, ConvexSet | None]:
-        """Return the linear dynamics and the control set."""
-        return self.dynamics, self.control_set
-
-    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the linear dynamics, the levels and the number of modes in words."""
-        words = f"{self.control_set.describe(self.control_names, 'u')}; {plural(len(self.choices), 'mode')}"
-        return [*self.dynamics.facts(labels), ("levels", words)]
 
     def require_sets(self, sets: StageSets) -> None:
         """Accept all sets: regions are single points."""
@@ -338,20 +333,3 @@ class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
     def borders(self, sets: StageSets) -> tuple[SwitchingFacet, ...]:
         """Return none."""
         return ()
-
-    @property
-    def level_sizes(self) -> Array:
-        """Return the largest absolute level of each control, (m,)."""
-        return np.abs(self.choices).max(axis=0)
-
-    def controls_of(self, sequence: Indices) -> Array:
-        """Return the controls of a mode sequence, (T, m)."""
-        return self.choices[sequence]
-
-    def translated(self, origin: Array) -> SwitchedDynamics:
-        """Return the dynamics of x - origin, with the same levels."""
-        return SwitchedDynamics(self.dynamics.translated(origin), self.control_set)
-
-    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> SwitchedDynamics:
-        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""
-        return SwitchedDynamics(self.dynamics.augmented(A, B, names, horizon), self.control_set)

@@ -241,7 +241,7 @@ def _with_implied_bounds(
                 if point is not None:
                     side[k] = units[k] * (point[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(point[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
-    return replace(problem, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
+    return replace(problem, dynamics=problem.form, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
 
 
 Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit
@@ -296,9 +296,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``big_m_bounds``."""
     dynamics, T = piecewise_affine(problem), problem.horizon
     arrays, bounds = dynamics.arrays(T), big_m_bounds(problem, end)
-    hosts = [
-        LinearProgram(replace(problem, dynamics=dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))
-    ]
+    hosts = [LinearProgram(problem.with_dynamics(dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))]
     n, m = problem.state_dim, problem.control_dim
     columns = _Columns(
         x=np.arange((T + 1) * n).reshape(T + 1, n),

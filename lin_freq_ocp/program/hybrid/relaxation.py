@@ -75,7 +75,7 @@ class ModeRelaxation:
         self.level = level  # factor by which the objective of members is enlarged
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
-            LinearProgram(replace(problem, dynamics=piecewise_affine(problem).along(np.full(T, mode))))
+            LinearProgram(problem.with_dynamics(piecewise_affine(problem).along(np.full(T, mode))))
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts)

@@ -28,10 +28,11 @@ class FixedModes(Inverse):
         Its states are simulated; from a free initial state, a second trajectory has the solver's states, as unstable
         dynamics magnify rounding errors.
         """
-        controls, start = self.given.dynamics.controls_of(self.sequence), self.given.initial_box
-        if controls is None:
+        choices, start = self.given.form.choices, self.given.initial_box
+        if choices is None:
             yield reduced
             return
+        controls = choices[self.sequence]
         yield simulate(self.given, controls, start.project(reduced.x[0]))
         if not start.fixed.all():
             yield Trajectory(reduced.x, controls)

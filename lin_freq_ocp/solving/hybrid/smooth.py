@@ -372,7 +372,7 @@ def _proof_of_infeasibility(
     constraints that are convex; else ``intervals``, if they are asked for, prove it even without frequency constraints:
     D is infinite.
     """
-    deadline, stated = now() + seconds, problem.dynamics.without_cost
+    deadline, stated = now() + seconds, problem.dynamics
     if not stated.mode_names:
         rows = problem.stage_rows if at is None else problem.rows_along(at)
         left_out = {

@@ -1,8 +1,7 @@
 """What is made of a problem with modes or formulas: its standard forms, smooth modes of costs, the reach of modes."""
 
-from lin_freq_ocp.problem.costs.formula_cost import PRICED
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.transform.hybrid.priced import price_linear, price_smooth
+from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.forms import FORMS
+from lin_freq_ocp.transform.hybrid.priced import form_with_modes
 
-PRICED.update({LinearDynamics: price_linear, PiecewiseSmoothDynamics: price_smooth})
+FORMS[Dynamics] = form_with_modes

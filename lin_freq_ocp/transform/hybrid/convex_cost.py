@@ -82,7 +82,7 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
 
     None if the cost has another form or no kinks, the dynamics are not linear, or there are path constraints.
     """
-    (stage, terminal), stated = problem.cost.formulas, problem.dynamics.without_cost
+    (stage, terminal), stated = problem.cost.formulas, problem.dynamics
     if stage is None or terminal is not None or stated.mode_names or problem.path_constraints:
         return None
     T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
@@ -102,4 +102,4 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
         r=cost.r + slopes[:, n:],
     )
     norms = [*problem.cost.without_formulas.norms, AffineNorms(tuple(found.norms))]
-    return replace(problem, dynamics=stated, cost=CostSum([quadratic, *norms]))
+    return replace(problem, cost=CostSum([quadratic, *norms]))

@@ -1,4 +1,4 @@
-"""Dynamics whose modes have a cost by formulas, and the same problem with this cost as a state.
+"""The forms of dynamics with levels and with a cost by formulas, and the problem with this cost as a state.
 
 With z_{t+1} = z_t + c_t(x_t, u_t), z_0 = 0, the cost sum c_t(x_t, u_t) is z_T, and its multiplier is -eta_C at all
 times: <(eta, -eta_C), (f, z + c)> is <eta, f> - eta_C c up to z. The maximum principle of the problem with z is that of
@@ -9,102 +9,61 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, with_columns
+from lin_freq_ocp.base.arrays import brief, with_columns
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
-from lin_freq_ocp.formulas.nodes import Formula, signals, translate_formulas, with_states
-from lin_freq_ocp.problem.costs.formula_cost import PRICED
+from lin_freq_ocp.formulas.nodes import Formula, signals, with_states
 from lin_freq_ocp.problem.costs.quadratic import CostSum
-from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for, require_form, signal_labels, unique_names
+from lin_freq_ocp.problem.dynamics.base import Dynamics, unique_names
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
+from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode, affine_formulas
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.reformulations import OwnStates, augment_states
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class DynamicsWithFormulaCost(Dynamics, words="dynamics with a cost or path constraints by formulas"):
-    """Dynamics with the stage cost of a problem by formulas, whose kinks are modes.
+class ModesWithCost(PiecewiseSmoothDynamics, words="dynamics with a cost or path constraints by formulas"):
+    """The form of dynamics with a cost by formulas: smooth modes, each with its formula of the cost."""
 
-    ``form`` are the dynamics as smooth modes, ``stage`` is the cost, None where a terminal cost or path constraints are
-    all that has formulas.
-    """
 
-    dynamics: Dynamics
-    form: PiecewiseSmoothDynamics
-    stage: Formula | None
+def form_with_modes(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Return dynamics with a mode for each of the levels, or else as smooth modes with a stage cost."""
+    form = dynamics.standard_form
+    if levels is not None:
+        if not isinstance(form, LinearDynamics):
+            advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
+            raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
+        return SwitchedDynamics(form, levels)
+    if isinstance(form, PiecewiseSmoothDynamics):
+        return _with_cost(form, form.modes, stage)
+    if not isinstance(form, LinearDynamics):
+        expected = "one of LinearDynamics, PiecewiseSmoothDynamics"
+        raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {expected}.")
+    times = max(form.A.shape[:-2], form.B.shape[:-2])
+    rows = np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (form.A, form.B)], axis=-1)
+    return _with_cost(form, [SmoothMode(affine_formulas(rows, form.offset, (form.state_dim, form.control_dim)))], stage)
 
-    def __init__(self, dynamics: Dynamics, form: PiecewiseSmoothDynamics, stage: Formula | None):
-        n, m = dynamics.state_dim, dynamics.control_dim
-        labels = signal_labels(n, m, dynamics.sampling_time, dynamics.state_names, dynamics.control_names)
-        assign(self, dynamics=dynamics, form=form, stage=stage, **labels)
 
-    @property
-    def standard_form(self) -> PiecewiseSmoothDynamics:
-        """Return the modes, each with its formula of the cost."""
-        return self._modes
-
-    @cached_property
-    def _modes(self) -> PiecewiseSmoothDynamics:
-        if self.stage is None:
-            return self.form
-        modes, cost = self.form.modes, [self.stage]
-        pieces = [(mode, piece) for mode in modes for piece in formula_pieces(cost, region=mode.region)]
+def _with_cost(dynamics: Dynamics, modes: Sequence[SmoothMode], stage: Formula | None) -> ModesWithCost:
+    """Return the modes with a stage cost, a mode for each piece of it."""
+    if stage is not None:
+        pieces = [(mode, piece) for mode in modes for piece in formula_pieces([stage], region=mode.region)]
         names = unique_names([", ".join(filter(None, (mode.name, piece.name))) for mode, piece in pieces])
-        priced = [
+        modes = [
             SmoothMode(mode.f, piece.region, mode.domain, name, piece.formulas)
             for (mode, piece), name in zip(pieces, names, strict=True)
         ]
-        return replace(self.form, modes=priced)
-
-    @property
-    def without_cost(self) -> Dynamics:
-        """Return the dynamics as stated."""
-        return self.dynamics
-
-    @property
-    def given(self) -> tuple[Dynamics, None]:
-        """Return the dynamics as stated."""
-        return self.dynamics, None
-
-    def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
-        """Return the dynamics as stated in words; the description of the cost is that of the problem."""
-        return self.dynamics.facts(labels)
-
-    def translated(self, origin: Array) -> Dynamics | None:
-        """Return the dynamics of x - origin, origin (n,), with the cost of these states."""
-        moved = self.dynamics.translated(origin)
-        stage = self.stage if self.stage is None else translate_formulas([self.stage], origin)[0]
-        return None if moved is None else entry_for(PRICED, moved)(moved, stage)
-
-    def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
-        """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t; their problem has the cost of x."""
-        return self.dynamics.augmented(A, B, names, horizon)
-
-
-def price_smooth(dynamics: Dynamics, stage: Formula | None) -> DynamicsWithFormulaCost:
-    """Return piecewise-smooth dynamics with a stage cost."""
-    return DynamicsWithFormulaCost(dynamics, require_form(dynamics, PiecewiseSmoothDynamics), stage)
-
-
-def price_linear(dynamics: Dynamics, stage: Formula | None) -> DynamicsWithFormulaCost:
-    """Return linear dynamics with a stage cost, as one smooth mode."""
-    linear = require_form(dynamics, LinearDynamics)
-    times = max(linear.A.shape[:-2], linear.B.shape[:-2])
-    rows = np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (linear.A, linear.B)], axis=-1)
-    f = affine_formulas(rows, linear.offset, (linear.state_dim, linear.control_dim))
-    labels = linear.sampling_time, linear.state_names, linear.control_names
-    form = PiecewiseSmoothDynamics([SmoothMode(f)], linear.state_dim, linear.control_dim, *labels)
-    return DynamicsWithFormulaCost(dynamics, form, stage)
+    labels = dynamics.sampling_time, dynamics.state_names, dynamics.control_names
+    return ModesWithCost(modes, dynamics.state_dim, dynamics.control_dim, *labels)
 
 
 @dataclass(frozen=True, eq=False)

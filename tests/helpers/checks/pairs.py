@@ -279,7 +279,7 @@ def solved_wrongly(names: Sequence[str], method: str | None = None, **options: A
         return f"{result.status}: {result.message}"
     if model is None:
         return ""
-    if result.status != "optimal" and not problem.dynamics.mode_names:
+    if result.status != "optimal" and not problem.mode_names:
         return f"{result.status}, and the problem is convex"
     below = any(term.semi_infinite is not None for term in problem.terms)  # CVXPY has the mask at some frequencies
     excess = (result.cost - theirs) / max(1.0, abs(theirs))
@@ -299,7 +299,7 @@ CONVEX: dict[str, Callable[[Any, Any], tuple[Any, list[Any]]]] = {
 
 def independent(problem: Problem, names: Sequence[str]) -> cp.Problem | None:
     """Return a problem in CVXPY, with convex features by formulas stated in it; None if it is not convex."""
-    if problem.dynamics.mode_names and not set(names) & set(CONVEX):
+    if problem.mode_names and not set(names) & set(CONVEX):
         return None
     try:
         others = [name for name in names if name not in CONVEX]

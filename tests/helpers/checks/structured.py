@@ -115,7 +115,7 @@ def problem_of(seed: int) -> lfo.OptimalControlProblem:
 def check(seed: int) -> Outcome:
     """Solve one problem by every method, and compare."""
     problem = problem_of(seed)
-    if problem.dynamics.mode_names:
+    if problem.mode_names:
         return Outcome(seed, {}, dict.fromkeys(METHODS, Verdict.REFUSED))
     return compared(seed, {name: solve(problem) for name, solve in METHODS.items()})
 

@@ -60,7 +60,7 @@ def test_no_flip_of_an_improved_sequence_is_feasible_and_cheaper():
         initial_state=[1.0, 0.4],
         terminal_state=lfo.Box([-0.6, -0.6], [0.6, 0.6]),
     )
-    points = problem.dynamics.controls_of(np.arange(9))
+    points = problem.form.choices
 
     def judged(sequence: tuple[int, ...]) -> tuple[bool, float]:
         found = simulate(problem, points[list(sequence)])

@@ -84,23 +84,24 @@ def test_the_cost_of_the_hull_is_the_lower_envelope(seed):
     assert shares @ costs[order] == pytest.approx(least)
 
 
-def test_levels_become_modes_and_the_control_set_their_hull():
-    levels = lfo.FiniteSet([[1, -1], [0, 2, 5]])
-    given = problem(levels, lfo.LinearDynamics([[1.0]], [[1.0, 2.0]]), state_set=lfo.Box(-99, 99))
-    assert len(given.dynamics.mode_names) == 6
+def test_a_problem_keeps_what_was_given_and_has_a_mode_for_each_level():
+    levels, plant = lfo.FiniteSet([[1, -1], [0, 2, 5]]), lfo.LinearDynamics([[1.0]], [[1.0, 2.0]])
+    given = problem(levels, plant, state_set=lfo.Box(-99, 99))
+    assert (given.dynamics, given.control_set) == (plant, levels)
+    assert len(given.mode_names) == 6
     assert given.control_tube.lower[0].tolist() == [-1, 0]
     assert given.control_tube.upper[0].tolist() == [1, 5]
-    assert given.control_set.duty_cycles
+    assert given.with_modes([0, 1, 5, 2]).control_set.duty_cycles
     assert "2 controls, 6 modes" in str(given)
     other = replace(given, control_set=lfo.FiniteSet([0, 1]))
-    assert len(other.dynamics.mode_names) == 4
+    assert len(other.mode_names) == 4
     sequence = np.array([0, 1, 5, 2])
-    assert given.dynamics.controls_of(sequence).tolist() == [[-1, 0], [-1, 2], [1, 5], [-1, 5]]
+    assert given.form.choices[sequence].tolist() == [[-1, 0], [-1, 2], [1, 5], [-1, 5]]
 
 
 def test_a_rate_limit_keeps_the_levels():
     given = lfo.rate_limited(problem(lfo.FiniteSet([0, 1, 2]), state_set=lfo.Box(-9, 9)), 1.0)
-    assert len(given.dynamics.mode_names) == 3
+    assert len(given.mode_names) == 3
     assert given.state_dim == 2
 
 

@@ -190,7 +190,7 @@ def test_certificates_of_modes_are_valid_json(case):
     assert borders["times"] == list(certificate.borders.times)
     assert (borders["jumping"] is None) == (case != "rotation")
     assert [flip["improves"] for flip in borders["flips"]] == [flip.improves for flip in certificate.borders.flips]
-    assert borders["modes"] == list(problem.dynamics.mode_names)
+    assert borders["modes"] == list(problem.mode_names)
     assert len(borders["weights"]) == len(borders["times"])
     spoiled = summary | {"certificate": summary["certificate"] | {"borders": borders | {"extra": 1}}}
     assert not Draft202012Validator(RESULT).is_valid(spoiled)

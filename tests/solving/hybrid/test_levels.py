@@ -123,7 +123,7 @@ def test_rounding_of_a_control_that_rests_is_measured_by_its_levels():
 
 def simulate_linear(problem: lfo.OptimalControlProblem, u: np.ndarray) -> lfo.Trajectory:
     """Return the trajectory of controls that need not be at levels."""
-    x, dynamics = [problem.initial_box.lower], problem.dynamics.given[0]
+    x, dynamics = [problem.initial_box.lower], problem.dynamics
     for now in u:
         x.append(dynamics.A @ x[-1] + dynamics.B @ now + dynamics.offset)
     return lfo.Trajectory(x, u)
@@ -248,7 +248,7 @@ def test_no_bound_is_raised_above_the_least_cost_of_all_sequences(costs):
     for levels in product((-1, 0, 1), repeat=6):
         x = np.zeros(2)
         for u in levels:
-            x = problem.dynamics.given[0].A @ x + problem.dynamics.given[0].B[:, 0] * u
+            x = problem.dynamics.A @ x + problem.dynamics.B[:, 0] * u
         if (problem.terminal_box.lower <= x).all() and (x <= problem.terminal_box.upper).all():
             least = min(least, sum(prices[u] for u in levels))
     result = lfo.solve(problem)

@@ -19,15 +19,15 @@ Nothing is proven here: the search solves the sequence again, and the judge chec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
 from lin_freq_ocp.transform.simulation import simulate
@@ -162,14 +162,15 @@ class Flips:
 
 
 class LevelRounding:
-    """The rounding of relaxed controls of a problem whose control set ``levels`` has the points ``choices``."""
+    """The rounding of relaxed controls of a problem whose dynamics have a mode for each level."""
 
-    def __init__(self, problem: OptimalControlProblem, levels: ConvexSet, choices: Array):
-        T, m, n = problem.horizon, problem.control_dim, problem.state_dim
+    def __init__(self, problem: OptimalControlProblem, form: SwitchedDynamics):
+        T, m, n, choices = problem.horizon, problem.control_dim, problem.state_dim, form.choices
         self._problem, self._choices, self._next = problem, choices, neighbouring_levels(choices)
         self._spans = np.ptp(choices, axis=0)
         self._improved: dict[tuple[bytes, bytes], tuple[Indices, float, float]] = {}
-        self._linear = linear = LinearProgram(replace(problem, dynamics=problem.dynamics.given[0]))
+        relaxed = problem.with_dynamics(form.dynamics)
+        self._linear = linear = LinearProgram(relaxed)
         signals, dynamics = linear.signals, sp.csc_array(linear.dynamics)
         response = np.zeros((signals, T * m))  # from a given initial state
         response[linear.states :] = np.eye(T * m)
@@ -181,7 +182,7 @@ class LevelRounding:
         self._P, self._q, self._slopes = program.P[:signals, :signals], program.q[:signals], response.T
         self._hessian = np.asarray(response.T @ (self._P @ response))
         self._prices = np.zeros(len(choices))
-        for part in levels.hull.parts(m):
+        for part in form.control_set.hull.parts(m):
             self._prices += part.penalty.cost(part.values(choices))
 
     def sequence_near(self, u: Array, initial_state: Array, end: float) -> Indices:
@@ -246,11 +247,12 @@ class LevelRounding:
 
 def level_rounding(problem: OptimalControlProblem) -> LevelRounding | None:
     """Return the rounding of a problem with levels; None without levels, or if its response takes too much memory."""
-    levels, T, m = problem.dynamics.given[1], problem.horizon, problem.control_dim
-    choices = None if levels is None else levels.points(m)
-    if levels is None or choices is None or ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
+    T, m = problem.horizon, problem.control_dim
+    if not isinstance(problem.form, SwitchedDynamics):
         return None
-    return LevelRounding(problem, levels, choices)
+    if ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
+        return None
+    return LevelRounding(problem, problem.form)
 
 
 def neighbouring_levels(choices: Array) -> Indices:

@@ -141,7 +141,7 @@ def multipliers_with_weights(
     across += 0.0 if pushed is None else pushed
     weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
     weights[times, sequence] = 1.0
-    if problem.dynamics.controls_of(sequence) is not None:  # every u is normal to a point
+    if problem.form.choices is not None:  # every u is normal to a point
         nu, stage = multipliers.nu + across[:, x.shape[1] :], dict(multipliers.stage)
         stage.pop(REGION, None)
         return replace(multipliers, nu=nu, stage=stage, weights=weights)
