@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.resolver import Resolver
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -25,7 +25,7 @@ from lin_freq_ocp.certificate.many import batch_judge_takes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.resolver import Resolver, proven_in_batch
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
 
 UNSOLVED = "unsolved"  # status of the problems that were left when Ctrl-C came
 

@@ -43,7 +43,8 @@ from lin_freq_ocp.solving.judging import allowed_residual
 from lin_freq_ocp.solving.method import Method
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
-from lin_freq_ocp.transform.reformulations import Change, translation_of
+from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
@@ -324,6 +325,6 @@ def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: floa
     """
     translation = translation_of(problem)
     multipliers = zero_multipliers(translation.problem, 0.0)  # so that the judge looks for no bound
-    moved = translation.translated(trajectory)
+    moved = translation.start(trajectory)
     certificate = judge(translation.problem, moved, multipliers, allowed_residual(tolerance))
     return (False, certificate.cost) if certificate.feasible else (True, certificate.violation)

@@ -21,7 +21,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
-from lin_freq_ocp.transform.reformulations import Change, Translation, translation_of
+from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each

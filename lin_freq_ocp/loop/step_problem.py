@@ -179,7 +179,7 @@ def excess(translation: Translation, trajectory: Trajectory, least: float = ROUN
 
     Constraints that are violated by at most ``least`` times their terms are left out.
     """
-    violations, moved = dict[str, float](), translation.translated(trajectory)
+    violations, moved = dict[str, float](), translation.start(trajectory)
     for term in translation.problem.terms:
         if not term.hard and not term.kind.is_cost:
             by = float((term.cost(moved.x, moved.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())

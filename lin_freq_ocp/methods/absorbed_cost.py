@@ -22,7 +22,6 @@ from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.reductions import Reduction
 from lin_freq_ocp.transform.reformulations import OwnStates, augment_states
 from lin_freq_ocp.transform.response_curvature import BinCurvature, bin_curvature
 
@@ -90,6 +89,3 @@ def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
     output_cost = replace(cost, Q=remaining, q=q, r=r, **none)
     further = augment_states(problem, dynamics, Box(-free, free), -free, output_cost, weight=1.0)
     return AbsorbedCost(problem, further, response, curvature)
-
-
-ABSORBED_COST = Reduction(absorbed_cost)

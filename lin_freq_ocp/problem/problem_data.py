@@ -67,14 +67,14 @@ class ProblemData:
         """The dynamics that methods and the judge take, with modes for levels and for costs by formulas."""
         return form_of(self.dynamics, self.control_set, self.cost, bool(path_constraints(self.stage_rows)))
 
-    @property
+    @cached_property
     def mode_names(self) -> tuple[str, ...]:
-        """Return the name of every mode of the form; empty for a problem without modes."""
+        """The name of every mode of the form; empty for a problem without modes."""
         return self.form.mode_names
 
-    @property
+    @cached_property
     def level_sizes(self) -> Array:
-        """Return the largest absolute level of each control, (m,); 0 for a control without levels."""
+        """The largest absolute level of each control, (m,); 0 for a control without levels."""
         return np.zeros(self.control_dim) if self.form.choices is None else np.abs(self.form.choices).max(axis=0)
 
     @property
@@ -196,11 +196,12 @@ class ProblemData:
 
 
 Data = TypeVar("Data", bound=ProblemData)
+OF_FORM = "form", "mode_names", "level_sizes"
 # The cached properties that depend on a field and not on all of them
 DEPENDENT = {
-    "dynamics": ("form", "linear", "equations", "borders", "gap"),
-    "cost": ("form", "quadratic"),
-    "stage_rows": ("form", "terms"),
+    "dynamics": (*OF_FORM, "linear", "equations", "borders", "gap"),
+    "cost": (*OF_FORM, "quadratic"),
+    "stage_rows": (*OF_FORM, "terms"),
     "state_set": ("state_boxes", "met_ends", "state_tube", "hard_state_sets", "terms"),
     "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
     "terminal_state": ("met_ends", "state_tube"),

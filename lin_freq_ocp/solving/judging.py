@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.level_rows import few_between_levels
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.simulation import simulate
 
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
@@ -165,24 +165,24 @@ def candidate_of(outcome: Outcome) -> Candidate:
     )
 
 
-def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfall: str = "") -> Outcome:
+def recover_outcome(reduced: Reduced, outcome: Outcome, allowed: float, shortfall: str = "") -> Outcome:
     """Return the outcome of the given problem from that of the reduced problem; its point is judged once more.
 
     The bound of a search over modes, and directions, hold for both problems. If a condition is violated by more than
     ``allowed``, or the bound is no longer close enough, the status is weaker, with the message ``shortfall``.
     """
-    evidence = None if outcome.evidence is None else outcome.evidence.recovered(inverse)
-    outcome = replace(outcome, problem=inverse.given, evidence=evidence)
+    evidence = None if outcome.evidence is None else outcome.evidence.recovered(reduced)
+    outcome = replace(outcome, problem=reduced.given, evidence=evidence)
     if outcome.trajectory is None:
         return outcome
-    trajectory = inverse.trajectory(outcome.trajectory)
-    multipliers = outcome.multipliers and inverse.multipliers(outcome.multipliers, trajectory)
+    trajectory = reduced.trajectory(outcome.trajectory)
+    multipliers = outcome.multipliers and reduced.multipliers(outcome.multipliers, trajectory)
     before, outcome = outcome.certificate, replace(outcome, trajectory=trajectory, multipliers=multipliers)
     if before is None or multipliers is None:
         return outcome
-    after = judge(*inverse.judged_at(trajectory), multipliers, allowed)
+    after = judge(*reduced.judged_at(trajectory), multipliers, allowed)
     after = replace(after, descent=before.descent, data_rounding=before.data_rounding)
-    if inverse.given.mode_names:
+    if reduced.given.mode_names:
         after = replace(after, bound=before.bound, borders=before.borders)
     status, message = outcome.status, outcome.message
     if status.solved:
@@ -190,15 +190,15 @@ def recover_outcome(inverse: Inverse, outcome: Outcome, allowed: float, shortfal
         confirmed = after.status_within(gap if status == Status.OPTIMAL else -np.inf)
         if confirmed != status:
             status, message = confirmed, shortfall
-    return replace(outcome, certificate=after.raised(inverse.cost), status=status, message=message)
+    return replace(outcome, certificate=after.raised(reduced.cost), status=status, message=message)
 
 
 def reduce_fractional_samples(outcome: Outcome, tolerance: float | None) -> Outcome:
     """Return an optimum of the same cost with few samples between levels; the outcome itself if that is not proven."""
     if outcome.status != Status.OPTIMAL or outcome.trajectory is None:
         return outcome
-    inverse = few_between_levels(outcome.problem)
-    candidate = None if inverse is None else inverse.recover(candidate_of(outcome))
+    reduced = few_between_levels(outcome.problem)
+    candidate = None if reduced is None else reduced.recover(candidate_of(outcome))
     if candidate is None or candidate.trajectory is outcome.trajectory:
         return outcome
     fewer = judge_candidate(outcome.problem, candidate, outcome.method, outcome.backend, tolerance)

@@ -13,7 +13,7 @@ from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.starts import Start
 
 Report = Callable[[Progress], None]

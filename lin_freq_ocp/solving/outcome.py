@@ -17,7 +17,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.level_rows import LevelUse, level_use
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Evidence(ABC):
         """Check the evidence once more, and return the bound that it proves."""
 
     @abstractmethod
-    def recovered(self, inverse: Inverse) -> Evidence:
+    def recovered(self, reduced: Reduced) -> Evidence:
         """Return the evidence for the given problem from that of the reduced one, with its multipliers and bounds."""
 
     @abstractmethod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,7 +12,7 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
-from lin_freq_ocp.certificate.rays import InfeasibilityCertificate, infeasibility_certificate
+from lin_freq_ocp.certificate.rays import infeasibility_certificate
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, extremals_of
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -26,40 +25,12 @@ from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_translated
 from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache
-from lin_freq_ocp.transform.reformulations import Change, Translation, far_origin, translated_by, translated_set
+from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.transform.reformulations import Translation, far_origin, translated_by
 from lin_freq_ocp.transform.starts import start_of
 
-KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor
 TRAVEL = 100.0  # travel of a state, in its largest moves within a solve, after which states get a new origin
-
-
-class Located:
-    """A problem whose states are counted from an origin, and the solver state that its solves share."""
-
-    def __init__(self, problem: OptimalControlProblem, changed: OptimalControlProblem, origin: Array, linear: bool):
-        base = problem.with_ends(changed.initial_state) if origin.any() else problem
-        self.translation = translated_by(base, origin)
-        self.kept = SolverCache(self.translation.problem) if linear else None
-        self.exclusions = deque[InfeasibilityCertificate](maxlen=KEPT_RAYS)
-
-    @property
-    def origin(self) -> Array:
-        """Return the origin, (n,)."""
-        return self.translation.origin
-
-    def translated(self, change: Change, changed: OptimalControlProblem) -> Change:
-        """Return the change of the translated problem that belongs to a change of the given one, to ``changed``."""
-        if not self.translation.moves:
-            return change
-        references, bounds = change.references, change.bounds
-        if references is not None and "x_ref" in references:
-            references = {**references, "x_ref": changed.quadratic.translated(self.origin).x_ref}
-        if bounds and "state_set" in bounds:
-            bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
-        terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
-        start = changed.initial_state.translated(self.origin)
-        return Change(start, terminal, references, bounds, change.disturbance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +56,7 @@ class PlannedStart:
         """Return the better of this plan and the rest of the last one from the same state; see ``Plan.rank``."""
         if last is None:
             return self
-        other = self.plan.following(self.translation.translated(last))
+        other = self.plan.following(self.translation.start(last))
         return replace(self, plan=other) if other.rank < self.plan.rank else self
 
     @one_blas_thread
@@ -137,7 +108,7 @@ class Resolver:
         require_options(method, tolerance=tolerance)
         self.problem, self.name = problem, method
         self.method = choose_method(problem, method, {"tolerance": tolerance})
-        self._located: Located | None = None
+        self._kept: SolverCache | None = None
         self._programs = ProgramCache()
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
 
@@ -158,61 +129,56 @@ class Resolver:
         """Share the programs of another problem, for those with the same matrices."""
         self._programs = other._programs
 
-    def located(self, changed: OptimalControlProblem) -> Located:
-        """Return the problem with its states counted from near those of a changed problem.
+    def kept(self, changed: OptimalControlProblem) -> SolverCache:
+        """Return the solver state of the problem with its states counted from near those of a changed problem.
 
         The origin stays until a state has travelled far from it, compared with its moves within a solve.
         """
-        start, located = changed.ends[0], self._located
-        if located is not None and not self._is_far(located, start.lower, start.fixed):
-            return located
+        start, kept = changed.ends[0], self._kept
+        if kept is not None and not self._is_far(kept, start.lower, start.fixed):
+            return kept
         origin = far_origin(changed)
-        if located is None or (origin != located.origin).any():
-            self._located = located = Located(self.problem, changed, origin, self.linear)
-            if located.kept is not None:
-                located.kept.programs = self._programs
+        if kept is None or (origin != kept.origin).any():
+            base = self.problem.with_ends(changed.initial_state) if origin.any() else self.problem
+            self._kept = kept = SolverCache(translated_by(base, origin), self._programs)
         else:  # it stays the best one: states this far from it are not far
             self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
-        return located
+        return kept
 
-    def _is_far(self, located: Located, start: Array, fixed: Mask | bool = True) -> bool:
+    def _is_far(self, kept: SolverCache, start: Array, fixed: Mask | bool = True) -> bool:
         """Whether a state has travelled far from the origin, compared with what it moves in a solve."""
         reach = TRAVEL * self._moves
-        far = (np.abs(start - located.origin) > reach) & (reach > 0)
+        far = (np.abs(start - kept.origin) > reach) & (reach > 0)
         return bool((far if fixed is True else far & fixed).any())
 
     @one_blas_thread
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
-        located = self._located
-        if not self.spectral:
+        if not self.spectral or not self.linear:
             return
-        if located is None or self._is_far(located, start):
-            located = self.located(self.problem.with_ends(start))
-        if located.kept is not None:
-            located.kept.prepare()
+        kept = self._kept
+        if kept is None or self._is_far(kept, start):
+            kept = self.kept(self.problem.with_ends(start))
+        kept.prepare()
 
     def plans(self, start: Array) -> bool:
         """Whether the condensed method is set up for states near this one, (n,)."""
-        located = self._located
-        kept = None if located is None or self._is_far(located, start) else located.kept
-        return kept is not None and kept.plans
+        return self._kept is not None and not self._is_far(self._kept, start) and self._kept.plans
 
     @property
     def no_plans(self) -> str:
         """Return why the condensed method, which has been set up if that is possible, has no plans for the problem."""
-        kept = self._located and self._located.kept
-        if kept is None or not self.spectral:
+        if self._kept is None or not self.spectral or not self.linear:
             return "only methods 'auto' and 'spectral' plan in this way, for linear dynamics."
-        return kept.no_plans
+        return self._kept.no_plans
 
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
-        located = self._located
-        if located is None or located.kept is None or not self.plans(start):
+        kept = self._kept
+        if kept is None or not self.plans(start):
             return None
-        plan = located.kept.plan(start - located.origin, budget)
-        return plan and PlannedStart(located.translation, plan)
+        plan = kept.plan(start - kept.origin, budget)
+        return plan and PlannedStart(kept.translation, plan)
 
     @one_blas_thread
     def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
@@ -222,31 +188,27 @@ class Resolver:
         """
         if not self.linear or not self.spectral:
             return {}, False
-        located = self.located(self.problem.with_ends(starts[0]))
-        if located.kept is None:
-            return {}, False
-        moved, rays = starts - located.origin, located.exclusions
+        kept = self.kept(self.problem.with_ends(starts[0]))
+        moved, rays = starts - kept.origin, kept.exclusions
         tried = [i for i, start in enumerate(moved) if not any(ray.applies_to(start) for ray in rays)]
-        plans, interrupted = located.kept.plan_batch(moved[tried])
-        return {tried[i]: PlannedStart(located.translation, plan) for i, plan in plans.items()}, interrupted
+        plans, interrupted = kept.plan_batch(moved[tried])
+        return {tried[i]: PlannedStart(kept.translation, plan) for i, plan in plans.items()}, interrupted
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""
-        located = self._located
-        if located is None or not located.exclusions or not change.starts_elsewhere:
+        kept = self._kept
+        if kept is None or not kept.exclusions or not change.starts_elsewhere:
             return False
         start = change.apply(self.problem).initial_box
-        return bool(start.fixed.all()) and any(
-            ray.applies_to(start.lower - located.origin) for ray in located.exclusions
-        )
+        return bool(start.fixed.all()) and any(ray.applies_to(start.lower - kept.origin) for ray in kept.exclusions)
 
     def keep(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
-        located = self._located
-        if located is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
-            ray = infeasibility_certificate(translated_by(outcome.problem, located.origin).problem, outcome.ray)
+        kept = self._kept
+        if kept is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
+            ray = infeasibility_certificate(translated_by(outcome.problem, kept.origin).problem, outcome.ray)
             if ray is not None:
-                located.exclusions.appendleft(ray)
+                kept.exclusions.appendleft(ray)
 
     @one_blas_thread
     def solve(
@@ -259,19 +221,18 @@ class Resolver:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
         require_options(self.name, time_limit=time_limit)
         problem = change.apply(self.problem)
-        located = self.located(problem)
-        change = located.translated(change, problem)
-        moved = problem if located.translation.problem is self.problem else change.apply(located.translation.problem)
-        translation = Translation(problem, moved, located.origin)
-        cached = None if located.kept is None else (located.kept, change)
-        if located.kept is not None and start is not None:
-            located.kept.stage_cache.warm_start = translation.translated(start)
+        kept = self.kept(problem)
+        change = kept.translation.change(change, problem)
+        moved = problem if kept.problem is self.problem else change.apply(kept.problem)
+        translation = Translation(problem, moved, kept.origin)
+        if start is not None:
+            kept.stage_cache.warm_start = translation.start(start)
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
-            tree.set_base(located.translation.problem if change.starts_elsewhere else None)
+            tree.set_base(kept.problem if change.starts_elsewhere else None)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        request = Request(limit, tolerance, start=begin, cached=cached, tree=tree)
+        request = Request(limit, tolerance, start=begin, cached=(kept, change) if self.linear else None, tree=tree)
         outcome = solve_translated(self.method, translation, request)
         outcome = restore_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:

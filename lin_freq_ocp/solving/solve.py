@@ -39,7 +39,7 @@ from lin_freq_ocp.solving.judging import (
 )
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.reformulations import Translation, sampled_masks, translation_of
 from lin_freq_ocp.transform.starts import start_of
 
@@ -98,7 +98,7 @@ def solve_translated(method: Method, translation: Translation, request: Request)
     """
     problem, start, progress, constant = translation.problem, request.start, request.progress, translation.cost
     if start is not None and start.trajectory is not None:
-        request = replace(request, start=replace(start, trajectory=translation.translated(start.trajectory)))
+        request = replace(request, start=replace(start, trajectory=translation.start(start.trajectory)))
     if progress is not None and constant:
 
         def report(state: Progress) -> None:  # with the cost of the given problem
@@ -147,7 +147,7 @@ Frequencies = dict[str, Array]
 class _Round(NamedTuple):
     """The outcome of a relaxed problem, the way back, and the violation |V|/l - 1 at other frequencies."""
 
-    inverse: Inverse
+    reduced: Reduced
     outcome: Outcome
     violation: float
 
@@ -160,11 +160,11 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     frequencies = {term.name: term.map.locations for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
     for _ in range(ROUNDS):
-        inverse = sampled_masks(problem, frequencies)
-        outcome = method.solve(inverse.problem, relaxed.with_end(end))
+        reduced = sampled_masks(problem, frequencies)
+        outcome = method.solve(reduced.problem, relaxed.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
         if outcome.trajectory is None or outcome.multipliers is None:
-            rounds.append(_Round(inverse, outcome, np.inf))
+            rounds.append(_Round(reduced, outcome, np.inf))
             break
         # the frequencies of peaks above their limit, and the largest violation
         x, u, added, largest = outcome.trajectory.x, outcome.trajectory.u, Frequencies(), 0.0
@@ -175,7 +175,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
                 raised = float((size / mask.limit_at(known)).max(initial=1.0))
             added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
-        rounds.append(_Round(inverse, outcome, largest))
+        rounds.append(_Round(reduced, outcome, largest))
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:  # once more, with a proof
             relaxed = request
@@ -195,7 +195,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     outcome = replace(best.outcome, seconds=seconds)
     if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
-        return recover_outcome(best.inverse, outcome, CONDITION_TOLERANCE, shortfall)
-    candidate = best.inverse.recover(candidate_of(outcome))
+        return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
+    candidate = best.reduced.recover(candidate_of(outcome))
     answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
     return replace(answer, reason=outcome.reason, interrupted=rounds[-1].outcome.interrupted)

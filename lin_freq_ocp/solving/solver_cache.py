@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import replace
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.rays import InfeasibilityCertificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transform.reductions import Chain, reduce_problem
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Chain, Change, reduce_problem
+from lin_freq_ocp.transform.reformulations import Translation
 
+KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 CONDENSED_SOLVES = 3
 """The solve from which the condensed method is tried: its set-up takes as long as some ten solves of the Fourier-domain
 method, so that a problem that is solved twice does not need it."""
@@ -31,10 +34,15 @@ def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Can
 
 
 class SolverCache:
-    """A problem with its Fourier-domain solver, the last solution, and its stages, each made when first needed."""
+    """A problem whose states are counted from an origin, and the solver state that its solves share.
 
-    def __init__(self, problem: OptimalControlProblem):
-        self.problem = problem
+    The Fourier-domain solver and the condensed method are set up when first needed. Without ``programs``, those of the
+    sparse program are its own.
+    """
+
+    def __init__(self, translation: Translation, programs: ProgramCache | None = None):
+        self.translation, self.problem, self.origin = translation, translation.problem, translation.origin
+        self.exclusions = deque[InfeasibilityCertificate](maxlen=KEPT_RAYS)
         self.stage_cache = StageCache()
         self._reduced: Chain | None = None
         self._solver: SpectralSolver | None = None
@@ -42,7 +50,7 @@ class SolverCache:
         self._last: SpectralSolution | None = None
         self._condensed: CondensedSolver | None = None
         self._solves, self._refused_condensed = 0, ""
-        self.programs = ProgramCache()
+        self.programs = programs or ProgramCache()
 
     def solve(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch.
@@ -91,7 +99,7 @@ class SolverCache:
     @property
     def plans(self) -> bool:
         """Whether the condensed method is set up for the problem, and not for a reduced one."""
-        return self._condensed is not None and self._reduced is not None and not self._reduced.inverses
+        return self._condensed is not None and self._reduced is not None and not self._reduced.links
 
     @property
     def no_plans(self) -> str:
@@ -113,7 +121,7 @@ class SolverCache:
         Rows on x_T become rows of the step before, in which disturbances act.
         """
         old = self.problem
-        if change.disturbance is not None and reduce_problem(old, REDUCTIONS).inverses:
+        if change.disturbance is not None and reduce_problem(old, REDUCTIONS).links:
             return True
         ends = (
             (change.initial_state, problem.initial_state, old.initial_state),

@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.simulation import simulate
 
 AT_LEVEL = 1e-6  # smallest share of a second level that is more than the error of a solver, which the judge allows
@@ -116,7 +116,7 @@ def level_rows(problem: OptimalControlProblem) -> Array | None:
     return of_u + _through_states(problem, of_x)
 
 
-class FewBetweenLevels(Inverse):
+class FewBetweenLevels(Reduced):
     """The way from any optimum to one with few samples between levels, at which its multipliers are normals, too."""
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:

@@ -1,11 +1,11 @@
-"""Reductions: a problem is replaced by another one, and an inverse recovers answers of the given problem.
+"""Changes of a problem, and reductions: another problem takes its place, whose answers become those of the given one.
 
-As in CVXPY, a reduction accepts some problems, and ``apply`` returns another problem with the inverse, which recovers
-trajectory, multipliers, rays and directions of descent. A method has a tuple of reductions: those that accept the
-problem are applied from left to right, and recovered from right to left. The judge checks the recovered answer, a claim
-about the given problem, on that problem.
+As in CVXPY, a reduction accepts some problems, and gives another problem with both ways. Forward go a start and a
+change; backward go trajectory, multipliers, rays, directions of descent and the cost. A method has a tuple of
+reductions: those that accept the problem are applied from left to right, and recovered from right to left. The judge
+checks the recovered answer, a claim about the given problem, on that problem.
 
-A new reduction is a subclass of ``Inverse`` that overrides some methods, and a function from a problem to this class.
+A new reduction is a subclass of ``Reduced`` that overrides some methods, and a function from a problem to this class.
 Its cases are in the table of ``tests/helpers/reductions.py``.
 
 References: Agrawal, Verschueren, Diamond and Boyd, Journal of Control and Decision 5, 2018 (a rewriting system for
@@ -14,12 +14,63 @@ convex optimization problems).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, dataclass, replace
 from typing import ClassVar, Protocol, TypeVar
 
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import known_entries, real_array
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+
+def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
+    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
+    T, n = problem.horizon, problem.state_dim
+    expected = real_array("disturbance", disturbance)
+    if expected.shape not in ((n,), (T, n)):
+        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
+    return replace_fields(problem, dynamics=problem.form.disturbed(expected))
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
+
+    A disturbance, (n,) or (T, n), is added to the coming states.
+    """
+
+    initial_state: ConvexSet | ArrayLike | None = None
+    terminal_state: ConvexSet | ArrayLike | None = None
+    references: Mapping[str, ArrayLike] | None = None
+    bounds: Mapping[str, SetOrSets] | None = None
+    disturbance: ArrayLike | None = None
+
+    @property
+    def starts_elsewhere(self) -> bool:
+        """Whether at most the initial state changes."""
+        others = self.terminal_state, self.references, self.disturbance
+        return not self.bounds and all(other is None for other in others)
+
+    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+        """Return the changed problem."""
+        if self.bounds:
+            bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
+            if problem.form.choices is not None:  # the levels stay, within the new bounds
+                bounds = {"dynamics": problem.form, "control_set": problem.control_hull} | bounds
+            problem = replace(problem, **bounds)
+        if self.references is not None:
+            problem = problem.with_references(self.references)
+        if self.disturbance is not None:
+            problem = add_disturbance(problem, self.disturbance)
+        if self.initial_state is None and self.terminal_state is None:
+            return problem
+        return problem.with_ends(self.initial_state, self.terminal_state)
 
 
 class _Answer(Protocol):
@@ -41,8 +92,8 @@ AnyAnswer = TypeVar("AnyAnswer", bound=_Answer)
 
 
 @dataclass(frozen=True, eq=False)
-class Inverse:
-    """The way from answers of the reduced ``problem`` to answers of the ``given`` one; by default they are the same."""
+class Reduced:
+    """A ``problem`` that takes the place of the ``given`` one, and the ways between them. The default is no change."""
 
     given: OptimalControlProblem
     problem: OptimalControlProblem
@@ -51,6 +102,14 @@ class Inverse:
     def cost(self) -> float:
         """Return the cost of the given problem less that of the reduced one, a constant."""
         return 0.0
+
+    def start(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the given problem as one of the reduced problem."""
+        return trajectory
+
+    def change(self, change: Change, changed: OptimalControlProblem) -> Change:
+        """Return the change of the reduced problem that belongs to a change of the given one, to ``changed``."""
+        return change
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return a trajectory of the given problem from one of the reduced problem."""
@@ -83,41 +142,29 @@ class Inverse:
         )
 
 
-@dataclass(frozen=True)
-class Reduction:
-    """A way to state a problem as another one: ``inverse`` returns that and the way back, or None."""
-
-    inverse: Callable[[OptimalControlProblem], Inverse | None]
-
-    def accepts(self, problem: OptimalControlProblem) -> bool:
-        """Whether the reduction changes a problem."""
-        return self.inverse(problem) is not None
-
-    def apply(self, problem: OptimalControlProblem) -> tuple[OptimalControlProblem, Inverse]:
-        """Return the reduced problem and the way back; without change if the problem is not accepted."""
-        inverse = self.inverse(problem) or Inverse(problem, problem)
-        return inverse.problem, inverse
+Reduction = Callable[[OptimalControlProblem], Reduced | None]
+"""A function from a problem to the one that takes its place; None without change."""
 
 
 @dataclass(frozen=True, eq=False)
-class Chain(Inverse):
-    """The inverses of several reductions, in the order in which these were applied."""
+class Chain(Reduced):
+    """Several reductions, in the order in which they were applied."""
 
-    inverses: tuple[Inverse, ...]
+    links: tuple[Reduced, ...]
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
         """Return an answer of the reduced problem as one of the given problem."""
-        for inverse in reversed(self.inverses):
-            answer = inverse.recover(answer)
+        for link in reversed(self.links):
+            answer = link.recover(answer)
         return answer
 
 
 def reduce_problem(problem: OptimalControlProblem, reductions: Sequence[Reduction]) -> Chain:
     """Return the problem after all reductions that accept it, one after the other, and the way back."""
-    reduced, inverses = problem, list[Inverse]()
+    last, links = problem, list[Reduced]()
     for reduction in reductions:
-        inverse = reduction.inverse(reduced)
-        if inverse is not None:
-            reduced = inverse.problem
-            inverses.append(inverse)
-    return Chain(problem, reduced, tuple(inverses))
+        reduced = reduction(last)
+        if reduced is not None:
+            last = reduced.problem
+            links.append(reduced)
+    return Chain(problem, last, tuple(links))

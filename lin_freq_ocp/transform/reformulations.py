@@ -1,4 +1,4 @@
-"""Changes and reductions of any problem: other data, another origin, added states, rate limits, sampled frequencies.
+"""Reductions of any problem: another origin, added states, rate limits, sampled frequencies.
 
 A far origin costs digits: ``translation_of`` moves it to the trajectory. The memory of a constraint becomes a state; a
 limit on the change of a control is joint rows on (x_t, u_{t-1}). Semi-infinite constraints have terms at finitely many
@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, known_entries, real_array
+from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -30,14 +30,14 @@ from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectr
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Change, Reduced
 
 FAR_FROM_ZERO = 10.0  # distance of an origin, in distances between the data of a state, that costs more than a digit
 ROUNDING = 1e-12  # largest value of a bin, relative to its terms, that a constant does not change
 
 
 @dataclass(frozen=True, eq=False)
-class Translation(Inverse):
+class Translation(Reduced):
     """A problem, and the same problem in y = x - origin, (n,).
 
     A, B, control sets, multipliers and costs stay; offsets, ends, state sets, references, rows, guards and regions are
@@ -58,9 +58,21 @@ class Translation(Inverse):
         cost, T = self.given.quadratic, self.given.horizon
         return float(np.broadcast_to(cost.q, (T, len(self.origin))).sum(0) @ self.origin + cost.p @ self.origin)
 
-    def translated(self, trajectory: Trajectory) -> Trajectory:
+    def start(self, trajectory: Trajectory) -> Trajectory:
         """Return a trajectory of the given problem as one of the translated problem."""
         return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
+
+    def change(self, change: Change, changed: OptimalControlProblem) -> Change:
+        """Return the change of the translated problem that belongs to a change of the given one, to ``changed``."""
+        if not self.moves:
+            return change
+        references, bounds = change.references, change.bounds
+        if references is not None and "x_ref" in references:
+            references = {**references, "x_ref": changed.quadratic.translated(self.origin).x_ref}
+        if bounds and "state_set" in bounds:
+            bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
+        terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
+        return Change(changed.initial_state.translated(self.origin), terminal, references, bounds, change.disturbance)
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return a trajectory of the translated problem as one of the given problem, rounded to its digits."""
@@ -68,7 +80,7 @@ class Translation(Inverse):
 
     def judged_at(self, trajectory: Trajectory) -> tuple[OptimalControlProblem, Trajectory]:
         """Return the translated problem with the rounded trajectory: residuals there are not those of large numbers."""
-        return self.problem, self.translated(trajectory)
+        return self.problem, self.start(trajectory)
 
 
 def translation_of(problem: OptimalControlProblem) -> Translation:
@@ -101,50 +113,6 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         warnings.simplefilter("ignore", BandWarning)  # the given problem has warned
         _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
-
-
-def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
-    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
-    T, n = problem.horizon, problem.state_dim
-    expected = real_array("disturbance", disturbance)
-    if expected.shape not in ((n,), (T, n)):
-        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace_fields(problem, dynamics=problem.form.disturbed(expected))
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
-
-    A disturbance, (n,) or (T, n), is added to the coming states.
-    """
-
-    initial_state: ConvexSet | ArrayLike | None = None
-    terminal_state: ConvexSet | ArrayLike | None = None
-    references: Mapping[str, ArrayLike] | None = None
-    bounds: Mapping[str, SetOrSets] | None = None
-    disturbance: ArrayLike | None = None
-
-    @property
-    def starts_elsewhere(self) -> bool:
-        """Whether at most the initial state changes."""
-        others = self.terminal_state, self.references, self.disturbance
-        return not self.bounds and all(other is None for other in others)
-
-    def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
-        """Return the changed problem."""
-        if self.bounds:
-            bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
-            if problem.form.choices is not None:  # the levels stay, within the new bounds
-                bounds = {"dynamics": problem.form, "control_set": problem.control_hull} | bounds
-            problem = replace(problem, **bounds)
-        if self.references is not None:
-            problem = problem.with_references(self.references)
-        if self.disturbance is not None:
-            problem = add_disturbance(problem, self.disturbance)
-        if self.initial_state is None and self.terminal_state is None:
-            return problem
-        return problem.with_ends(self.initial_state, self.terminal_state)
 
 
 def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
@@ -282,7 +250,7 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnStates(Inverse):
+class OwnStates(Reduced):
     """The way back from a problem in the states (x, w), w without cost, to the one in x."""
 
     @property
@@ -491,7 +459,7 @@ def at_frequencies(
 
 
 @dataclass(frozen=True, eq=False)
-class SampledMasks(Inverse):
+class SampledMasks(Reduced):
     """The relaxed problem with semi-infinite constraints at points only, by the names of their terms.
 
     At all other points their multipliers are zero.

@@ -101,6 +101,6 @@ PUBLISHED = {
 
 def with_state(problem: lfo.OptimalControlProblem) -> lfo.OptimalControlProblem:
     """Return the problem with its stage cost by formulas as a state, as it was stated before costs by formulas."""
-    inverse = cost_as_state(problem)
-    assert inverse is not None
-    return inverse.problem
+    reduced = cost_as_state(problem)
+    assert reduced is not None
+    return reduced.problem

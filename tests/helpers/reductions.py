@@ -13,7 +13,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
+from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds, row_form, soft_bins
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -160,7 +160,7 @@ def with_formula(stage: str) -> lfo.OptimalControlProblem:
 
 REDUCTIONS = {
     "soft bins": Entry(
-        Reduction(soft_bins),
+        soft_bins,
         {
             **random_kinds(control_spectrum=SOFT_BAND),
             INFEASIBLE: partial(  # a ray may use no bins: opening them might help
@@ -169,7 +169,7 @@ REDUCTIONS = {
         },
     ),
     "joint rows": Entry(
-        Reduction(row_form),
+        row_form,
         {
             **random_kinds(state_set=Polyhedron([[-0.3, -1.0], [0.0, -1.0]], [0.12, 0.25]), initial_state=[0.3, -0.2]),
             **{
@@ -179,7 +179,7 @@ REDUCTIONS = {
         },
     ),
     "soft sets": Entry(
-        Reduction(soft_bounds),
+        soft_bounds,
         {
             **random_kinds(state_set=Soft(lfo.Box([None, -0.15], None), HIGH)),
             **{
@@ -190,7 +190,7 @@ REDUCTIONS = {
         },
     ),
     "absorbed cost": Entry(
-        ABSORBED_COST,
+        absorbed_cost,
         {
             "periodic": partial(averaging, closed=True),
             "zero-padded": partial(averaging, closed=False),
@@ -201,7 +201,7 @@ REDUCTIONS = {
         },
     ),
     "far origin": Entry(
-        Reduction(lambda problem: translation if (translation := translation_of(problem)).moves else None),
+        lambda problem: translation if (translation := translation_of(problem)).moves else None,
         {
             name: partial(far_away, given)
             for name, given in random_kinds(
@@ -210,24 +210,23 @@ REDUCTIONS = {
         },
     ),
     "rate limit": Entry(
-        Reduction(lambda problem: rate_limit(problem, *RATE)),
+        lambda problem: rate_limit(problem, *RATE),
         {**random_kinds(), UNBOUNDED: lambda: replace(random_kinds()[UNBOUNDED](), initial_state=None)},
         lambda given: replace(given, control_spectrum=RateConstraint(*RATE)),
     ),
     "masks at every frequency": Entry(
-        Reduction(sampled),
+        sampled,
         {"double integrator": mask, "a tighter one": partial(mask, limit=0.5), INFEASIBLE: partial(mask, limit=0.01)},
     ),
     "few samples between levels": Entry(
-        Reduction(few_between_levels),
+        few_between_levels,
         {"pulse pattern": partial(lfo.library.pulse_pattern, samples=32), "no state cost": duty_cycles},
     ),
     "cost by formulas as a state": Entry(
-        Reduction(cost_as_state),
-        {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")},
+        cost_as_state, {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")}
     ),
     "fixed modes": Entry(
-        Reduction(lambda problem: fixed_modes(problem, lfo.solve(problem).sequence)),
+        lambda problem: fixed_modes(problem, lfo.solve(problem).sequence),
         {"a wall": partial(lfo.library.pendulum_with_wall, horizon=4), "levels": with_levels},
     ),
 }

@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.structured import assembly
 from lin_freq_ocp.solving.resolver import Resolver
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
@@ -151,5 +151,5 @@ def test_states_that_hardly_move_do_not_set_the_method_up_again():
     caches = set()
     for _ in range(3):  # the position moves by less than a hundredth of what it is
         solver.solve(Change(start))
-        caches.add(id(solver.located(problem.with_ends(start)).kept))
+        caches.add(id(solver.kept(problem.with_ends(start))))
     assert len(caches) == 1

@@ -53,7 +53,7 @@ def test_costs_terms_and_residuals_are_the_same():
     assert translation.moves
     rng = np.random.default_rng(2)
     trajectory = lfo.Trajectory(3 * rng.standard_normal((7, 2)), rng.standard_normal((6, 1)))
-    moved, problem = translation.translated(trajectory), translation.problem
+    moved, problem = translation.start(trajectory), translation.problem
     cost = problem.value(moved.x, moved.u) + translation.cost
     assert cost == pytest.approx(given.value(trajectory.x, trajectory.u), rel=1e-13)
     assert [term.name for term in problem.terms] == [term.name for term in given.terms]

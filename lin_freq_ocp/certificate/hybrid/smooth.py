@@ -43,7 +43,7 @@ from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState, cost_as_state
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.reformulations import at_frequencies
 from lin_freq_ocp.transform.sizes import stated_sizes
 
@@ -84,20 +84,20 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    inverse, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
+    reduced, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
     hessian = _end_hessian(problem, trajectory)
-    if inverse is None:
+    if reduced is None:
         scales = Scales(trajectory_sizes(problem, trajectory))
         return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
-    at, scales = inverse.with_cost(trajectory), scales_with_cost(inverse, trajectory)
-    found = judge_smooth(inverse.problem, at, inverse.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
+    at, scales = reduced.with_cost(trajectory), scales_with_cost(reduced, trajectory)
+    found = judge_smooth(reduced.problem, at, reduced.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
     test, last = found.second_order, problem.state_dim
     own = tuple(  # in the given problem, the cost so far has no name
         replace(one, component=None) if one.label in OF_STATES and one.component == last else one
         for one in found.conditions
     )
     if test is not None and test.direction is not None:
-        test = replace(test, direction=inverse.trajectory(test.direction))
+        test = replace(test, direction=reduced.trajectory(test.direction))
     return replace(found, conditions=own, second_order=test, bound=bound, cost_scale=scales.cost)
 
 
@@ -108,18 +108,18 @@ def _end_hessian(problem: OptimalControlProblem, trajectory: Trajectory) -> Arra
     return np.zeros((n, n)) if terminal is None else jets([terminal], last).curvatures[0, 0, :n, :n]
 
 
-def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
+def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     """Return the scales of a problem with its cost by formulas as a state, which has no size of its own.
 
     Its size is what a stage cost changes within the sizes of states and controls, to second order. A cost counts in S
     up to that within their given values: constants in it do not.
     """
-    problem, n, dynamics = inverse.given, inverse.given.state_dim, piecewise_smooth(inverse.problem)
-    (x, u), y = trajectory_sizes(problem, trajectory), inverse.with_cost(trajectory)
+    problem, n, dynamics = reduced.given, reduced.given.state_dim, piecewise_smooth(reduced.problem)
+    (x, u), y = trajectory_sizes(problem, trajectory), reduced.with_cost(trajectory)
     jets_along, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])), dynamics.sequence_of(y.x, y.u)
     _, steep, bent = (np.abs(part[:, n]) for part in jets_along.maps_of(modes, np.arange(len(modes))))
     steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
-    size, end = np.concatenate([x, [0.0], u]), np.abs(inverse.problem.quadratic.p[:n] - problem.quadratic.p)
+    size, end = np.concatenate([x, [0.0], u]), np.abs(reduced.problem.quadratic.p[:n] - problem.quadratic.p)
     slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
     given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
     within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
@@ -132,7 +132,7 @@ def scales_with_cost(inverse: CostState, trajectory: Trajectory) -> Scales:
 
 def judged_modes(
     problem: OptimalControlProblem, trajectory: Trajectory
-) -> tuple[Inverse, OptimalControlProblem, Trajectory, ModeArrays]:
+) -> tuple[Reduced, OptimalControlProblem, Trajectory, ModeArrays]:
     """Return a trajectory in the states in which it is judged, with its modes in the sizes of the judge.
 
     First come the way back to the given problem, and the problem in these states, linearised along the trajectory.
@@ -140,7 +140,7 @@ def judged_modes(
     priced = cost_as_state(problem, trajectory)
     if priced is None:
         affine = problem.affine_at(trajectory)
-        return Inverse(problem, problem), affine, trajectory, modes_along(affine, trajectory)
+        return Reduced(problem, problem), affine, trajectory, modes_along(affine, trajectory)
     at, sizes = priced.with_cost(trajectory), scales_with_cost(priced, trajectory).sizes
     affine = priced.problem.affine_at(at)
     return priced, affine, at, modes_along(affine, at, sizes)

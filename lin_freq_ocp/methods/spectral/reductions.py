@@ -13,7 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.methods.absorbed_cost import ABSORBED_COST
+from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
@@ -21,7 +21,7 @@ from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.reductions import Inverse, Reduction
+from lin_freq_ocp.transform.reductions import Reduced
 
 SETS = (TermKind.STATE_SET, TermKind.CONTROL_SET)
 PRICE_ROUNDING = 1e-9  # part of a price, and of other forces on the component in a ray, that may be rounding
@@ -30,7 +30,7 @@ AT_THE_END = " at the end"  # suffix of the names of rows on x_T
 
 
 @dataclass(frozen=True, eq=False)
-class RowForm(Inverse):
+class RowForm(Reduced):
     """The problem with its polyhedral sets as joint rows, and the sets that became rows.
 
     F x_t <= g for t < T is a row with D = 0, and F x_T <= g is one on the step before: F A x + F B u <= g - F d. There
@@ -220,7 +220,7 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
 
 
 @dataclass(frozen=True, eq=False)
-class SoftBounds(Inverse):
+class SoftBounds(Reduced):
     """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
     The model of the Fourier-domain method contains the prices, too. A method without prices is right if they are high
@@ -238,7 +238,7 @@ class SoftBounds(Inverse):
 
 
 @dataclass(frozen=True, eq=False)
-class SoftBins(Inverse):
+class SoftBins(Reduced):
     """The problem with its soft bins removed from the spectra, and the terms of these bins.
 
     The penalty is exact: if the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price w
@@ -301,5 +301,5 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     return bool(plain) and not term.penalty.sizes().any()
 
 
-REDUCTIONS = Reduction(soft_bins), Reduction(row_form), ABSORBED_COST
+REDUCTIONS = soft_bins, row_form, absorbed_cost
 """Applied to a problem before the Fourier-domain method; soft sets become priced bounds in its model."""

@@ -36,7 +36,8 @@ from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import Resolver
 from lin_freq_ocp.transform.limits import SPECTRA, changed_fields
-from lin_freq_ocp.transform.reformulations import Change, semi_infinite_terms
+from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.transform.reformulations import semi_infinite_terms
 
 HORIZON = "horizon"
 HORIZON_NOTCHES = 60  # about so many between half and twice the problem's horizon

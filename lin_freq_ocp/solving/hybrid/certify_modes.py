@@ -31,7 +31,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     best, _ = best_multipliers(problem, trajectory)
     if not best.failed and _facts(best).flip_stationary:
         return best
-    inverse, affine, at, arrays = judged_modes(problem, trajectory)
+    reduced, affine, at, arrays = judged_modes(problem, trajectory)
     sequence = arrays.sequence(at.x, at.u)
     facts, descent = _verify_flips(affine, at, sequence, _facts(best))
     descent = descent and replace(descent, x=descent.x[:, : problem.state_dim])
@@ -39,7 +39,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
         fixed = fixed_modes(affine, sequence)
         multipliers = abnormal_multipliers(fixed.problem, at)
         if multipliers is not None:
-            abnormal = judge(problem, trajectory, inverse.multipliers(fixed.multipliers(multipliers, at)))
+            abnormal = judge(problem, trajectory, reduced.multipliers(fixed.multipliers(multipliers, at)))
             if not abnormal.failed:
                 return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)
@@ -53,8 +53,8 @@ def best_multipliers(
     NumericalError if no fit could be solved and ``first`` is None.
     """
     best: tuple[Certificate, Multipliers] | None = None
-    inverse, affine, at, arrays = judged_modes(problem, trajectory)
-    fits = map(inverse.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
+    reduced, affine, at, arrays = judged_modes(problem, trajectory)
+    fits = map(reduced.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
     try:
         # at rest, a fit has only residuals, where zeros may satisfy the conditions
         named = {term.name: np.zeros(term.shape) for term in problem.terms}

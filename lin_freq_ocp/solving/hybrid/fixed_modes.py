@@ -12,12 +12,12 @@ from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.reductions import AnyAnswer, Inverse
+from lin_freq_ocp.transform.reductions import AnyAnswer, Reduced
 from lin_freq_ocp.transform.simulation import simulate
 
 
 @dataclass(frozen=True, eq=False)
-class FixedModes(Inverse):
+class FixedModes(Reduced):
     """The linear problem of a mode sequence (T,), its regions as rows; a level is a mode that fixes the control."""
 
     sequence: Indices

@@ -38,7 +38,7 @@ from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,12 @@ class TreeEvidence(Evidence):
         """Check all nodes once more."""
         return tree_bound(problem, self.tree).bound_for(problem)
 
-    def recovered(self, inverse: Inverse) -> TreeEvidence:
+    def recovered(self, reduced: Reduced) -> TreeEvidence:
         """Return the tree with the multipliers of all proofs, and the bounds, of the given problem."""
-        nodes, bound, cost = list(self.tree.nodes), self.bound, inverse.cost
+        nodes, bound, cost = list(self.tree.nodes), self.bound, reduced.cost
         for index, node in enumerate(nodes):
             if node.proof is not None:
-                multipliers = inverse.multipliers(node.proof.multipliers)
+                multipliers = reduced.multipliers(node.proof.multipliers)
                 nodes[index] = replace(node, proof=replace(node.proof, multipliers=multipliers))
         bound = replace(bound, value=bound.value + cost, bounds=bound.bounds + cost)
         return TreeEvidence(replace(self.tree, nodes=tuple(nodes)), bound)
@@ -318,13 +318,13 @@ def _solve_sequence(
     to the root of their tolerance only.
     """
     first = None
-    inverse = fixed_modes(problem, sequence)
+    reduced = fixed_modes(problem, sequence)
     options = SolveOptions(time_limit=time_limit)
-    for candidate in convex_candidates(inverse.problem, SEQUENCE_BACKEND, options, programs):
-        for point in _judge_candidate(inverse, candidate):
+    for candidate in convex_candidates(reduced.problem, SEQUENCE_BACKEND, options, programs):
+        for point in _judge_candidate(reduced, candidate):
             if point[2].feasible and point[2].pmp != "satisfied":
-                resting = trajectory_without_cost(inverse.problem, point[0])
-                points = () if resting is None else _judge_candidate(inverse, resting)
+                resting = trajectory_without_cost(reduced.problem, point[0])
+                points = () if resting is None else _judge_candidate(reduced, resting)
                 return next((one for one in points if one[2].cost <= point[2].cost and not one[2].failed), point)
             if point[2].feasible:
                 return point
@@ -332,16 +332,16 @@ def _solve_sequence(
     return first
 
 
-def _judge_candidate(inverse: FixedModes, candidate: Candidate) -> Iterator[Judged]:
+def _judge_candidate(reduced: FixedModes, candidate: Candidate) -> Iterator[Judged]:
     """Yield the trajectories of a candidate for a mode sequence, judged with the best multipliers."""
     if candidate.trajectory is None or candidate.multipliers is None:
         return
-    candidate, _ = judge_nearest(inverse.problem, candidate, CONDITION_TOLERANCE)
+    candidate, _ = judge_nearest(reduced.problem, candidate, CONDITION_TOLERANCE)
     assert candidate.trajectory is not None
     assert candidate.multipliers is not None
-    for trajectory in inverse.trajectories(candidate.trajectory):
-        first = inverse.multipliers(candidate.multipliers, trajectory)
-        certificate, multipliers = best_multipliers(inverse.given, trajectory, first)
+    for trajectory in reduced.trajectories(candidate.trajectory):
+        first = reduced.multipliers(candidate.multipliers, trajectory)
+        certificate, multipliers = best_multipliers(reduced.given, trajectory, first)
         yield trajectory, multipliers, certificate
 
 

@@ -200,10 +200,10 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 
     Newton's method ends at ``end``, by ``clock.now``.
     """
-    inverse, affine, at, arrays = judged_modes(problem, local.trajectory)
-    with_adjoint = inverse.with_adjoint if isinstance(inverse, CostState) else inverse.multipliers
+    reduced, affine, at, arrays = judged_modes(problem, local.trajectory)
+    with_adjoint = reduced.with_adjoint if isinstance(reduced, CostState) else reduced.multipliers
     given = with_adjoint(local.multipliers)
-    first = inverse.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
+    first = reduced.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     certificate, multipliers = best_multipliers(problem, local.trajectory, first)
     plain = local.trajectory, multipliers, certificate
     resting = trajectory_without_cost(problem, local.trajectory) if certificate.failed else None
@@ -215,10 +215,10 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     if certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:
-        run = newton(inverse.problem, at, with_adjoint(multipliers), local.sequence, end=end)
+        run = newton(reduced.problem, at, with_adjoint(multipliers), local.sequence, end=end)
     except UnsupportedError:
         return plain
-    point = inverse.trajectory(run.trajectory), inverse.multipliers(run.multipliers)
+    point = reduced.trajectory(run.trajectory), reduced.multipliers(run.multipliers)
     points = plain, (*point, judge(problem, *point))
     return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 

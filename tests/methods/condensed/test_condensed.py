@@ -25,7 +25,7 @@ from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.spectral import SpectralSolver
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
 
 FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1

@@ -20,7 +20,8 @@ from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequali
 from lin_freq_ocp.solving.linear import Structured
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.solver_cache import SolverCache
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.transform.reformulations import translation_of
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]
@@ -146,7 +147,7 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
         return ends[-1]
 
     monkeypatch.setattr("lin_freq_ocp.methods.structured.solver.solve_active", recorded)
-    kept = SolverCache(problem)
+    kept = SolverCache(translation_of(problem))
     again(kept, Change())
     assert not ends  # nothing is near
     for k in range(10):
@@ -162,7 +163,7 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
 
 def test_references_are_exchanged():
     problem, matrices = touching(), set()
-    kept = SolverCache(problem)
+    kept = SolverCache(translation_of(problem))
     for k, aim in enumerate((0.0, 0.1, 0.3, -0.2)):
         references = {"x_ref": np.tile([aim, 0.2 * aim], (81, 1)), "u_ref": [0.1 * aim]}
         change = Change([0.01 * k, 1.0], references=references)
@@ -176,7 +177,7 @@ def test_references_are_exchanged():
 
 def test_verdicts_are_those_from_scratch():
     problem, statuses = touching(), []
-    kept = SolverCache(problem)
+    kept = SolverCache(translation_of(problem))
     for state in ([0.0, 1.0], [0.3, 3.0], [0.0, 0.9], [0.39, 2.0], [-0.9, 1.0]):
         found, expected = (
             again(kept, Change(state)),
@@ -198,7 +199,7 @@ def test_single_changes_suffice(monkeypatch):
 
 def test_a_wrong_answer_is_repaired_to_a_proven_one_or_solved_from_scratch(monkeypatch):
     problem = touching()
-    kept = SolverCache(problem)
+    kept = SolverCache(translation_of(problem))
     expected = again(kept, Change())
     wrong = replace(expected.trajectory, u=1.01 * expected.trajectory.u)
     monkeypatch.setattr(

@@ -23,7 +23,7 @@ from lin_freq_ocp.pages.report.proof import verdict
 from lin_freq_ocp.pages.report.tables import worst_location
 from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
 from lin_freq_ocp.transform.hybrid.forms import linear_along
-from lin_freq_ocp.transform.reductions import Inverse
+from lin_freq_ocp.transform.reductions import Reduced
 
 
 def best(problem):
@@ -271,7 +271,7 @@ def test_multipliers_of_any_place_are_judged_without_an_error():
         assert not certificate.feasible
 
 
-class Doubled(Inverse):
+class Doubled(Reduced):
     """The way back from a problem whose multipliers are half as large, and whose cost is lower by 1."""
 
     cost = 1.0
