@@ -52,6 +52,8 @@ class Cell:
 
     def inner_point(self, thickness: float) -> Array | None:
         """Return the centre of the largest ball, (d,), if its radius is above ``thickness``."""
+        if self.apart_from(self, thickness):  # opposite rows, as those of a level, need no program
+            return None
         return ball_centre(self.normals, self.limits, np.ones(len(self.limits)), thickness)
 
     def apart_from(self, other: Cell, thickness: float) -> bool:
