@@ -303,7 +303,7 @@ def _solve_single(resolver: Resolver, change: Change, time_limit: float | None) 
     if outcome.interrupted:
         raise KeyboardInterrupt
     if change.references is None:
-        resolver.keep(outcome)
+        resolver.remember_ray(outcome)
     # Costs and trajectories are reported of feasible points only
     trajectory = outcome.trajectory if outcome.primal else None
     optimal = outcome.certificate is not None and outcome.certificate.globally_optimal

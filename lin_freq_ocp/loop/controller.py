@@ -178,7 +178,9 @@ class Controller:
         rest of the last one; the first step, which sets up the method, has no limits.
         """
         if self._most is not None:
-            without = [resolver.no_plans for resolver in self._trees if self._remembers or not resolver.plans(begin)]
+            without = [
+                resolver.no_plans for resolver in self._trees if self._remembers or not resolver.can_plan_from(begin)
+            ]
             if without:
                 past = "windows of applied samples make each step another problem."
                 raise UnsupportedError(f"max_changes: {past if self._remembers else without[0]}")
@@ -188,7 +190,7 @@ class Controller:
         if self._steps:
             budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
         plan, changes = self._hard.plan(begin, budget), 0
-        if plan is None and not self._hard.plans(begin):
+        if plan is None and not self._hard.can_plan_from(begin):
             return None
         if self._soft is not None and not (plan and plan.plan.settled):
             changes = 0 if plan is None else plan.plan.changes

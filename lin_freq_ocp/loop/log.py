@@ -203,7 +203,7 @@ def certify_log(
                 verdicts[k] = _Verdict(Status.INFEASIBLE)
             else:
                 outcome = resolver.solve(change)
-                resolver.keep(outcome)
+                resolver.remember_ray(outcome)
                 verdicts[k] = _Verdict.of(outcome, tolerance)
         for group in groups.values():
             for k, one in proven_in_batch(group).items():

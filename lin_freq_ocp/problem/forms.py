@@ -15,13 +15,13 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics, entry_for
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 
-Form = Callable[[Dynamics, ConvexSet | None, Formula | None], Dynamics]
-FORMS: dict[type, Form] = {}
-"""The form of dynamics with a finite control set, or with formulas and a stage cost by one of them; None for none."""
+FormBuilder = Callable[[Dynamics, ConvexSet | None, Formula | None], Dynamics]
+FORMS: dict[type, FormBuilder] = {}
+"""Functions of dynamics, finite control set or None, and stage cost or None; ``transform/hybrid`` registers its own."""
 
 
 def form_of(dynamics: Dynamics, control_set: SetOrSets, cost: Cost, constrained: bool) -> Dynamics:
-    """Return the form of the dynamics of a problem; the dynamics themselves without levels and formulas.
+    """Return the form of the dynamics of a problem: the dynamics unchanged if there are no levels and formulas.
 
     ``constrained`` says whether the problem has path constraints by formulas.
     """

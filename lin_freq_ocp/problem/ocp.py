@@ -1,4 +1,4 @@
-"""The optimal control problem (paper, eq. (DTOCPNSD)) with convex costs and sets."""
+"""The optimal control problem (paper, eq. (DTOCPNSD)) with convex sets."""
 
 from __future__ import annotations
 
@@ -282,7 +282,7 @@ class OptimalControlProblem(ProblemData):
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """All constraints and costs but the quadratic cost, boxes and stop bands."""
+        """All constraints and costs but the quadratic cost, formulas, boxes and stop bands."""
         return terms_of(self)
 
     def value(self, x: Array, u: Array) -> float:

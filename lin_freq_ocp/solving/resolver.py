@@ -30,7 +30,7 @@ from lin_freq_ocp.transform.reformulations import Translation, far_origin, trans
 from lin_freq_ocp.transform.starts import start_of
 
 JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor
-TRAVEL = 100.0  # travel of a state, in its largest moves within a solve, after which states get a new origin
+TRAVEL = 100.0  # largest moves of a state in a solve: an origin that is farther away is replaced
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +108,10 @@ class Resolver:
         require_options(method, tolerance=tolerance)
         self.problem, self.name = problem, method
         self.method = choose_method(problem, method, {"tolerance": tolerance})
-        self._kept: SolverCache | None = None
+        self.linear = isinstance(problem.form.standard_form, LinearDynamics)
+        self._cache: SolverCache | None = None
         self._programs = ProgramCache()
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
-
-    @property
-    def linear(self) -> bool:
-        """Whether the dynamics are linear."""
-        return isinstance(self.problem.form.standard_form, LinearDynamics)
 
     @property
     def spectral(self) -> bool:
@@ -129,26 +125,26 @@ class Resolver:
         """Share the programs of another problem, for those with the same matrices."""
         self._programs = other._programs
 
-    def kept(self, changed: OptimalControlProblem) -> SolverCache:
+    def cache_for(self, changed: OptimalControlProblem) -> SolverCache:
         """Return the solver state of the problem with its states counted from near those of a changed problem.
 
         The origin stays until a state has travelled far from it, compared with its moves within a solve.
         """
-        start, kept = changed.ends[0], self._kept
-        if kept is not None and not self._is_far(kept, start.lower, start.fixed):
-            return kept
+        start, cache = changed.ends[0], self._cache
+        if cache is not None and not self._is_far(cache, start.lower, start.fixed):
+            return cache
         origin = far_origin(changed)
-        if kept is None or (origin != kept.origin).any():
+        if cache is None or (origin != cache.origin).any():
             base = self.problem.with_ends(changed.initial_state) if origin.any() else self.problem
-            self._kept = kept = SolverCache(translated_by(base, origin), self._programs)
+            self._cache = cache = SolverCache(translated_by(base, origin), self._programs)
         else:  # it stays the best one: states this far from it are not far
             self._moves = np.maximum(self._moves, np.where(start.fixed, np.abs(start.lower - origin), 0.0) / TRAVEL)
-        return kept
+        return cache
 
-    def _is_far(self, kept: SolverCache, start: Array, fixed: Mask | bool = True) -> bool:
+    def _is_far(self, cache: SolverCache, start: Array, fixed: Mask | bool = True) -> bool:
         """Whether a state has travelled far from the origin, compared with what it moves in a solve."""
         reach = TRAVEL * self._moves
-        far = (np.abs(start - kept.origin) > reach) & (reach > 0)
+        far = (np.abs(start - cache.origin) > reach) & (reach > 0)
         return bool((far if fixed is True else far & fixed).any())
 
     @one_blas_thread
@@ -156,29 +152,29 @@ class Resolver:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
         if not self.spectral or not self.linear:
             return
-        kept = self._kept
-        if kept is None or self._is_far(kept, start):
-            kept = self.kept(self.problem.with_ends(start))
-        kept.prepare()
+        cache = self._cache
+        if cache is None or self._is_far(cache, start):
+            cache = self.cache_for(self.problem.with_ends(start))
+        cache.prepare()
 
-    def plans(self, start: Array) -> bool:
+    def can_plan_from(self, start: Array) -> bool:
         """Whether the condensed method is set up for states near this one, (n,)."""
-        return self._kept is not None and not self._is_far(self._kept, start) and self._kept.plans
+        return self._cache is not None and not self._is_far(self._cache, start) and self._cache.plans
 
     @property
     def no_plans(self) -> str:
         """Return why the condensed method, which has been set up if that is possible, has no plans for the problem."""
-        if self._kept is None or not self.spectral or not self.linear:
+        if self._cache is None or not self.spectral or not self.linear:
             return "only methods 'auto' and 'spectral' plan in this way, for linear dynamics."
-        return self._kept.no_plans
+        return self._cache.no_plans
 
     def plan(self, start: Array, budget: Budget = UNLIMITED) -> PlannedStart | None:
         """Return a plan from another initial state, (n,), without a certificate; None where only ``solve`` helps."""
-        kept = self._kept
-        if kept is None or not self.plans(start):
+        cache = self._cache
+        if cache is None or not self.can_plan_from(start):
             return None
-        plan = kept.plan(start - kept.origin, budget)
-        return plan and PlannedStart(kept.translation, plan)
+        plan = cache.plan(start - cache.origin, budget)
+        return plan and PlannedStart(cache.translation, plan)
 
     @one_blas_thread
     def plan_batch(self, starts: Array) -> tuple[dict[int, PlannedStart], bool]:
@@ -188,27 +184,27 @@ class Resolver:
         """
         if not self.linear or not self.spectral:
             return {}, False
-        kept = self.kept(self.problem.with_ends(starts[0]))
-        moved, rays = starts - kept.origin, kept.exclusions
+        cache = self.cache_for(self.problem.with_ends(starts[0]))
+        moved, rays = starts - cache.origin, cache.exclusions
         tried = [i for i, start in enumerate(moved) if not any(ray.applies_to(start) for ray in rays)]
-        plans, interrupted = kept.plan_batch(moved[tried])
-        return {tried[i]: PlannedStart(kept.translation, plan) for i, plan in plans.items()}, interrupted
+        plans, interrupted = cache.plan_batch(moved[tried])
+        return {tried[i]: PlannedStart(cache.translation, plan) for i, plan in plans.items()}, interrupted
 
     def excluded(self, change: Change) -> bool:
         """Whether a ray of an infeasible problem before excludes the changed initial state."""
-        kept = self._kept
-        if kept is None or not kept.exclusions or not change.starts_elsewhere:
+        cache = self._cache
+        if cache is None or not cache.exclusions or not change.starts_elsewhere:
             return False
         start = change.apply(self.problem).initial_box
-        return bool(start.fixed.all()) and any(ray.applies_to(start.lower - kept.origin) for ray in kept.exclusions)
+        return bool(start.fixed.all()) and any(ray.applies_to(start.lower - cache.origin) for ray in cache.exclusions)
 
-    def keep(self, outcome: Outcome) -> None:
+    def remember_ray(self, outcome: Outcome) -> None:
         """Keep the ray of an infeasible problem that differs from this one in its initial state alone."""
-        kept = self._kept
-        if kept is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
-            ray = infeasibility_certificate(translated_by(outcome.problem, kept.origin).problem, outcome.ray)
+        cache = self._cache
+        if cache is not None and outcome.status == Status.INFEASIBLE and outcome.ray is not None:
+            ray = infeasibility_certificate(translated_by(outcome.problem, cache.origin).problem, outcome.ray)
             if ray is not None:
-                kept.exclusions.appendleft(ray)
+                cache.exclusions.appendleft(ray)
 
     @one_blas_thread
     def solve(
@@ -221,18 +217,18 @@ class Resolver:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
         require_options(self.name, time_limit=time_limit)
         problem = change.apply(self.problem)
-        kept = self.kept(problem)
-        change = kept.translation.change(change, problem)
-        moved = problem if kept.problem is self.problem else change.apply(kept.problem)
-        translation = Translation(problem, moved, kept.origin)
+        cache = self.cache_for(problem)
+        change = cache.translation.change(change, problem)
+        moved = problem if cache.problem is self.problem else change.apply(cache.problem)
+        translation = Translation(problem, moved, cache.origin)
         if start is not None:
-            kept.stage_cache.warm_start = translation.start(start)
+            cache.stage_cache.warm_start = translation.start(start)
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
         limit = np.inf if time_limit is None else time_limit
         if tree is not None:
-            tree.set_base(kept.problem if change.starts_elsewhere else None)
+            tree.set_base(cache.problem if change.starts_elsewhere else None)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        request = Request(limit, tolerance, start=begin, cached=(kept, change) if self.linear else None, tree=tree)
+        request = Request(limit, tolerance, start=begin, cached=(cache, change) if self.linear else None, tree=tree)
         outcome = solve_translated(self.method, translation, request)
         outcome = restore_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:

@@ -1,8 +1,8 @@
-"""Changes of a problem, and reductions: another problem takes its place, whose answers become those of the given one.
+"""Changes of a problem, and reductions, which replace a problem by another and convert the answers back.
 
-As in CVXPY, a reduction accepts some problems, and gives another problem with both ways. Forward go a start and a
-change; backward go trajectory, multipliers, rays, directions of descent and the cost. A method has a tuple of
-reductions: those that accept the problem are applied from left to right, and recovered from right to left. The judge
+As in CVXPY, a reduction accepts some problems. A starting trajectory and a ``Change`` are mapped to the new problem;
+trajectory, multipliers, rays, directions of descent and the cost are mapped back. A method has a tuple of reductions:
+those that accept the problem are applied from left to right, and recovered from right to left. The judge
 checks the recovered answer, a claim about the given problem, on that problem.
 
 A new reduction is a subclass of ``Reduced`` that overrides some methods, and a function from a problem to this class.
@@ -108,7 +108,7 @@ class Reduced:
         return trajectory
 
     def change(self, change: Change, changed: OptimalControlProblem) -> Change:
-        """Return the change of the reduced problem that belongs to a change of the given one, to ``changed``."""
+        """Return a change of the given problem as one of the reduced problem; ``changed`` is the given one after it."""
         return change
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
@@ -147,9 +147,11 @@ Reduction = Callable[[OptimalControlProblem], Reduced | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Chain(Reduced):
-    """Several reductions, in the order in which they were applied."""
+class Chain:
+    """A problem after several reductions, in the order in which they were applied."""
 
+    given: OptimalControlProblem
+    problem: OptimalControlProblem
     links: tuple[Reduced, ...]
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:

@@ -63,7 +63,7 @@ class Translation(Reduced):
         return Trajectory(trajectory.x - self.origin, trajectory.u) if self.moves else trajectory
 
     def change(self, change: Change, changed: OptimalControlProblem) -> Change:
-        """Return the change of the translated problem that belongs to a change of the given one, to ``changed``."""
+        """Return a change of the given problem as one of the translated problem."""
         if not self.moves:
             return change
         references, bounds = change.references, change.bounds

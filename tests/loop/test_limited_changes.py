@@ -64,7 +64,7 @@ def test_the_better_of_both_plans_is_applied(limit):
     loop, same = limited(limit), limited(limit)
     driven(loop, 2)
     driven(same, 1)
-    own = same._controller._soft._kept.plan(PUSHED, Budget(changes=limit))
+    own = same._controller._soft._cache.plan(PUSHED, Budget(changes=limit))
     rest = own.following(same.log.steps[0].planned)
     better, source = (rest, "previous plan") if rest.rank < own.rank else (own, "best point")
     assert not own.settled

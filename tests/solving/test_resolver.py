@@ -151,5 +151,5 @@ def test_states_that_hardly_move_do_not_set_the_method_up_again():
     caches = set()
     for _ in range(3):  # the position moves by less than a hundredth of what it is
         solver.solve(Change(start))
-        caches.add(id(solver.kept(problem.with_ends(start))))
+        caches.add(id(solver.cache_for(problem.with_ends(start))))
     assert len(caches) == 1

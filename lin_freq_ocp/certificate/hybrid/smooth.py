@@ -89,7 +89,7 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     if reduced is None:
         scales = Scales(trajectory_sizes(problem, trajectory))
         return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
-    at, scales = reduced.with_cost(trajectory), scales_with_cost(reduced, trajectory)
+    at, scales = reduced.start(trajectory), scales_with_cost(reduced, trajectory)
     found = judge_smooth(reduced.problem, at, reduced.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
     test, last = found.second_order, problem.state_dim
     own = tuple(  # in the given problem, the cost so far has no name
@@ -115,7 +115,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     up to that within their given values: constants in it do not.
     """
     problem, n, dynamics = reduced.given, reduced.given.state_dim, piecewise_smooth(reduced.problem)
-    (x, u), y = trajectory_sizes(problem, trajectory), reduced.with_cost(trajectory)
+    (x, u), y = trajectory_sizes(problem, trajectory), reduced.start(trajectory)
     jets_along, modes = dynamics.jets_at(np.hstack([y.x[:-1], y.u])), dynamics.sequence_of(y.x, y.u)
     _, steep, bent = (np.abs(part[:, n]) for part in jets_along.maps_of(modes, np.arange(len(modes))))
     steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
@@ -141,7 +141,7 @@ def judged_modes(
     if priced is None:
         affine = problem.affine_at(trajectory)
         return Reduced(problem, problem), affine, trajectory, modes_along(affine, trajectory)
-    at, sizes = priced.with_cost(trajectory), scales_with_cost(priced, trajectory).sizes
+    at, sizes = priced.start(trajectory), scales_with_cost(priced, trajectory).sizes
     affine = priced.problem.affine_at(at)
     return priced, affine, at, modes_along(affine, at, sizes)
 
@@ -376,7 +376,7 @@ def kinks(
     """Return the kinks of judged switching facts along a trajectory, in time."""
     priced = cost_as_state(problem, trajectory)
     if priced is not None:
-        n, augmented = problem.state_dim, (priced.with_cost(trajectory), priced.with_adjoint(multipliers))
+        n, augmented = problem.state_dim, (priced.start(trajectory), priced.with_adjoint(multipliers))
         found = kinks(priced.problem, *augmented, facts)
         return tuple(Kink(kink.time, kink.lower[:n], kink.upper[:n], kink.required[:n]) for kink in found)
     times = sorted({*facts.times, *(kink.time for kink in facts.norms)})

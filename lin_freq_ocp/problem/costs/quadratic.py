@@ -43,7 +43,7 @@ CONVEXITY_TOLERANCE = 1e-12  # largest negative eigenvalue, relative to the larg
 
 
 class Cost(ABC):
-    """A convex cost; sums of costs are costs, ``sum`` of a list included.
+    """A cost; sums of costs are costs, ``sum`` of a list included. All but ``SmoothCost`` are convex.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
     listed in ``files/problem_tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
@@ -108,7 +108,7 @@ class Cost(ABC):
 
 
 class NonsmoothCost(Cost):
-    """A cost that is a sum of terms h(L(x, u))."""
+    """A cost that is a sum of terms h(L(x, u)), or has formulas."""
 
     label: ClassVar[str]  # names its terms
 

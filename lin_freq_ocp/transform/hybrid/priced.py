@@ -70,8 +70,8 @@ def _with_cost(dynamics: Dynamics, modes: Sequence[SmoothMode], stage: Formula |
 class CostState(OwnStates):
     """The way back from the problem in the states (x, z), where z is the cost by formulas so far."""
 
-    def with_cost(self, trajectory: Trajectory) -> Trajectory:
-        """Return a trajectory of the given problem with its costs."""
+    def start(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory of the given problem with its cost so far."""
         costs = self.given.cost.formula_values(trajectory.x, trajectory.u)
         for t in np.flatnonzero(~np.isfinite(costs))[:1]:
             got = f"{costs[t]:g} at t = {t}, x = {brief(trajectory.x[t].tolist())}"

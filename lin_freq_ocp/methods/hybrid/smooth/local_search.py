@@ -335,7 +335,7 @@ class LocalSearch:
             optimum = local_optimum(self.problem, start, sequence, below, self.end)
         elif not self._smooth and self._with_cost is not None:
             priced = self._with_cost
-            optimum = local_optimum(priced.problem, priced.with_cost(start), sequence, below, self.end)
+            optimum = local_optimum(priced.problem, priced.start(start), sequence, below, self.end)
             if optimum is not None:
                 trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
                 optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
