@@ -224,11 +224,12 @@ class Resolver:
         if start is not None:
             cache.stage_cache.warm_start = translation.start(start)
         begin = start_of(problem, start) if start is not None and self.method.takes_start else None
-        limit = np.inf if time_limit is None else time_limit
         if tree is not None:
             tree.set_base(cache.problem if change.starts_elsewhere else None)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        request = Request(limit, tolerance, start=begin, cached=(cache, change) if self.linear else None, tree=tree)
+        request = Request(
+            time_limit or np.inf, tolerance, start=begin, cached=(cache, change) if self.linear else None, tree=tree
+        )
         outcome = solve_translated(self.method, translation, request)
         outcome = restore_outcome(translation, outcome, tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
