@@ -70,11 +70,12 @@ def judge_smooth(
     )
     satisfied, test = all(condition.passed for condition in judgement.conditions), None
     if satisfied and facts.applicable and multipliers.eta_C == 1:
-        if facts.times or norms:
-            test = SecondOrder(None, "modes meet or norms are zero")
-        else:
-            slopes = _linearised_extremal(problem.affine_at(trajectory), trajectory, multipliers, scales)[1]
-            test = second_order_test(problem, trajectory, multipliers, np.concatenate(scales.sizes), slopes, terminal)
+        sizes = np.concatenate(scales.sizes), judgement.slopes
+        test = (
+            SecondOrder(None, "modes meet or norms are zero")
+            if facts.times or norms
+            else second_order_test(problem, trajectory, multipliers, *sizes, terminal)
+        )
     return replace(judgement, borders=facts, second_order=test)
 
 
@@ -274,10 +275,13 @@ def _judge_norms(
         if not active.any():
             continue
         selection[active] = 0.0
-        sequence = dynamics.sequence_of(trajectory.x, trajectory.u)
         linear = problem.affine_at(trajectory, selections)
-        extremal, scale = _linearised_extremal(linear, trajectory, multipliers, scales)
-        required = required_slopes(extremal)
+        modes = piecewise_affine(linear)
+        sequence = modes.sequence_of(trajectory.x, trajectory.u)
+        alone = replace(linear, dynamics=modes.along(sequence))
+        extremal = extremal_at(alone, trajectory, multipliers)
+        least = floors(extremal, scales)
+        scale, required = stationarity_scale(extremal, least), required_slopes(extremal)
         base, columns = _norm_slopes(problem, trajectory, multipliers, selections, norm)
         for t in np.flatnonzero(active):
             own = np.asarray(columns[:, t].any(axis=(0, 2)))  # each mode may have a copy of the norm, which is one kink
@@ -291,16 +295,6 @@ def _judge_norms(
             rate = pull if pull > CONDITION_TOLERANCE * float(scale[t].max()) else min(pull, 0.0)
             kinks.append(NormKink(int(t), _norm_text(problem, norm), tuple(float(part) for part in selection[t]), rate))
     return selections, tuple(kinks)
-
-
-def _linearised_extremal(
-    linear: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, scales: Scales
-) -> tuple[Extremal, Array]:
-    """Return the extremal in the modes of a trajectory, with the scales of its stationarity, (T, n + m)."""
-    modes = piecewise_affine(linear)
-    alone = replace(linear, dynamics=modes.along(modes.sequence_of(trajectory.x, trajectory.u)))
-    extremal = extremal_at(alone, trajectory, multipliers)
-    return extremal, stationarity_scale(extremal, floors(extremal, scales))
 
 
 def _norm_text(problem: OptimalControlProblem, norm: Formula) -> str:
