@@ -6,7 +6,7 @@
 
 One file for each part in verify/; all run if none is named. Exit status 1 if a check fails.
 
-known        problems with known optimal costs, by Clarabel, PIQP and OSQP
+known        problems with known optimal costs, by Clarabel, PIQP and OSQP; bodies that turn in the least time
 convex       random convex problems, against CVXPY on our program
 linear       random linear problems of every shape, in units of 1e-9 to 1e9, against plain Clarabel
 spectral     random time-invariant problems, by the Fourier-domain method and by the sparse program

@@ -34,8 +34,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. The size is 1 if
-    the trajectory is zero and there are no data.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
+    is zero and there are no data, the size is that of the origin, or 1.
     """
     n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
@@ -58,7 +58,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         total = _sum_of_terms(problem, trajectory) / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
-    sizes = np.where(sizes > 0, sizes, 1.0)
+    origin = np.zeros(n + m) if problem.origin is None else np.abs(np.append(problem.origin, np.zeros(m)))
+    sizes = np.where(sizes > 0, sizes, np.where(origin > 0, origin, 1.0))
     return sizes[:n], sizes[n:]
 
 

@@ -107,7 +107,8 @@ class Judgement:
     """The result of the judge of one kind of dynamics.
 
     ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, None if not computed;
-    ``bound`` is a bound of another kind than that of the extremal.
+    ``bound`` is a bound of another kind than that of the extremal; ``slopes`` (T, n + m) are the scales of the adjoint
+    equation and of stationarity in u, of dynamics with modes.
     """
 
     conditions: tuple[Condition, ...]
@@ -117,6 +118,7 @@ class Judgement:
     cost_scale: float | None = None
     second_order: SecondOrder | None = None
     bound: Bound | None = None
+    slopes: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

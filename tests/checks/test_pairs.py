@@ -59,7 +59,9 @@ def test_answers_that_are_wrong_are_found_out(monkeypatch):
     monkeypatch.setattr(pairs, "independent", lambda *given: cp_plus(honest(*given), 1e-3))
     assert pairs.check(pair).verdict == "wrong"
     cheap = pairs.outcome_of(pair, lambda: {}["missing"])
-    assert (cheap.verdict, cheap.words) == ("wrong", "KeyError: 'missing'")
+    assert cheap.verdict == "wrong"
+    assert cheap.words.endswith("KeyError: 'missing'")
+    assert "in test_answers_that_are_wrong_are_found_out" in cheap.words or "in <lambda>" in cheap.words
     assert pairs.outcome_of(pair, refuse("no")).verdict == "wrong"
     assert pairs.outcome_of(pair, refuse("control_set: got a ball; expected a box.")).verdict == "refused"
 

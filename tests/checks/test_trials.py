@@ -56,7 +56,7 @@ def test_bounds_and_infeasibility_that_balls_refute_are_found_out(seed, monkeypa
 
 def test_a_point_that_descent_leaves_and_a_saddle_are_found_out():
     saddle = weights.Trial(4)
-    exact, rest = saddle.reduced(saddle.heavy, *saddle.light), np.zeros(saddle.T * saddle.m)
+    exact, rest = saddle.reduced(saddle.heavy, *saddle.terms), np.zeros(saddle.T * saddle.m)
     assert weights.least_curvature(exact, rest) < -0.1
     assert weights.descent(exact, rest) < 1e-12
     assert weights.descent(exact, weights.keep_heavy(saddle, rest + 0.1)) > 1e-4

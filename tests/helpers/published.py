@@ -215,6 +215,52 @@ def mass_outside_disc(horizon: int = 20) -> lfo.OptimalControlProblem:
     return replace(given, dynamics=lfo.LinearDynamics(A, B), stage_rows=disc)
 
 
+def turned_body(
+    inertia: Sequence[float], torque: float, axis: int, angle: float, horizon: int, cutoff: float | None = None
+) -> lfo.OptimalControlProblem:
+    """Return the least time in which a body turns from rest to rest by an angle, with torques about three axes.
+
+    States are a quaternion, which keeps its length of 1 exactly, so that the end implies one of its components; the
+    rates of turn, by the method of Runge and Kutta; and the length of a step. ``cutoff`` is that of a low pass.
+    """
+    first, second, third = inertia
+
+    def rates(w, u):
+        return [
+            ((second - third) * w[1] * w[2] + torque * u[0]) / first,
+            ((third - first) * w[2] * w[0] + torque * u[1]) / second,
+            ((first - second) * w[0] * w[1] + torque * u[2]) / third,
+        ]
+
+    def f(x, u):
+        w, step = list(x[4:7]), x[7]
+        after = runge_kutta(rates, step)(w, u)
+        a, b, c = (step / 4 * (before + now) for before, now in zip(w, after, strict=True))
+        length = np.sqrt(1 + a**2 + b**2 + c**2)
+        turned = [
+            x[0] + x[3] * a + x[1] * c - x[2] * b,
+            x[1] + x[3] * b + x[2] * a - x[0] * c,
+            x[2] + x[3] * c + x[0] * b - x[1] * a,
+            x[3] - x[0] * a - x[1] * b - x[2] * c,
+        ]
+        return [*(part / length for part in turned), *after, step]
+
+    usual = 2 * np.sqrt(angle * inertia[axis] / torque) / horizon  # of a step: the time about the axis alone
+    steps, last = np.array([0.1, 10.0]) * usual, np.zeros(8)
+    first_state, last_state = np.eye(7)[3], np.zeros(7)
+    last_state[[axis, 3]] = np.sin(angle / 2), np.cos(angle / 2)
+    last[7] = horizon
+    return lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(f, 8, 3),
+        horizon,
+        lfo.QuadraticCost(p=last),
+        lfo.Box(-1, 1),
+        initial_state=lfo.Box(*(np.append(first_state, step) for step in steps)),
+        terminal_state=lfo.Box(*(np.append(last_state, step) for step in steps)),
+        control_spectrum=None if cutoff is None else [lfo.low_pass(cutoff)],
+    )
+
+
 class Published(NamedTuple):
     """A problem, the horizon it is built with, and a local optimum that is not to be exceeded."""
 
@@ -249,4 +295,19 @@ PUBLISHED = {
     "pendulum of acados, T = 100": Published(acados_pendulum, 100, 2047.23),
     "mass around a disc": Published(mass_around_disc, 20, 316.532678),
     "mass around a disc, by h": Published(mass_outside_disc, 20, 316.532678),
+}
+
+# Ours; in continuous time, the first two are 28.6304 (Betts, Practical Methods for Optimal Control, 2010) and 3.2430
+# (Bilimoria and Wie, J. Guidance 16(3), 1993)
+LEAST_TIMES = {
+    "body of Betts, N = 50": Published(
+        lambda T: turned_body((5621.0, 4547.0, 2364.0), 50.0, 0, np.deg2rad(150), T), 50, 28.655900
+    ),
+    "ball, N = 60": Published(lambda T: turned_body((1.0, 1.0, 1.0), 1.0, 2, np.pi, T), 60, 3.2444596),
+    "ball, low pass of 0.8, N = 120": Published(
+        lambda T: turned_body((1.0, 1.0, 1.0), 1.0, 2, np.pi, T, 0.8), 120, 3.6638349
+    ),
+    "ball, low pass of 0.4, N = 120": Published(
+        lambda T: turned_body((1.0, 1.0, 1.0), 1.0, 2, np.pi, T, 0.4), 120, 3.7834252
+    ),
 }

@@ -480,7 +480,7 @@ def judge_modes(
     joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
-    return Judgement(conditions, facts, cost_of_residuals(extremal))
+    return Judgement(conditions, facts, cost_of_residuals(extremal), slopes=scale)
 
 
 def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import SecondOrder
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import EXTERNAL
@@ -29,9 +30,6 @@ from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
-ACTIVE_BOUND = 1e-6  # distance to a bound, relative to its size, at which it is active: the tolerance of the judge
-# Part of the largest multiplier above which one counts as not zero. Interior points leave less of inactive bounds.
-LEAST_MULTIPLIER = 1e-6
 CURVATURE = 1e-7  # part of the terms of the Hessian that errors of multipliers make: these are right to 1e-6 at most
 CURVATURE_FLOOR = 1e-12  # the same, relative to the largest component
 CONSTRAINT_WEIGHTS = (1e2, 1e5, 1e8)  # of active constraints, relative to the largest curvature
@@ -39,12 +37,17 @@ ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direc
 
 
 def second_order_test(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array, terminal: Array
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    multipliers: Multipliers,
+    units: Array,
+    slopes: Array,
+    terminal: Array,
 ) -> SecondOrder:
     """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active.
 
-    ``units`` (n + m,) are the sizes of states and controls; ``terminal`` (n, n) is added to the Hessian of the cost of
-    x_T.
+    ``units`` (n + m,) are the sizes of states and controls; ``slopes`` (T, n + m) are the scales of the adjoint
+    equation and of stationarity in u; ``terminal`` (n, n) is added to the Hessian of the cost of x_T.
     """
     dynamics, T, n = piecewise_smooth(problem), problem.horizon, problem.state_dim
     formulas = [formula for mode in dynamics.modes for formula in mode.f]
@@ -53,7 +56,7 @@ def second_order_test(
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
     x, u = trajectory.x, trajectory.u
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
-    _, slopes, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
+    _, gains, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
     cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
     bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
     H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
@@ -74,8 +77,8 @@ def second_order_test(
     if largest == 0:
         return SecondOrder(True, "")
     error = (CURVATURE * sizes + CURVATURE_FLOOR * largest)[:, None] * np.eye(len(units))
-    AB, linear = slopes * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(trajectory))
-    rows = _active_rows(linear, trajectory, multipliers, units)
+    AB, linear = gains * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(trajectory))
+    rows = _active_rows(linear, trajectory, multipliers, units, slopes)
     strong = np.zeros((T + 1, len(units), len(units)))
     for t, row, sign, is_strong in rows:
         strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
@@ -103,23 +106,24 @@ def second_order_test(
 
 
 def _active_rows(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array, slopes: Array
 ) -> list[tuple[int, Array, float, bool]]:
     """Return (time, row of length 1 in units, sign, whether it has a multiplier) of active bounds and rows.
 
-    A direction d keeps a row if sign times row'd <= 0, of fixed components (sign 0) if row'd = 0.
+    A direction d keeps a row if sign times row'd <= 0, of fixed components (sign 0) if row'd = 0. A multiplier is zero
+    if stationarity holds without it: its slopes are within the tolerance of the judge in every component.
     """
     n, found = problem.state_dim, list[tuple[int, Array, float, bool]]()
-    slopes = multipliers.eta * units[:n], multipliers.mu * units[:n], multipliers.nu * units[n:]
-    threshold = LEAST_MULTIPLIER * max(float(np.abs(part).max()) for part in slopes)
+    least = CONDITION_TOLERANCE * np.vstack([slopes, slopes[-1:]])
     identity = np.eye(len(units))
     for first, signal, normals, tube in (
         (0, trajectory.x, multipliers.mu, problem.state_tube),
         (n, trajectory.u, multipliers.nu, problem.control_tube),
     ):
-        unit = units[first : first + signal.shape[1]]
-        upper, lower = tube.upper - signal <= ACTIVE_BOUND * unit, signal - tube.lower <= ACTIVE_BOUND * unit
-        strong, fixed = np.abs(normals * unit) > threshold, tube.lower == tube.upper
+        near = CONDITION_TOLERANCE * units[first : first + signal.shape[1]]
+        upper, lower = tube.upper - signal <= near, signal - tube.lower <= near
+        of_signal = least[: len(signal), first : first + signal.shape[1]]
+        strong, fixed = np.abs(normals) > of_signal, tube.lower == tube.upper
         for t, k in np.argwhere(upper | lower):
             sign = 0.0 if fixed[t, k] else 1.0 if upper[t, k] else -1.0
             found.append((int(t), identity[first + k], sign, bool(strong[t, k])))
@@ -131,13 +135,14 @@ def _active_rows(
             term.map.values(trajectory.x, trajectory.u),
             multipliers.stage.get(term.name, np.zeros(term.shape)),
         )
-        near = ACTIVE_BOUND * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
+        near = CONDITION_TOLERANCE * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
-            normal = rows.matrix(int(group))[row] * units
+            t, slope = int(rows.times[group]), rows.matrix(int(group))[row]
+            normal = slope * units
             length = float(np.linalg.norm(normal))
             if length > 0:
-                is_strong = abs(float(given[group, row])) * length > threshold
-                found.append((int(rows.times[group]), normal / length, 1.0, is_strong))
+                is_strong = bool((np.abs(given[group, row] * slope) > least[t]).any())
+                found.append((t, normal / length, 1.0, is_strong))
     return found
 
 

@@ -70,11 +70,11 @@ def judge_smooth(
     )
     satisfied, test = all(condition.passed for condition in judgement.conditions), None
     if satisfied and facts.applicable and multipliers.eta_C == 1:
-        kinked = facts.times or norms
+        sizes = np.concatenate(scales.sizes), judgement.slopes
         test = (
             SecondOrder(None, "modes meet or norms are zero")
-            if kinked
-            else second_order_test(problem, trajectory, multipliers, np.concatenate(scales.sizes), terminal)
+            if facts.times or norms
+            else second_order_test(problem, trajectory, multipliers, *sizes, terminal)
         )
     return replace(judgement, borders=facts, second_order=test)
 

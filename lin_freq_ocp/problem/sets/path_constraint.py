@@ -192,14 +192,17 @@ class PathConstraint(StageRows):
         return Term(self.name, TermKind.STAGE_ROWS, self.map, penalty)
 
     def linearised(self, x: Array, u: Array) -> TangentRows:
-        """Return h to first order along a trajectory, as rows; ProblemError where h or its slopes are no numbers."""
+        """Return h to first order along a trajectory, as rows; ProblemError where h or its slopes are no numbers.
+
+        Values of h are the least that their enclosures allow: rounding inside of a formula violates nothing.
+        """
         at, groups = self.map.jets_along(x, u), self.map.times
         for t, i in np.argwhere(~(np.isfinite(at.values) & np.isfinite(at.slopes).all(axis=2)))[:1]:
             got = f"{at.values[t, i]:g} and slopes {brief(at.slopes[t, i].tolist())} at t = {t}"
             expected = "finite numbers along the trajectory"
             raise ProblemError(f"{self.name!r}, component {i}", got, expected, "Constrain its arguments by a set.")
         C, D = np.split(at.slopes, [self.C.shape[1]], axis=2)
-        e = self.limits() - at.values + times_vectors(C, x[groups])
+        e = self.limits() - self.map.least_values(x, u) + times_vectors(C, x[groups])
         if len(groups) == len(u):
             e = e + times_vectors(D, u)
         return TangentRows(C, D[: len(u)], e, self.name, self.penalty)
@@ -350,6 +353,14 @@ class FormulaMap(AffineMap):
     def values(self, x: Array, u: Array) -> Array:
         """Return the values, (groups, components)."""
         return values_of(self.formulas, self.signals(x, u), self.times)
+
+    def least_values(self, x: Array, u: Array) -> Array:
+        """Return the lower ends of enclosures of the values, or the values of functions that have none."""
+        y = self.signals(x, u)
+        try:
+            return interval_jets(self.formulas, y, y, curved=False, time=self.times).values[0]
+        except UnsupportedError:
+            return values_of(self.formulas, y, self.times)
 
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the slopes times the signals."""

@@ -32,6 +32,7 @@ from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import box_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.linear import LinearAuto
@@ -40,6 +41,7 @@ from lin_freq_ocp.solving.outcome import Evidence, Outcome
 from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
+from lin_freq_ocp.transform.limits import BOXES, SPECTRA, map_sets
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.starts import Start
 
@@ -369,8 +371,8 @@ def _proof_of_infeasibility(
     """Return what proves that there is no trajectory, an empty text if nothing does.
 
     Of linear dynamics, it is a ray, whatever the cost by formulas is, with the tangents at a trajectory of the path
-    constraints that are convex; else ``intervals``, if they are asked for, prove it even without frequency constraints:
-    D is infinite.
+    constraints that are convex; else ``intervals``, if they are asked for, prove it by bounds and path constraints
+    alone: D is infinite. They are not tried if a trajectory satisfies these.
     """
     deadline, stated = now() + seconds, problem.dynamics
     if not stated.mode_names:
@@ -388,10 +390,24 @@ def _proof_of_infeasibility(
                 return EXCLUDED_BY_TANGENTS
     try:
         none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
-        levels = value_bounds(problem, none, np.inf, loss, deadline, scale=loss) if intervals else []
+        hopeless = not intervals or _bounds_admit_trajectory(problem, deadline - now())
+        levels = [] if hopeless else value_bounds(problem, none, np.inf, loss, deadline, scale=loss)
         return EXCLUDED_BY_INTERVALS if any(level.value == np.inf for level in levels) else ""
     except (UnsupportedError, OutOfTimeError):
         return ""
+
+
+def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> bool:
+    """Whether a trajectory satisfies the bounds and path constraints of a problem that has others, too."""
+    others = len(problem.terms) > len(problem.path_constraints)
+    if not (others or problem.control_stop.any() or problem.state_stop.any()):
+        return False
+    sets = {field: map_sets(getattr(problem, field), box_of) for field in BOXES}
+    bounded = replace(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=problem.path_constraints)
+    search = LocalSearch(bounded, seconds, is_proven=lambda _: True).run()
+    if search.interrupted:
+        raise KeyboardInterrupt
+    return search.best is not None and search.best.feasible
 
 
 def _modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Indices:

@@ -62,7 +62,8 @@ def test_a_large_weight_on_one_component_loosens_no_other():
     cost = lfo.QuadraticCost(R=0.2 * np.eye(2)) + lfo.costs.SmoothCost(stage="-x_0**2 + 1e9*x_1**2")
     problem = lfo.OptimalControlProblem(dynamics, 3, cost, free, initial_state=[0, 0], terminal_state=[0, 0])
     assert lfo.certify(problem, [[0.5, 0], [0, 0], [-0.5, 0]]).pmp == "violated"
-    assert lfo.certify(problem, [[1.0, 0], [0, 0], [-1, 0]]).pmp == "satisfied"
+    least = lfo.certify(problem, [[1.0, 0], [0, 0], [-1, 0]])
+    assert (least.pmp, least.second_order.passed) == ("satisfied", True)  # with the multipliers of both bounds of u_0
 
 
 @pytest.mark.parametrize("weight", [2e5, 2e7])
@@ -71,3 +72,14 @@ def test_the_accuracy_of_a_solve_does_not_fall_with_a_large_weight(weight):
     result = lfo.solve(stated("-x_0**2", 2, lfo.QuadraticCost(R=0.2, P=weight)), global_bound=False)
     assert result.status == "locally_optimal"
     assert result.cost == pytest.approx(-0.8, rel=1e-5)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_rows_are_violated_at_rest_far_from_zero_in_every_unit(unit):
+    """The state stays at its start, which is the origin of the translated problem."""
+    for limit, kept in ((1 - 1e-5, False), (1 + 1e-5, True)):
+        rows = lfo.sets.StageRows([[1.0]], [[0.0]], [[2 * unit], [limit * unit]])
+        problem = lfo.OptimalControlProblem(
+            ONE, 2, lfo.QuadraticCost(R=1.0), lfo.Box(-unit, unit), initial_state=[unit], stage_rows=[rows]
+        )
+        assert lfo.certify(problem, np.zeros((2, 1))).feasible is kept

@@ -14,12 +14,12 @@ from flint import arb
 
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import Outcome
-from helpers.exact.reduced import ReducedCost, Term, series_of
+from helpers.exact.reduced import FormulaTrial, ReducedCost, series_of
 
 STEPS = 12  # of Newton's method
 ROUNDING = 64 * float(np.finfo(float).eps)  # of a cost in double precision, relative to the terms of its formulas
 OPTIMAL = 1e-6  # part of the cost by which an optimal one may be above another, beyond what its rounding allows
-BOUND = 0.5  # on controls
+BOUND, REACH = 0.5, 0.9  # of controls and of states
 SECONDS = 1.0  # of the search for a bound
 KINDS = ("cost", "path constraint")
 
@@ -42,8 +42,8 @@ FORMULAS = {
 }
 
 
-class Trial:
-    """The numbers of a problem, its dynamics in balls, and the exact cost of its controls."""
+class Trial(FormulaTrial):
+    """The numbers of a problem whose formula cancels."""
 
     def __init__(self, seed: int):
         rng = np.random.default_rng([seed, 43])
@@ -59,32 +59,7 @@ class Trial:
     def problem(self, *rows: lfo.sets.PathConstraint) -> lfo.OptimalControlProblem:
         """Return the problem; with path constraints, it has no cost by formulas."""
         cost = lfo.QuadraticCost(R=self.price)
-        if not rows:
-            cost = cost + lfo.costs.SmoothCost(stage=self.formula, let=self.let)
-        return lfo.OptimalControlProblem(
-            lfo.LinearDynamics(self.A, self.B),
-            self.T,
-            cost,
-            lfo.Box(-BOUND, BOUND),
-            lfo.Box(np.full(self.n, -0.9), np.full(self.n, 0.9)),
-            self.start,
-            stage_rows=rows,
-        )
-
-    @property
-    def let(self) -> dict[str, str]:
-        """Return the definition of s."""
-        return {"s": " + ".join(f"{value!r}*x_{i}" for i, value in enumerate(self.c.tolist()))}
-
-    @property
-    def terms(self) -> list[Term]:
-        """Return the terms of the cost: the formula, and squares of the controls."""
-        formula = Term(self.formula, 1.0, self.c, np.zeros(1), range(self.T))
-        return [formula, Term("s**2", self.price / 2, np.zeros(self.n), np.ones(1), range(self.T))]
-
-    def reduced(self, *terms: Term) -> ReducedCost:
-        """Return terms, by default those of the cost, as a function of the controls in balls."""
-        return ReducedCost(self.A, self.B, self.start, self.T, terms or self.terms)
+        return self.problem_of(cost if rows else cost + self.formula_cost, BOUND, REACH, stage_rows=rows)
 
 
 def improve_controls(cost: ReducedCost, u: list[Any]) -> list[Any]:

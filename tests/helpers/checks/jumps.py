@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import lin_freq_ocp as lfo
-from helpers.checks.outcome import Outcome
+from helpers.checks.outcome import Outcome, finding_of
 from helpers.generated import CompiledController
 from lin_freq_ocp.methods.native_code import compiler
 
@@ -93,7 +93,7 @@ def check(seed: int) -> Outcome:
                 try:
                     status, u = step(x, before)
                 except Exception as error:  # whatever a step raises but the refusal in words is the finding
-                    wrong.append(f"{name}, {x}: {type(error).__name__}: {error}")
+                    wrong.append(f"{name}, {x}: {finding_of(error)}")
                     continue
                 statuses.append(f"{name} {status}")
                 if np.isfinite(x).all() == (u is None):

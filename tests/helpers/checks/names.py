@@ -18,6 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import finding_of
 from helpers.command_line import run
 from helpers.generated import STRICT
 from lin_freq_ocp.files.problem_file import problem_text
@@ -207,5 +208,5 @@ def check(seed: int) -> Outcome:
             try:
                 wrong += [] if write(problem, Path(folder)) else [name]
             except Exception as error:  # whatever a writer raises is the finding
-                wrong.append(f"{name}: {type(error).__name__}: {error}")
+                wrong.append(f"{name}: {finding_of(error)}")
     return Outcome(seed, tuple(writers), tuple(wrong))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from dataclasses import dataclass
 
 
@@ -18,3 +19,8 @@ class Outcome:
     def passed(self) -> bool:
         """Whether nothing is refuted."""
         return not self.wrong
+
+
+def finding_of(error: Exception) -> str:
+    """Return an error that is a finding, with the place that raised it."""
+    return "".join(traceback.format_exception(error)).rstrip()

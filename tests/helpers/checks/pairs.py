@@ -22,6 +22,7 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
+from helpers.checks.outcome import finding_of
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.proof import lfo_check
@@ -220,8 +221,8 @@ def outcome_of(pair: tuple[str, str], tried: Callable[[], str]) -> Outcome:
     except (lfo.errors.ProblemError, lfo.errors.UnsupportedError) as error:
         words = str(error)
         return Outcome(pair, "refused" if REASON.match(words) else "wrong", words)
-    except Exception as error:
-        return Outcome(pair, "wrong", f"{type(error).__name__}: {error}")
+    except Exception as error:  # whatever else it is, is the finding
+        return Outcome(pair, "wrong", finding_of(error))
     return Outcome(pair, "wrong" if wrong else "works", wrong)
 
 

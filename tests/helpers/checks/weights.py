@@ -13,19 +13,19 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import Outcome
-from helpers.exact.reduced import ReducedCost, Term
+from helpers.exact.reduced import FormulaTrial, ReducedCost, Term
 from lin_freq_ocp.base.arrays import Array
 
 PLACES = ("component", "time", "control")
 FORMULAS = ("s**2/2", "-s**2", "s**4 - s**2", "cos(2*s)", "sqrt(1 + s**2)", "exp(s) + exp(-s)")
-BOUND = 1.0  # on controls
+BOUND, REACH = 1.0, 30.0  # of controls and of states
 PARTS = (1.0, 0.3, 0.1, 0.01)  # of a step that are tried
 STATIONARY = 1e-6  # part of the scale of the light costs by which a step from a stationary point may lower the cost
 CURVED = 1e-3  # negative curvature that a second-order test must see, relative to the price of controls
 ACTIVE = 1e-6  # distance from a bound
 
 
-class Trial:
+class Trial(FormulaTrial):
     """The numbers of a problem with light costs of order one, and a large weight."""
 
     def __init__(self, seed: int):
@@ -50,12 +50,6 @@ class Trial:
         times = {"component": range(self.T + 1), "time": (self.time,), "control": range(self.T)}[self.place]
         return Term("s**2/2", self.weight, of_x, of_u, times)
 
-    @property
-    def light(self) -> list[Term]:
-        """Return the other costs."""
-        controls = [Term("s**2/2", self.price, np.zeros(self.n), unit, range(self.T)) for unit in np.eye(self.m)]
-        return [Term(self.formula, 1.0, self.c, np.zeros(self.m), range(self.T)), *controls]
-
     def problem(self) -> lfo.OptimalControlProblem:
         """Return the problem."""
         n, m, T = self.n, self.m, self.T
@@ -65,24 +59,12 @@ class Trial:
                 R[t, -1, -1] += self.weight
             else:
                 (P if t == T else Q[t])[-1, -1] += self.weight
-        cost, let = lfo.QuadraticCost(Q=Q, R=R, P=P), {"s": _combination(self.c)}
+        cost = lfo.QuadraticCost(Q=Q, R=R, P=P)
         if self.formula == "s**2/2":
             cost = lfo.QuadraticCost(Q=Q + np.outer(self.c, self.c), R=R, P=P)
         else:
-            cost = cost + lfo.costs.SmoothCost(stage=self.formula, let=let)
-        sets = {
-            "control_set": lfo.Box(np.full(m, -BOUND), np.full(m, BOUND)),
-            "state_set": lfo.Box([-30] * n, [30] * n),
-        }
-        return lfo.OptimalControlProblem(lfo.LinearDynamics(self.A, self.B), T, cost, initial_state=self.start, **sets)
-
-    def reduced(self, *terms: Term) -> ReducedCost:
-        """Return terms as a function of the controls."""
-        return ReducedCost(self.A, self.B, self.start, self.T, terms)
-
-
-def _combination(c: Array) -> str:
-    return " + ".join(f"{value!r}*x_{i}" for i, value in enumerate(c.tolist()))
+            cost = cost + self.formula_cost
+        return self.problem_of(cost, BOUND, REACH)
 
 
 def descent(cost: ReducedCost, u: Array) -> float:
@@ -128,14 +110,14 @@ def least_curvature(cost: ReducedCost, u: Array) -> float:
 def check(seed: int) -> Outcome:
     """Solve a problem with a large weight, and certify spoiled controls that keep what the weight wants."""
     trial = Trial(seed)
-    problem, exact = trial.problem(), trial.reduced(trial.heavy, *trial.light)
+    problem, exact = trial.problem(), trial.reduced(trial.heavy, *trial.terms)
     result = lfo.solve(problem, throw=False, **({} if trial.formula == "s**2/2" else {"global_bound": False}))
     if result.trajectory is None:
         return Outcome(seed, trial.place, (str(result.status),), (f"no answer: {result.message}",))
     points = {f"the answer, {result.status}": (result.certificate, result.control.ravel())}
     spoiled = keep_heavy(trial, result.control.ravel() + 0.3 * trial.noise.ravel())
     points["spoiled controls"] = lfo.certify(problem, spoiled.reshape(trial.T, trial.m)), spoiled
-    wrong, light = list[str](), trial.reduced(*trial.light)
+    wrong, light = list[str](), trial.reduced(*trial.terms)
     for name, (certificate, u) in points.items():
         scale = sum(abs(float(value)) for value in light.values(u.tolist())) + 1.0
         lower = descent(exact, u)

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from flint import arb, arb_mat, arb_series, ctx
 
+import lin_freq_ocp as lfo
+
 Balls = list[arb]
 BITS = 400  # of the balls: far more than 50 digits are left where 16 cancel
 
@@ -69,6 +71,47 @@ class ReducedCost:
             gradient += column * (series[1] * weight)
             hessian += column * column.transpose() * (2 * series[2] * weight)
         return gradient, hessian
+
+
+class FormulaTrial:
+    """A problem with x+ = A x + B u from a state, and costs f(s_t) + price/2 |u_t|^2, s = c'x."""
+
+    A: np.ndarray
+    B: np.ndarray
+    start: np.ndarray
+    c: np.ndarray
+    T: int
+    formula: str  # f
+    price: float
+
+    @property
+    def terms(self) -> list[Term]:
+        """Return the terms of the cost."""
+        n, m = self.B.shape
+        squares = [Term("s**2/2", self.price, np.zeros(n), unit, range(self.T)) for unit in np.eye(m)]
+        return [Term(self.formula, 1.0, self.c, np.zeros(m), range(self.T)), *squares]
+
+    @property
+    def let(self) -> dict[str, str]:
+        """Return the definition of s."""
+        return {"s": " + ".join(f"{value!r}*x_{i}" for i, value in enumerate(self.c.tolist()))}
+
+    @property
+    def formula_cost(self) -> lfo.costs.SmoothCost:
+        """Return the cost f(s_t)."""
+        return lfo.costs.SmoothCost(stage=self.formula, let=self.let)
+
+    def problem_of(self, cost: Any, control: float, state: float, **fields: Any) -> lfo.OptimalControlProblem:
+        """Return the problem with a cost and bounds of every control and state."""
+        n, m = self.B.shape
+        bounds = lfo.Box(np.full(m, -control), np.full(m, control)), lfo.Box(np.full(n, -state), np.full(n, state))
+        return lfo.OptimalControlProblem(
+            lfo.LinearDynamics(self.A, self.B), self.T, cost, *bounds, self.start, **fields
+        )
+
+    def reduced(self, *terms: Term) -> ReducedCost:
+        """Return terms, by default those of the cost, as a function of the controls in balls."""
+        return ReducedCost(self.A, self.B, self.start, self.T, terms or self.terms)
 
 
 def series_of(formula: str, s: arb) -> arb_series:

@@ -152,6 +152,16 @@ def test_dependent_gradients_are_named_with_their_place():
     assert lfo.certify(mass(lambda x, u: both(x, u)[:1], **rest), crossed).borders.unqualified == ()
 
 
+@pytest.mark.parametrize(("limit", "kept"), [(5.00005e-13, True), (4.9e-13, False)])
+def test_rounding_inside_a_formula_violates_nothing(limit, kept):
+    """log(cosh(1e-6)) is 5e-13 - 8e-26, in double precision 5.0004e-13."""
+    dynamics, row = lfo.LinearDynamics([[1.0]], [[1.0]]), lfo.sets.PathConstraint("log(cosh(x_0))", upper=limit)
+    problem = lfo.OptimalControlProblem(dynamics, 2, lfo.QuadraticCost(R=1.0), initial_state=[1e-6], stage_rows=[row])
+    rest = lfo.certify(problem, np.zeros((2, 1)))
+    assert (rest.pmp, rest.feasible) == ("satisfied" if kept else "violated", kept)
+    assert lfo.solve(problem, throw=False).status == ("optimal" if kept else "infeasible")
+
+
 def test_the_second_order_test_has_the_curvature_of_h():
     """At rest on top of h = 0 with a price on the height: no minimum on a disc, a minimum in a bowl."""
     cost = lfo.QuadraticCost(R=0.01, q=[0.0, 1.0, 0.0, 0.0], p=[0.0, 1.0, 0.0, 0.0])
