@@ -227,11 +227,9 @@ class Resolver:
         if tree is not None:
             tree.set_base(cache.problem if change.starts_elsewhere else None)
         tolerance: float | None = getattr(self.method, "tolerance", None)
-        request = Request(
-            time_limit or np.inf, tolerance, start=begin, cached=(cache, change) if self.linear else None, tree=tree
-        )
-        outcome = solve_translated(self.method, translation, request)
-        outcome = restore_outcome(translation, outcome, tolerance)
+        cached = (cache, change) if self.linear else None
+        request = Request(time_limit or np.inf, tolerance, start=begin, cached=cached, tree=tree)
+        outcome = restore_outcome(translation, solve_translated(self.method, translation, request), tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
         return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})
