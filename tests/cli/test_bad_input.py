@@ -424,7 +424,6 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
         (("solve", "pendulum", "--time-limit", "1e-9"), NOT_PROVEN, "limit"),
         (("solve", "pendulum", "--time-limit", "1e-9", "--backend", "osqp"), NOT_PROVEN, "limit"),
         (("compare", "pendulum", "--time-limit", "1e-9"), NOT_PROVEN, "limit"),
-        (solve_pendulum("initial_state=[9, 0, 0, 0]"), NO_SOLUTION, "state bound on"),
         (solve_cart("initial_state=[3, 0]"), NO_SOLUTION, "state bound on"),
         (("certify", "cart.toml", "run.npz", *settings("cost.Q=1.0")), NOT_PROVEN, "violated"),
     ],

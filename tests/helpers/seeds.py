@@ -1,4 +1,4 @@
-"""Random seeds of the tests: a run takes a third of them, and the next day's run another third.
+"""Random seeds of the tests, and cases of long tables: a run takes a third of them, the next day's run another third.
 
 The environment variable ``SEEDS_OF_TESTS`` chooses the third, 0, 1 or 2, or "all", as
 ``scripts/verify.py --part suite`` does. The first process sets it, so that all workers of a run take the same seeds,
@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from datetime import date
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import pytest
 
@@ -45,6 +45,5 @@ def examples(most: int) -> int:
     return most if os.environ[VARIABLE] == ALL else max(1, most // 3)
 
 
-def whole_sample(test: Any) -> Any:
-    """Run a test only with all seeds: it says what the answers to all of them have in common."""
-    return pytest.mark.skipif(os.environ[VARIABLE] != ALL, reason=f"needs {VARIABLE}={ALL}")(test)
+whole_sample = pytest.mark.skipif(f"os.environ['{VARIABLE}'] != '{ALL}'", reason=f"needs {VARIABLE}={ALL}")
+"""For a long case of a test, or for one that says what the answers to all seeds have in common."""

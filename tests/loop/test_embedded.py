@@ -14,6 +14,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.native_code import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -42,7 +43,9 @@ PLANTS = {
 }
 
 
-RECORDED = [("rate limit", "float"), ("two controls", "double"), ("soft bounds", "double"), ("soft bounds", "float")]
+RECORDED = seeds(
+    [("rate limit", "float"), ("two controls", "double"), ("soft bounds", "double"), ("soft bounds", "float")]
+)
 
 
 @pytest.fixture(scope="module")

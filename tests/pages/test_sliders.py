@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.pages.explorer.session import GROUPS, HORIZON, Session, sliders_of
 from lin_freq_ocp.transform.limits import changed_fields
 
@@ -176,7 +177,7 @@ def session_of(name):
     return Session(CASES[name][0])
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_an_answer_is_that_of_the_problem_with_this_value(name):
     _, (key, notches), built = CASES[name]
     session = session_of(name)

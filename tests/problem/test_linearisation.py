@@ -202,7 +202,7 @@ def test_curvature_is_no_kink(smooth, point):
 def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     """The time constant 1e-5 s is over at once: after 0.1 s the fast state is at 2 u, and nothing else matters."""
     system = control.nlsys(lambda t, x, u, params: (2 * u - x) / 1e-5, None, states=1, inputs=1, dt=0)
-    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.linearisation.MOST_EVALUATIONS", 1_000)
+    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.linearisation.MOST_EVALUATIONS", 100)
     with pytest.raises(lfo.errors.ProblemError, match="integrator='Radau'") as caught:
         lfo.LinearDynamics.linearised(system, [1.0], [0.5], PERIOD)
     monkeypatch.undo()

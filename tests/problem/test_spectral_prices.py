@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import get_window
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
 from lin_freq_ocp.transform.reformulations import translation_of
@@ -62,7 +63,7 @@ def problem(bound, **field) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), T, cost, initial_state=[0.0], **given)
 
 
-@pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize("name", seeds(BOUNDS))
 def test_the_price_is_that_of_the_docstring(name):
     bound, rows, limit = BOUNDS[name]
     given, plain = problem(bound), problem(None)

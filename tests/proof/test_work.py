@@ -54,8 +54,8 @@ HOSTILE = {
     "a long number": [line | {"A": [["0x1." + "f" * 20_000]]} if "A" in line else line for line in problem(10**5)],
     "a reach over many steps": [*problem(2 * 10**5), CLAIM, NODES, ROOT],
     "many nodes over many steps": [
-        *(*problem(10**5), CLAIM, NODES | {"reach": False}, ROOT),
-        *({"node": i, "parent": i - 1, "t": 0, "modes": [0]} for i in range(1, 40)),
+        *(*problem(10**4), CLAIM, NODES | {"reach": False}, ROOT),
+        *({"node": i, "parent": i - 1, "t": 0, "modes": [0]} for i in range(1, 400)),
     ],
     "a Hessian of exponents far apart": far_apart(5),
     "a stop band of long numbers": [*problem(500, bits=100_000), {"stop": 1, "samples": 500, "bins": [[0, 9]]}],

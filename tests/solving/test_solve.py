@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.program.backends import clarabel_
@@ -31,7 +32,7 @@ def test_pendulum(name, how):
     assert_proven(result)
 
 
-@pytest.mark.parametrize("name", PENDULUM)
+@pytest.mark.parametrize("name", seeds(PENDULUM))
 def test_pendulum_by_osqp(name):
     keywords, optimum = PENDULUM[name]
     assert lfo.solve(lfo.library.pendulum(**keywords), backend="osqp").cost == pytest.approx(optimum, rel=1e-5)
@@ -46,7 +47,7 @@ def test_physical_pendulum(cutoff, optimum, method):
 
 
 @METHODS
-@pytest.mark.parametrize("name", STATED)
+@pytest.mark.parametrize("name", seeds(STATED))
 def test_reference_problems(name, method):
     result = lfo.solve(reference_problem(name), method=method)
     assert result.cost == pytest.approx(INSTANCES[name]["optimal_value"], rel=1e-7)

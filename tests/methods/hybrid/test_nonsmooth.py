@@ -15,6 +15,7 @@ from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
 from helpers.known_optima import solved
 from helpers.schemas import RESULT
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
@@ -42,7 +43,7 @@ KNOWN = [
 in scripts/verify.py."""
 
 
-@pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
+@pytest.mark.parametrize(("build", "arguments", "cost"), seeds(KNOWN))
 def test_known_optima_are_found_from_cold_starts_and_certified(build, arguments, cost):
     result = solved(build, arguments)
     assert result.status == "locally_optimal"

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from helpers.spectral_plants import (
     CONTROL_BOX,
     END,
@@ -222,7 +223,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # name: changes, an
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_the_optimum_is_that_of_the_sparse_program(name):
     changes, without = CASES[name]
     result = assert_optimal(problem_of(**changes))
@@ -256,7 +257,7 @@ SHORT_ENDS = {
 }
 
 
-@pytest.mark.parametrize("ends", SHORT_ENDS)
+@pytest.mark.parametrize("ends", seeds(SHORT_ENDS))
 @pytest.mark.parametrize("horizon", [1, 2, 3, 4])
 def test_the_shortest_horizons(horizon, ends):
     middle, constant = lfo.stop_band(bins=[horizon // 2]), lfo.stop_band(bins=[0])

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, infeasible
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.candidate import SolveOptions
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
@@ -21,7 +22,7 @@ def compiled(request):
     return request.param == "compiled"
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", seeds(KINDS))
 def test_every_kind_is_solved(kind, compiled):
     problem = KINDS[kind]()
     found = next(solve_structured(problem, SolveOptions(compiled=compiled)))

@@ -43,7 +43,7 @@ REFERENCES = [  # shared/reference/hybrid.md
 
 
 @each_backend
-@pytest.mark.parametrize(("name", "given", "cost"), REFERENCES)
+@pytest.mark.parametrize(("name", "given", "cost"), seeds(REFERENCES))
 def test_the_reference_values_are_found(backend, name, given, cost):
     problem = library.by_name(name)(**given)
     outcome = solve_miqp(problem, backend)

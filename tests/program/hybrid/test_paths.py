@@ -46,7 +46,7 @@ def root(problem, kind=PathRelaxation):
     return relaxation, relaxation.reach.from_start(everything)
 
 
-@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("name", seeds(FIELDS))
 def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, solver):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
