@@ -46,7 +46,7 @@ def test_a_page_with_a_sweep_inside_is_written(tmp_path):
 def test_a_problem_file_can_be_explored(tmp_path):
     path, page = tmp_path / "problem.toml", tmp_path / "page.html"
     assert run("init", str(path))[0] == 0
-    settings = ("--set", "horizon=50", "--set", "dynamics.sampling_time=0.04")
+    settings = ("--set", "horizon=100", "--set", "dynamics.sampling_time=0.02")
     assert run("explore", str(path), *settings, "--static", str(page))[0] == 0
     assert '"key": "cutoff"' in page.read_text(encoding="utf-8")
 

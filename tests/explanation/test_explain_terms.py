@@ -133,7 +133,7 @@ def test_a_cure_cures_and_less_does_not(name):
         assert not feasible(block.relaxed(problem, 0.95 * amount)), block.name
 
 
-@pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball"])
+@pytest.mark.parametrize("name", seeds(["an energy bound", "a mask and a bound", "a ball"]))
 def test_an_end_gives_way_by_the_least_that_cures(name):
     """Its amount is the sum of the changes of its components, relative to the sizes that the data state of them."""
     problem, _, explanation = explained(name)

@@ -141,7 +141,7 @@ def free(tmp_path_factory) -> CompiledController:
 
 @needs_compiler
 @pytest.mark.parametrize("real", APART)
-@pytest.mark.parametrize("name", ["rate limit", "soft bounds"])
+@pytest.mark.parametrize("name", seeds(["rate limit", "soft bounds"]))
 def test_controls_keep_hard_limits_exactly_at_every_state_and_status(tmp_path, name, real):
     """States jump up to 1e30; bounds and rate limit are no numbers of float, and no power of two."""
     problem, rng = LOOPS["soft bounds"](), np.random.default_rng(0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured import assembly
 from lin_freq_ocp.solving.resolver import Resolver
 from lin_freq_ocp.transform.reformulations import Change
@@ -33,7 +34,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_answers_are_those_of_solve(name):
     problem, method = CASES[name]
     solver, start = lfo.Solver(problem, method), problem.initial_state.lower

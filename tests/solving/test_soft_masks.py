@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.certificate.sizes import cost_scale
@@ -46,7 +47,7 @@ def cheap(hard):
     return lfo.solve(problem(0.3 * weight_of(hard)))
 
 
-@pytest.mark.parametrize("method", ["auto", "convex", "structured"])
+@pytest.mark.parametrize("method", seeds(["auto", "convex", "structured"]))
 def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     price = 0.3 * weight_of(hard)
     result = cheap if method == "auto" else lfo.solve(problem(price), method)
@@ -159,7 +160,7 @@ def test_what_a_hard_mask_excludes_a_soft_one_allows():
     assert peak_of(result).ratio > 10
 
 
-@pytest.mark.parametrize("field", ["points", "window", "state", "output", "two masks"])
+@pytest.mark.parametrize("field", seeds(["points", "window", "state", "output", "two masks"]))
 def test_points_windows_states_and_outputs(field):
     fields = {"window": "hann"} if field == "window" else {}
     limit = {"points": [[0.6, 1.0], [np.pi, 0.3]], "window": 0.1}.get(field, 0.5)

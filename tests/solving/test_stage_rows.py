@@ -86,7 +86,7 @@ def test_the_price_of_a_limit(kind):
     assert (costs[1] - costs[0]) / 2e-4 == pytest.approx(price, rel=1e-4)
 
 
-@pytest.mark.parametrize("varying", VARYING)
+@pytest.mark.parametrize("varying", seeds(VARYING))
 def test_multipliers_are_found_for_a_trajectory_alone(varying):
     problem = problem_of("xu", varying)
     result = solve(problem)

@@ -14,6 +14,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
@@ -60,7 +61,7 @@ def forms(result):
     }
 
 
-@pytest.mark.parametrize("form", ["modes", "list", "controls", "trajectory", "result"])
+@pytest.mark.parametrize("form", seeds(["modes", "list", "controls", "trajectory", "result"]))
 def test_branch_and_bound_begins_with_the_best_trajectory_of_the_modes_of_its_start(obvious, form):
     result = lfo.solve(block(), node_limit=NODES, start=forms(obvious)[form], throw=False)
     assert result.status == "limit"

@@ -296,7 +296,7 @@ def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
     assert (1 - gap) * result.cost <= bound <= (1 + ROUNDING) * result.cost
 
 
-@pytest.mark.parametrize("cost", [5.0, 22.2, np.inf])
+@pytest.mark.parametrize("cost", seeds([5.0, 22.2, np.inf]))
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
     bounds = value_bounds(problem, multipliers_of(problem), cost, 0.01)

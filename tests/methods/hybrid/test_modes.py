@@ -55,7 +55,7 @@ def ones(problem):
     return np.ones((problem.horizon, len(problem.dynamics.modes)), dtype=bool)
 
 
-@pytest.mark.parametrize(("name", "given", "cost"), REFERENCES + LONGER)
+@pytest.mark.parametrize(("name", "given", "cost"), seeds(REFERENCES + LONGER))
 def test_branch_and_bound_finds_and_proves_the_reference_values(name, given, cost):
     result = lfo.solve(library.by_name(name)(**given))
     assert result.status == "optimal"

@@ -231,7 +231,7 @@ def test_the_optimum_is_that_of_the_sparse_program(name):
     assert plain.cost is None or abs(plain.cost - result.cost) > 1e-4 * max(1.0, abs(result.cost))
 
 
-@pytest.mark.parametrize("horizon", [50, 150, 200, 400])
+@pytest.mark.parametrize("horizon", seeds([50, 150, 200, 400]))
 @pytest.mark.parametrize("start", [None, lfo.Box(-0.6, -0.4)], ids=["free", "boxed"])
 def test_a_start_that_the_end_has_forgotten(start, horizon):
     """The cost falls by 0.86^T along it, or not at all: to rounding, any start will do."""

@@ -95,7 +95,7 @@ SAMPLED = [
 ]
 
 
-@pytest.mark.parametrize("problem", SAMPLED, ids=lambda problem: problem.name or "random")
+@pytest.mark.parametrize("problem", seeds(SAMPLED), ids=lambda problem: problem.name or "random")
 def test_every_trajectory_satisfies_the_program_with_its_own_modes_and_no_others(problem):
     program = big_m_program(problem)
     nothing, wrong, tried = np.zeros(len(program.program.lower)), 0, 0

@@ -143,7 +143,7 @@ def test_what_has_no_trajectory_is_proven_empty(solver):
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
 
 
-@pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
+@pytest.mark.parametrize("name", seeds(["buck_affine", "switched_rotation", "pendulum_with_wall"]))
 def test_searches_agree_with_and_without_compiled_code(name, solver):
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 
 A, B = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([[0.0], [0.4]])
@@ -44,7 +45,7 @@ def test_the_cost_differs_by_a_constant(name):
     assert differences == pytest.approx([differences[0]] * 5, abs=1e-11)
 
 
-@pytest.mark.parametrize("name", STAGES)
+@pytest.mark.parametrize("name", seeds(STAGES))
 def test_the_global_optimum_is_proven_over_thirty_steps(name):
     formula, function = STAGES[name]
     problem = problem_of(formula, control_spectrum=lfo.stop_band(bins=[3, 4]), state_set=lfo.Box(-3.0, 3.0))

@@ -64,7 +64,7 @@ def test_whole_levels_are_those_of_enumeration(solved):
     assert np.array_equal(solved.level_use.duty_cycles[0].argmax(axis=1), solved.sequence)
 
 
-@pytest.mark.parametrize(("state", "cost"), [(1e6, 1.0), (1.0, 1e-9), (1e-6, 1e9)])
+@pytest.mark.parametrize(("state", "cost"), seeds([(1e6, 1.0), (1.0, 1e-9), (1e-6, 1e9)]))
 def test_verdicts_do_not_depend_on_units(solved, state, cost):
     other = lfo.solve(switched(state, cost))
     assert other.status == "optimal"
@@ -105,7 +105,7 @@ def test_controls_are_exactly_at_levels_in_every_unit_also_where_all_are_zero(se
         assert result.cost == pytest.approx(plain.cost, rel=1e-9)
 
 
-@pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
+@pytest.mark.parametrize("unit", seeds([1e-8, 1.0, 1e8]))
 def test_an_optimum_that_costs_nothing_is_proven_to_the_rounding_of_what_levels_cost(unit):
     cost = lfo.QuadraticCost(R=10 / unit**2, r=[0.01 / unit])
     result = lfo.solve(replace(seeded_levels(0, unit), cost=cost, initial_state=[0.1], horizon=6))
@@ -240,7 +240,7 @@ def test_a_bound_is_raised_to_the_next_cost_that_levels_can_have(costs):
     assert result.cost * (1 - 1e-9) < result.lower_bound < result.cost
 
 
-@pytest.mark.parametrize("costs", [[1, 0, 2], [0.5, 0, 0.75], [0.1, 0, 0.3]])
+@pytest.mark.parametrize("costs", seeds([[1, 0, 2], [0.5, 0, 0.75], [0.1, 0, 0.3]]))
 def test_no_bound_is_raised_above_the_least_cost_of_all_sequences(costs):
     problem = oscillator_with_thrusters(6, costs)
     problem = replace(problem, terminal_state=lfo.Box([0.02, -0.12], [0.06, 0.12]))

@@ -104,11 +104,13 @@ def test_a_trajectory_of_another_cost_is_refuted(wave, waved, part):
 
 @pytest.mark.parametrize(
     ("norm", "formula"),
-    [
-        (lfo.costs.L1Cost(u=0.3), "0.3 * abs(u_0)"),
-        (lfo.costs.L1Cost(x=[0.0, 2.0]), lambda x, u: 2 * abs(x[1])),
-        (lfo.costs.LInfCost(x=[1.0, 2.0]), lambda x, u: lfo.maximum(x[0], -x[0], 2 * x[1], -2 * x[1])),
-    ],
+    seeds(
+        [
+            (lfo.costs.L1Cost(u=0.3), "0.3 * abs(u_0)"),
+            (lfo.costs.L1Cost(x=[0.0, 2.0]), lambda x, u: 2 * abs(x[1])),
+            (lfo.costs.LInfCost(x=[1.0, 2.0]), lambda x, u: lfo.maximum(x[0], -x[0], 2 * x[1], -2 * x[1])),
+        ]
+    ),
 )
 def test_kinks_of_a_cost_are_those_of_the_convex_norm(norm, formula):
     quadratic = lfo.QuadraticCost(Q=1.0, R=0.1, P=5.0)

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
@@ -56,15 +57,17 @@ def test_the_local_optimum_of_ipopt_is_found_and_certified(build, arguments, cos
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"terminal_state": None},
-        {"initial_state": lfo.Box([-0.1, -0.1], [0.1, 0.1])},
-        {"terminal_state": lfo.sets.Ball(0.1, [0.4, 0.0])},
-        {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
-        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0))},
-        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0), oversampling=4)},
-        {"cost": lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(Q=1.0, R=0.1)},
-    ],
+    seeds(
+        [
+            {"terminal_state": None},
+            {"initial_state": lfo.Box([-0.1, -0.1], [0.1, 0.1])},
+            {"terminal_state": lfo.sets.Ball(0.1, [0.4, 0.0])},
+            {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
+            {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0))},
+            {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0), oversampling=4)},
+            {"cost": lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(Q=1.0, R=0.1)},
+        ]
+    ),
 )
 def test_all_sets_costs_and_spectra_are_taken(changes):
     result = lfo.solve(pendulum(**changes), global_bound=False)
