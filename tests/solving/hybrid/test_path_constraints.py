@@ -179,7 +179,7 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
 def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
     """The data state a height of 0.1 and a force of 30; the way around the disc needs 0.5 and 0.3."""
     A, B = np.eye(4) + 0.1 * np.eye(4, k=2), 0.1 * np.eye(4, 2, k=-2)
-    result = lfo.solve(mass(horizon=60, dynamics=lfo.LinearDynamics(A, B)), "nonsmooth")
+    result = lfo.solve(mass(horizon=40, dynamics=lfo.LinearDynamics(A, B)), "nonsmooth")
     assert result.status == "locally_optimal"
     assert result.certificate.worst.relative < 1e-9
 
