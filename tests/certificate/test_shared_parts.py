@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
@@ -163,6 +163,7 @@ def test_modes_that_the_search_takes_for_meeting_are_not_believed(monkeypatch):
         assert judged.pmp == "violated"
 
 
+@turn(2)
 @pytest.mark.parametrize("factor", [0.0, 1e-9])
 def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch, factor):
     """Every mode seems to hold everywhere, to the search and to what it shares: the judge measures by itself."""
@@ -217,6 +218,7 @@ def test_wrong_signals_of_frequency_multipliers_fail(monkeypatch, factor):
     assert not judged.globally_optimal
 
 
+@turn(0)
 def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
     """Its stationary points are others; the bound by intervals does not use it."""
     problem = library.norm_dynamics()
@@ -259,6 +261,7 @@ def test_certify_says_what_solve_says_of_modes(given):
     _same(result, certify(result.problem, result))
 
 
+@turn(1)
 @pytest.mark.parametrize("given", [{"name": "norm_dynamics"}, {"name": "buck_converter", "horizon": 3}])
 def test_certify_says_what_solve_says_of_smooth_pieces(given):
     """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""

@@ -45,5 +45,10 @@ def examples(most: int) -> int:
     return most if os.environ[VARIABLE] == ALL else max(1, most // 3)
 
 
+def turn(third: int) -> pytest.MarkDecorator:
+    """Run an expensive test in one run of three: cheaper tests of its file have the same subject every day."""
+    return pytest.mark.skipif(f"os.environ['{VARIABLE}'] not in ('{third}', '{ALL}')", reason="another day's turn")
+
+
 whole_sample = pytest.mark.skipif(f"os.environ['{VARIABLE}'] != '{ALL}'", reason=f"needs {VARIABLE}={ALL}")
 """For a long case of a test, or for one that says what the answers to all seeds have in common."""

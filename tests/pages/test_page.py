@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import NOTHING, number
@@ -71,6 +71,7 @@ def test_names_are_escaped_and_dollars_are_no_formulas():
     assert "<p> [m]" not in page("two controls")
 
 
+@turn(0)
 def test_page_and_figures_do_not_change_from_run_to_run(images):
     comparison = case("infeasible")
     first, second = drawings("infeasible"), tuple(draw_figures(comparison))

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds, whole_sample
+from helpers.seeds import seeds, turn, whole_sample
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.status import Status
@@ -88,6 +88,7 @@ def test_the_spectrum_stays_below_the_limit_between_the_bins(solved):
     np.testing.assert_allclose(aligned[heavy], 1.5 * np.linalg.norm(weights, axis=1)[heavy], rtol=1e-5)
 
 
+@turn(2)
 @pytest.mark.parametrize("method", ["convex", "structured"])
 def test_methods_find_the_same(solved, method):
     result = lfo.solve(masked(), method)
@@ -182,6 +183,7 @@ def test_what_does_not_fit_is_refused(make, field, words):
 # --- states, outputs, modes ------------------------------------------------------------------------------------------
 
 
+@turn(2)
 def test_states_and_outputs_have_the_same_optimum(solved):
     problem = lfo.library.double_integrator(horizon=100, sampling_time=0.04)
     speed = np.abs(spectrum(lfo.solve(problem).trajectory.x[:, 1], np.linspace(0.6, np.pi, 2001))).max()
@@ -199,6 +201,7 @@ def replace_component(bound, component):
     return MASK(float(bound.limit), band=bound.band, component=component, every_frequency=True)
 
 
+@turn(1)
 def test_two_controls_have_atoms_of_their_own():
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 0.95]], np.eye(2) * 0.1)
     cost = lfo.QuadraticCost(Q=np.eye(2), R=0.05 * np.eye(2))
@@ -211,6 +214,7 @@ def test_two_controls_have_atoms_of_their_own():
     assert max(peak.ratio for peak in peaks_of(result)) < 1 + 1e-7
 
 
+@turn(0)
 @pytest.mark.parametrize("method", ["branch_and_bound", "enumerate"])
 def test_searches_over_modes(method):
     wall = lfo.library.pendulum_with_wall(horizon=6)

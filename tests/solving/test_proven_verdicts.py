@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks import rays
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.reach import implied_bounds, reachable_bounds
@@ -50,6 +50,7 @@ def test_one_feasible_trajectory_refutes_the_claim_of_a_solver():
     assert "the controls nearest to zero satisfy all constraints" in result.message
 
 
+@turn(2)
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_pendulum_that_falls_is_no_contradiction(soft):
     plant = lfo.LinearDynamics.from_continuous([[0, 1], [9.81, 0]], [[0], [1.0]], sampling_time=0.02)

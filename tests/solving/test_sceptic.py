@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
+from helpers.seeds import turn
 
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -49,6 +50,7 @@ def test_a_numerical_ray_does_not_outweigh_a_trajectory():
     assert result.certificate.globally_optimal
 
 
+@turn(0)
 def test_blocks_of_one_field_are_taken_away_together():
     def problem(spectrum):
         return lfo.OptimalControlProblem(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from helpers.stage_rows import (
     KINDS,
     VARYING,
@@ -120,6 +120,7 @@ def test_rows_in_conflict_are_named_with_their_times():
     assert prove_infeasible(cart(stage_rows=replace_limits(rows, [9.0, 3.0], "traction")), ray) is None
 
 
+@turn(1)
 def test_rows_that_contradict_each_other_are_both_named():
     rows = [lfo.StageRows(None, [[1.0]], [-1.0], name="pull"), lfo.StageRows(None, [[-1.0]], [0.5], name="push")]
     with pytest.raises(lfo.errors.InfeasibleError, match=r"row 0 of pull.*row 0 of push"):

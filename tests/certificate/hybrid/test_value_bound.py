@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -288,6 +288,7 @@ def drag(states, horizon):
     )
 
 
+@turn(2)
 @pytest.mark.parametrize(("states", "horizon", "gap"), [(2, 3, 1e-4), (3, 2, 1e-3)])
 def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
     problem = drag(states, horizon)
@@ -349,6 +350,7 @@ def test_random_trajectories_cost_more():
             assert problem.value(replay.x, replay.u) >= bound
 
 
+@turn(0)
 def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are_best():
     problem = BUCK(4, control_spectrum=[2], terminal_state=None)
     result = lfo.solve(problem, method="nonsmooth")
@@ -426,6 +428,7 @@ class OneStart(LocalSearch):
         return self
 
 
+@turn(1)
 def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
     monkeypatch.setattr(solve_smooth, "LocalSearch", OneStart)
     assert lfo.solve(BUCK(4), method="nonsmooth").cost > 25

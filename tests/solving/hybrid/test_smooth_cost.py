@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import mode_sequence
@@ -278,6 +278,7 @@ def test_what_takes_no_cost_by_formulas_names_the_cost(wave, tmp_path):
             refused()
 
 
+@turn(2)
 def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="sin(x_0)**2")
     ends = {"initial_state": [0.0], "terminal_state": [4.0]}

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
@@ -112,6 +112,7 @@ def test_a_start_alone_is_followed_and_near_an_optimum_takes_few_steps(monkeypat
     assert steps[0] <= 20
 
 
+@turn(2)
 def test_where_no_trajectory_exists_the_nearest_is_measured():
     result = lfo.solve(library.pendulum_swing_up(horizon=5), global_bound=False, throw=False)
     assert (result.status, result.trajectory) == ("numerical_error", None)
@@ -215,6 +216,7 @@ def test_without_bounds_starts_are_spread_over_the_controls():
     assert result.message.endswith("4 starts tried")
 
 
+@turn(1)
 @pytest.mark.parametrize(
     ("stage", "starts"),
     [("x_0**4 + u_0**2", 1), ("u_0**2 - x_0**4", 1), ("sin(x_0)**2 + u_0**2", 2)],
