@@ -67,7 +67,7 @@ LONG = (
 
 
 SHORTER = {
-    "gantry": {"0.001,": "0.005,", "horizon=450": "horizon=90", "jerk = 2.0": "jerk = 10.0"},
+    "gantry": {"(12.3, 31.0)": "(12.3,)", "0.001,": "0.005,", "horizon=450": "horizon=90", "jerk = 2.0": "jerk = 10.0"},
     "infeasible": {"cutoff=0.35": "cutoff=1.05, sampling_time=0.03"},
     "inverter": {"node_limit=50": "node_limit=1"},
     "kinks": {"tolerance=1e-3": "tolerance=0.1"},

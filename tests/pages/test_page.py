@@ -52,7 +52,7 @@ def test_page_is_one_file_that_loads_nothing(name: str):
     assert len(html.encode()) < 1.5e6
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_page_names_everything(name: str):
     problem, shown = case(name).problem, text(name)
     for component in (*problem.state_names, *problem.control_names):

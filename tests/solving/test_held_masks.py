@@ -49,7 +49,7 @@ def failed_labels(problem, trajectory, multipliers):
 def test_the_held_spectrum_stays_below_the_limit_without_end(solved):
     assert (solved.status, solved.certificate.pmp) == ("optimal", "satisfied")
     assert abs(solved.gap) < 1e-7
-    above = held(solved.control[:, 0], np.linspace(FROM, 300.0, 80_001)).max()
+    above = held(solved.control[:, 0], np.linspace(FROM, 300.0, 200_001)).max()
     assert LIMIT * (1 - 1e-5) < above <= LIMIT * peak_of(solved).ratio
     assert peak_of(solved).ratio - 1 < 1e-7
     plain = lfo.MagnitudeBound(LIMIT, band=lfo.low_pass(cutoff_hz=FROM), every_frequency=True)
