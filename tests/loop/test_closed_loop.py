@@ -61,11 +61,11 @@ def largest_amplitude(control: np.ndarray, limit: lfo.spectrum.Spectrogram) -> f
 @turn(0)
 def test_the_applied_control_keeps_its_amplitude_at_every_frequency_of_the_band():
     limit = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(40))
-    noise = np.random.default_rng(0).normal(scale=[1e-3, 1e-2], size=(30, 2))
+    noise = np.random.default_rng(0).normal(scale=[1e-3, 1e-2], size=(45, 2))
     runs = {}
     for name, spectrum in {"plain": None, "of plans": NOTCH, "of the loop": limit}.items():
         problem = oscillating_mass(control_spectrum=spectrum)
-        log = lfo.RecedingHorizon(problem, soft={"control_spectrum": 100.0}).run([0.2, 0.0], 30, disturbance=noise)
+        log = lfo.RecedingHorizon(problem, soft={"control_spectrum": 100.0}).run([0.2, 0.0], 45, disturbance=noise)
         runs[name] = largest_amplitude(np.concatenate([np.zeros(40), log.controls[:, 0]]), limit)
         if name == "of the loop":
             softened = [source for source in log.sources if source != "plan"]
