@@ -31,7 +31,7 @@ def choose_seeds() -> None:
 
 
 def seeds(given: Iterable[Seed], always: Iterable[Seed] = ()) -> list[Seed]:
-    """Return the given seeds of this run and all of ``always``, for which an answer was once wrong.
+    """Return the given seeds, or cases, of this run and all of ``always``, for which an answer was once wrong.
 
     The thirds are no residues of 3: random problems often have the kind ``seed % 3``.
     """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import seeds
 
 A, B, ROW = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([1.0, -0.5])
 SPECTRA = {
@@ -65,7 +65,6 @@ def test_equal_modes_have_the_optimum_of_one(cost, ends, spectrum):
         assert result.cost == pytest.approx(of_one.cost, rel=1e-6, abs=1e-9)
 
 
-@turn(1)
 def test_a_sequence_that_needs_a_higher_price_of_violations_is_not_given_up():
     """With the first price, every sequence near that of the start leads to a point that violates the dynamics."""
     A, B = np.array([[-0.7]]), np.array([[1.06, 0.06]])
