@@ -153,7 +153,7 @@ def copy_repository(source: Path, target: Path) -> Path:
 def environment(folder: Path) -> dict[str, str]:
     """Return the environment of tests that import the copy in a folder and keep compiled code in there."""
     paths = {"PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / ".cache")}
-    return {**os.environ, **paths, "OPENBLAS_NUM_THREADS": "1", "SEEDS_OF_TESTS": "0"}
+    return {**os.environ, **paths, "OPENBLAS_NUM_THREADS": "1", "SEEDS_OF_TESTS": "all"}
 
 
 def require_copy(folder: Path) -> None:

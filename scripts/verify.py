@@ -42,8 +42,9 @@ jumps         states that jump to 1e30 and to no number, in loops and in generat
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
 suite        the tests with all their random seeds
 
-A run of the tests takes a third of their seeded samples. N is by default the number beside each part below;
-"frequencies" checks five times as many signals; "loop" and "embedded" count steps.
+A run of the tests takes a third of their seeded samples, of long tables of cases, and of expensive tests. N is by
+default the number beside each part below; "frequencies" checks five times as many signals; "loop" and "embedded" count
+steps.
 """
 
 from __future__ import annotations

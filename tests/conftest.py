@@ -62,7 +62,7 @@ def pytest_sessionstart(session):
     """Print the choice of seeds; workers have no reporter."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None:
-        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: this third of the random seeds, or all")
+        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: a third of seeds, tables and expensive tests, or all")
 
 
 @pytest.fixture(scope="session", autouse=True)

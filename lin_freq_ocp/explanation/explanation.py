@@ -83,7 +83,7 @@ def explain(
 
     Examples
     --------
-    >>> explanation = lfo.explain(lfo.library.double_integrator(horizon=40, cutoff_hz=0.3))
+    >>> explanation = lfo.explain(lfo.library.double_integrator(horizon=20, cutoff_hz=0.3))
     >>> print(explanation.cures[0])
     initial state: ...
     """

@@ -197,7 +197,7 @@ def printer_move(
 
     Examples
     --------
-    >>> lfo.minimum_time(lfo.library.printer_move, horizons=(1, 40)).horizon
+    >>> lfo.minimum_time(lfo.library.printer_move, horizons=(18, 26)).horizon
     22
     """
     centre, spread = positive_number("resonance_hz", resonance_hz), real_array("uncertainty", uncertainty)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.errors import InfeasibleError, ProblemError, UnsupportedError
 
@@ -30,6 +31,7 @@ def test_a_comparison_replays_by_the_response(wave, blank, tmp_path):
     assert "-fold" not in page
 
 
+@turn(2)
 def test_what_cannot_hold_is_explained_with_the_least_change(wave):
     problem = replace(wave, state_set=lfo.Box(-0.01, 0.01), control_set=lfo.Box(-500.0, 500.0))
     with pytest.raises(InfeasibleError, match="proven by a rigorous ray"):

@@ -6,6 +6,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.api import solve
 
 SHORT = {"horizon": [60, 80]}
@@ -69,7 +70,7 @@ def test_a_report_of_the_users_own_takes_its_place(displayed, name):
     assert displayed.bundles == []
 
 
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("name", seeds(CALLS))
 @pytest.mark.parametrize("shell", [None, SimpleNamespace()], ids=["no shell", "IPython in a terminal"])
 def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monkeypatch, capsys):
     monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: shell)

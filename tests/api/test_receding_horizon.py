@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import turn
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -67,6 +68,7 @@ def test_a_measured_state_may_lie_outside_the_state_set():
     assert (np.abs(loop.states[1:, 0]) <= 0.5 + 1e-7).all()
 
 
+@turn(1)
 def test_every_window_of_the_loop_keeps_its_mask():
     mask = lfo.MagnitudeBound(0.3, band=lfo.low_pass(1.2))
     base = problem(control_spectrum=lfo.spectrum.Spectrogram(mask, length=8, hop=2))
@@ -283,6 +285,7 @@ def test_dynamics_with_modes_run_in_a_loop():
     assert set(loop.statuses) == {"optimal"}
 
 
+@turn(0)
 def test_a_loop_is_shown_saved_and_tabulated(images, tmp_path):
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]))
     loop = lfo.RecedingHorizon(base, soft={"state_set": 1e3}).run([0.8, 0.0], 12)

@@ -89,7 +89,7 @@ def test_violations_of_the_library_are_those_of_the_table(name, keywords, violat
     assert "its upper bound by" in str(found) or "its lower bound by" in str(found)
 
 
-@pytest.mark.parametrize("name", KEPT)
+@pytest.mark.parametrize("name", seeds(KEPT))
 def test_other_problems_of_the_library_hold_their_bounds_between_the_samples(name):
     result = solved(name, {})
     found = require_right(result.problem, result.trajectory)

@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.base.status import Status
@@ -89,7 +90,7 @@ def shrunk(images, by):
     return wrong
 
 
-@pytest.mark.parametrize("given", [WALL, ROTATION, BUCK])
+@pytest.mark.parametrize("given", seeds([WALL, ROTATION, BUCK]))
 @pytest.mark.parametrize("by", [0.5, 0.1, 0.0])
 def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by):
     monkeypatch.setattr(mode_reach.ModeReach, "images", shrunk(mode_reach.ModeReach.images, by))
@@ -135,7 +136,7 @@ def test_a_search_that_ends_too_early_is_not_called_optimal(monkeypatch):
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e-6])
-@pytest.mark.parametrize("make", [library.pendulum, SHORT, library.crane])
+@pytest.mark.parametrize("make", seeds([library.pendulum, SHORT, library.crane]))
 def test_natural_units_that_are_wrong_cost_digits_only(monkeypatch, make, factor):
     problem, right = make(), units.stated_sizes
     cost = lfo.solve(problem).cost
@@ -162,6 +163,7 @@ def test_modes_that_the_search_takes_for_meeting_are_not_believed(monkeypatch):
         assert judged.pmp == "violated"
 
 
+@turn(2)
 @pytest.mark.parametrize("factor", [0.0, 1e-9])
 def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch, factor):
     """Every mode seems to hold everywhere, to the search and to what it shares: the judge measures by itself."""
@@ -183,7 +185,7 @@ def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch,
 
 
 @pytest.mark.parametrize("factors", [(1e6, 1e6), (1e-6, 1e-6), (1e6, 1e-6), (1e-6, 1e6)])
-@pytest.mark.parametrize("make", [library.pendulum, SHORT, library.crane])
+@pytest.mark.parametrize("make", seeds([library.pendulum, SHORT, library.crane]))
 def test_sizes_that_are_wrong_prove_nothing_of_a_problem_with_an_optimum(monkeypatch, make, factors):
     """They bound the box of a numerical ray, and measure directions: no optimum is called infeasible or unbounded."""
     problem, right, rng = make(), stated_sizes, np.random.default_rng(0)
@@ -216,6 +218,7 @@ def test_wrong_signals_of_frequency_multipliers_fail(monkeypatch, factor):
     assert not judged.globally_optimal
 
 
+@turn(0)
 def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
     """Its stationary points are others; the bound by intervals does not use it."""
     problem = library.norm_dynamics()
@@ -250,12 +253,15 @@ def test_certify_says_what_solve_says_of_linear_problems(name):
     _same(result, certify(result.problem, result))
 
 
-@pytest.mark.parametrize("given", [WALL, ROTATION, BUCK, {"name": "absolute_value"}, {"name": "max_min_network"}])
+@pytest.mark.parametrize(
+    "given", seeds([WALL, ROTATION, BUCK, {"name": "absolute_value"}, {"name": "max_min_network"}])
+)
 def test_certify_says_what_solve_says_of_modes(given):
     result = lfo.solve(made(given))
     _same(result, certify(result.problem, result))
 
 
+@turn(1)
 @pytest.mark.parametrize("given", [{"name": "norm_dynamics"}, {"name": "buck_converter", "horizon": 3}])
 def test_certify_says_what_solve_says_of_smooth_pieces(given):
     """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""

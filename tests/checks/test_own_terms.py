@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS
+from helpers.seeds import seeds
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
 from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -38,7 +39,7 @@ FURTHER = {
 }
 
 
-@pytest.mark.parametrize("kind", [*KINDS, *FURTHER])
+@pytest.mark.parametrize("kind", seeds([*KINDS, *FURTHER]))
 def test_own_terms_keep_their_protocols(kind):
     problem = KINDS[kind]() if kind in KINDS else replace(KINDS["no constraint"](), **FURTHER[kind])
     assert check_terms(problem) == []
@@ -138,7 +139,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("words", FAULTS)
+@pytest.mark.parametrize("words", seeds(FAULTS))
 def test_each_fault_is_found(words):
     for constraint in FAULTS[words]:
         assert any(fault.startswith(words) for fault in check_terms(drifting(constraint)))

@@ -1,10 +1,11 @@
 """The random seeds of a run: three days take all of them, and each day every kind."""
 
+import os
 from datetime import date
 
 import pytest
 
-from helpers.seeds import ALL, CHOICES, VARIABLE, choose_seeds, examples, seeds
+from helpers.seeds import ALL, CHOICES, VARIABLE, choose_seeds, examples, seeds, turn, whole_sample
 
 THIRDS = CHOICES[:3]
 
@@ -56,3 +57,11 @@ def test_examples_are_a_third_and_at_least_one(monkeypatch):
     assert (examples(60), examples(2)) == (20, 1)
     monkeypatch.setenv(VARIABLE, ALL)
     assert examples(60) == 60
+
+
+@pytest.mark.parametrize(("mark", "runs"), [(turn(1), ["1", ALL]), (turn(2), ["2", ALL]), (whole_sample, [ALL])])
+def test_an_expensive_test_has_its_day_and_runs_with_all_seeds(monkeypatch, mark, runs):
+    (condition,) = mark.args
+    for choice in CHOICES:
+        monkeypatch.setenv(VARIABLE, choice)
+        assert eval(condition, {"os": os}) == (choice not in runs)

@@ -17,6 +17,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require
 from helpers.command_line import COMMAND, once, parsed, run
 from helpers.compared_pages import blanks
+from helpers.seeds import seeds
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.app import COMMANDS
@@ -73,7 +74,7 @@ SLOW = ("cart_pole_with_walls", "ball_and_paddle")
 """Problems of the library whose search takes minutes, or more than that."""
 
 
-@pytest.mark.parametrize("name", lfo.library.LINEAR)
+@pytest.mark.parametrize("name", seeds(lfo.library.LINEAR))
 def test_every_linear_problem_of_the_library_is_proven(name):
     status, out, err = once("solve", name)
     assert (status, err) == (0, "")
@@ -81,7 +82,7 @@ def test_every_linear_problem_of_the_library_is_proven(name):
         assert words in " ".join(out.split())
 
 
-@pytest.mark.parametrize("name", [name for name in lfo.library.PIECEWISE_AFFINE if name not in SLOW])
+@pytest.mark.parametrize("name", seeds([name for name in lfo.library.PIECEWISE_AFFINE if name not in SLOW]))
 def test_every_small_problem_with_modes_is_proven(name):
     status, out, err = once("solve", name)
     assert (status, err) == (0, "")

@@ -12,6 +12,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
+from helpers.seeds import seeds
 from lin_freq_ocp.cli.show import SCHEMAS, as_toml
 from lin_freq_ocp.files.problem_file import problem_text
 
@@ -24,7 +25,7 @@ def shown(*arguments):
     return summary
 
 
-@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
+@pytest.mark.parametrize("name", seeds(lfo.library.PROBLEMS))
 def test_every_problem_of_the_library_is_shown_with_all_its_parameters(name):
     summary = shown(name)
     function, problem = lfo.library.by_name(name), lfo.library.by_name(name)()

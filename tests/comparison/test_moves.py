@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
+from helpers.seeds import turn
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison import moves as moves_of
@@ -71,6 +72,7 @@ def test_words_table_and_page(comparison):
     assert "ZV " in str(comparison)
 
 
+@turn(2)
 def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
     monkeypatch.setattr(moves_of, "LONGEST_PROFILE", 2)
     problem = lfo.library.printer_move(30, vibration_bound=0.002)
@@ -81,6 +83,7 @@ def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
     assert "> 40" in [cell.text for cell in moves_rows(moves).groups[0].rows[0].cells]
 
 
+@turn(0)
 def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
     monkeypatch.setattr(moves_of, "TRIED", 6)
     (move,) = lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]).moves.shaped
@@ -117,6 +120,7 @@ def test_where_shapers_do_not_apply():
         lfo.compare(free, ["ZVDD"])
 
 
+@turn(0)
 def test_shapers_for_two_modes_of_a_rate_limited_move():
     """They are convolved, and shape profiles that start after a control of zero and end with one."""
     fast = lfo.ResidualVibration(frequency=(33.0, 35.0), damping=(0.02, 0.05), limit=0.5)
@@ -171,6 +175,7 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
     assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
 
 
+@turn(2)
 def test_the_command_prints_both_tables(monkeypatch):
     made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
     monkeypatch.setattr("lin_freq_ocp.api.compare.compare", lambda *given: made)

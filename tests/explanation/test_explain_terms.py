@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.transform.limits import constraints, drop_limits
 from lin_freq_ocp.transform.sizes import stated_sizes
@@ -87,7 +88,7 @@ def feasible(problem: lfo.OptimalControlProblem) -> bool:
     return program.status == "optimal"
 
 
-EVERY_OTHER = list(INFEASIBLE)[::2]
+EVERY_OTHER = seeds(list(INFEASIBLE)[::2])
 """Each takes seconds; scripts/verify.py explains fifty random problems."""
 
 
@@ -132,7 +133,7 @@ def test_a_cure_cures_and_less_does_not(name):
         assert not feasible(block.relaxed(problem, 0.95 * amount)), block.name
 
 
-@pytest.mark.parametrize("name", ["an energy bound", "a mask and a bound", "a ball"])
+@pytest.mark.parametrize("name", seeds(["an energy bound", "a mask and a bound", "a ball"]))
 def test_an_end_gives_way_by_the_least_that_cures(name):
     """Its amount is the sum of the changes of its components, relative to the sizes that the data state of them."""
     problem, _, explanation = explained(name)

@@ -112,7 +112,7 @@ FEATURES = {
 }
 
 
-@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("name", seeds(FEATURES))
 def test_every_feature_is_in_the_program(name):
     problem = two_carts(**FEATURES[name])
     result, program = lfo.solve(problem), lfo.to_cvxpy(problem)

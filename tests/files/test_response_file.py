@@ -30,7 +30,7 @@ def test_to_the_last_bit(tmp_path):
         assert np.array_equal(again.dynamics.G, problem.dynamics.G)
         assert np.array_equal(again.dynamics.offset, problem.dynamics.offset)
         assert (again.dynamics.mode, again.dynamics.state_names) == ("periodic", ("velocity [m/s]",))
-        assert lfo.solve(again).cost == lfo.solve(problem).cost
+    assert lfo.solve(again).cost == lfo.solve(problem).cost
 
 
 @pytest.mark.parametrize("mode", ["periodic", "zero-padded"])

@@ -275,7 +275,7 @@ def test_the_mixed_problems_have_every_feature():
     assert seen == {feature.__name__.strip("_").replace("_", " ") for feature in FEATURES}
 
 
-@pytest.mark.parametrize("name", lfo.library.PROBLEMS)
+@pytest.mark.parametrize("name", seeds(lfo.library.PROBLEMS))
 def test_the_library_survives_the_round_trip(tmp_path, name):
     round_trip(lfo.library.by_name(name)(), tmp_path)
 

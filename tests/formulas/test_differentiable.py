@@ -13,7 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
 from lin_freq_ocp.batch.grid import fingerprint
 from lin_freq_ocp.certificate.verdict import judge
@@ -53,6 +53,7 @@ def buck(second, **arguments):
     return replace(problem, dynamics=lfo.PiecewiseSmoothDynamics(modes, 1, 1))
 
 
+@turn(1)
 @pytest.mark.parametrize(("arguments", "cost"), [({"horizon": 3}, 17.345547997984184), (AT_START, 11.554464138730564)])
 def test_the_converter_with_a_mode_that_is_no_formula_has_the_same_optimum(arguments, cost):
     function = lfo.DifferentiableFunction(off, off_slopes, check_at=[([0.9], [2.7]), ([0.4], [5.1])])
@@ -380,6 +381,7 @@ def test_a_table_of_casadi_is_a_function_and_its_maxima_are_modes(casadi):
         assert lfo.simulate(problem, [[b]], [a]).x[1, 0] == pytest.approx(expected, rel=1e-12)
 
 
+@turn(2)
 def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(casadi):
     def fraction(x, u):
         return KEPT * excess(x, u) / (u[0] - POLE)

@@ -12,6 +12,7 @@ from jsonschema import Draft202012Validator
 
 import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM
+from helpers.seeds import seeds
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import nodes_in_order
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
@@ -93,7 +94,7 @@ def wide(x, u):
     return [lfo.norm([x[0] + k * 0.01 + 1 for k in range(300)]), x[1]]
 
 
-@pytest.mark.parametrize("f", [deep, product, long, wide])
+@pytest.mark.parametrize("f", seeds([deep, product, long, wide]))
 def test_deep_and_long_formulas_are_written_and_read(tmp_path, f):
     dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(f, 2, 1)
     again, table = written(dynamics, tmp_path)

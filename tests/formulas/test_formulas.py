@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
-from helpers.seeds import examples
+from helpers.seeds import examples, seeds
 from lin_freq_ocp.formulas.jets import jets, values_of
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, text_of
 from lin_freq_ocp.formulas.text import MOST_LEVELS, formula_from_text
@@ -174,7 +174,7 @@ def test_texts_without_a_value_or_without_end_are_refused(text):
     assert len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("join", [" + ", " - ", " * "])
+@pytest.mark.parametrize("join", seeds([" + ", " - ", " * "]))
 def test_long_formulas_are_read(join):
     """As numpy has it, summed in the same order; the parser nests them as deeply as they are long."""
     rng = np.random.default_rng(3)

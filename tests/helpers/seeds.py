@@ -1,4 +1,4 @@
-"""Random seeds of the tests: a run takes a third of them, and the next day's run another third.
+"""Random seeds of the tests, and cases of long tables: a run takes a third of them, the next day's run another third.
 
 The environment variable ``SEEDS_OF_TESTS`` chooses the third, 0, 1 or 2, or "all", as
 ``scripts/verify.py --part suite`` does. The first process sets it, so that all workers of a run take the same seeds,
@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from datetime import date
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import pytest
 
@@ -31,7 +31,7 @@ def choose_seeds() -> None:
 
 
 def seeds(given: Iterable[Seed], always: Iterable[Seed] = ()) -> list[Seed]:
-    """Return the given seeds of this run and all of ``always``, for which an answer was once wrong.
+    """Return the given seeds, or cases, of this run and all of ``always``, for which an answer was once wrong.
 
     The thirds are no residues of 3: random problems often have the kind ``seed % 3``.
     """
@@ -45,6 +45,10 @@ def examples(most: int) -> int:
     return most if os.environ[VARIABLE] == ALL else max(1, most // 3)
 
 
-def whole_sample(test: Any) -> Any:
-    """Run a test only with all seeds: it says what the answers to all of them have in common."""
-    return pytest.mark.skipif(os.environ[VARIABLE] != ALL, reason=f"needs {VARIABLE}={ALL}")(test)
+def turn(third: int) -> pytest.MarkDecorator:
+    """Run an expensive test in one run of three: cheaper tests of its file have the same subject every day."""
+    return pytest.mark.skipif(f"os.environ['{VARIABLE}'] not in ('{third}', '{ALL}')", reason="another day's turn")
+
+
+whole_sample = pytest.mark.skipif(f"os.environ['{VARIABLE}'] != '{ALL}'", reason=f"needs {VARIABLE}={ALL}")
+"""For a long case of a test, or for one that says what the answers to all seeds have in common."""

@@ -11,6 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.hybrid_equations import STEPS, random_points, single_step, successors
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.library.power_electronics import buck_error
@@ -50,15 +51,17 @@ FROM_NEAR = {"initial_state": (1, 1), "terminal_cost": False, "horizon": 5}
 
 @pytest.mark.parametrize(
     ("name", "parameters", "cost"),
-    [
-        ("switched_rotation", {}, 159.320358),
-        ("switched_rotation", {"control_spectrum": "freq"}, 161.197114),
-        ("switched_rotation", FROM_NEAR, 2.8371550),
-        ("switched_rotation", FROM_NEAR | {"control_spectrum": [2]}, 3.0424267),
-        ("pendulum_with_wall", {}, 34.990971),
-        ("pendulum_with_wall", {"control_spectrum": "freq"}, 35.066890),
-        ("buck_affine", {}, 32.681386),
-    ],
+    seeds(
+        [
+            ("switched_rotation", {}, 159.320358),
+            ("switched_rotation", {"control_spectrum": "freq"}, 161.197114),
+            ("switched_rotation", FROM_NEAR, 2.8371550),
+            ("switched_rotation", FROM_NEAR | {"control_spectrum": [2]}, 3.0424267),
+            ("pendulum_with_wall", {}, 34.990971),
+            ("pendulum_with_wall", {"control_spectrum": "freq"}, 35.066890),
+            ("buck_affine", {}, 32.681386),
+        ]
+    ),
 )
 def test_optima_are_the_known_ones(name, parameters, cost):
     problem = library.by_name(name)(**parameters)

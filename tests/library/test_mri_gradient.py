@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.library import mri_gradient
 
 BANDS = ((560, 620), (960, 1310), (1860, 1950))  # Hz
@@ -42,6 +43,7 @@ def test_the_shortest_prephaser_is_a_trapezoid():
     assert (found.horizon, found.proven) == (least, True)
 
 
+@turn(0)
 def test_bands_are_held_at_every_frequency_and_without_them_are_not():
     def largest(result):
         w = 2 * np.pi * 1e-5 * np.concatenate([np.linspace(*band, 41) for band in BANDS])

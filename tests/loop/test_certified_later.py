@@ -9,11 +9,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
+from helpers.seeds import seeds
 from lin_freq_ocp.loop import controller
 from lin_freq_ocp.solving.resolver import PlannedStart, proven_in_batch
 
 
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("name", seeds(LOOPS))
 def test_the_same_controls_and_every_plan_proven(name):
     problem = LOOPS[name]()
     each, later = (lfo.RecedingHorizon(problem, certify=when, soft=None) for when in ("each", "later"))

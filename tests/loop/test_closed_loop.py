@@ -11,6 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
+from helpers.seeds import turn
 
 
 def test_a_constraint_of_each_plan_is_named():
@@ -57,6 +58,7 @@ def largest_amplitude(control: np.ndarray, limit: lfo.spectrum.Spectrogram) -> f
     return float(2 * np.abs(waves @ (windows * taper).T).max() / taper.sum())
 
 
+@turn(0)
 def test_the_applied_control_keeps_its_amplitude_at_every_frequency_of_the_band():
     limit = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(40))
     noise = np.random.default_rng(0).normal(scale=[1e-3, 1e-2], size=(45, 2))
@@ -123,6 +125,7 @@ def windows_of(signal: np.ndarray, limit: lfo.spectrum.Spectrogram) -> np.ndarra
 LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(10))
 
 
+@turn(2)
 def test_the_record_has_the_spectra_of_the_applied_windows():
     log = noisy_and_soft()
     (found,) = log.spectra()
@@ -138,6 +141,7 @@ def test_the_record_has_the_spectra_of_the_applied_windows():
     assert "above it" in repr(found)
 
 
+@turn(1)
 def test_windows_count_what_has_acted():
     """With a delay the first control is zero; a control that acted in place of a planned one counts."""
     problem = oscillating_mass(control_spectrum=LIMIT)
@@ -173,6 +177,7 @@ def test_an_energy_has_one_limit_for_each_window():
     assert found.worst[0] == sums.argmax()
 
 
+@turn(1)
 def test_one_window_over_past_and_plan_slides_with_the_loop():
     bound = lfo.MagnitudeBound(0.5, band=NOTCH)
     whole = lfo.spectrum.Spectrogram(bound, past=np.zeros(10))

@@ -14,6 +14,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
+from helpers.seeds import seeds
 from lin_freq_ocp.methods.native_code import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -42,7 +43,9 @@ PLANTS = {
 }
 
 
-RECORDED = [("rate limit", "float"), ("two controls", "double"), ("soft bounds", "double"), ("soft bounds", "float")]
+RECORDED = seeds(
+    [("rate limit", "float"), ("two controls", "double"), ("soft bounds", "double"), ("soft bounds", "float")]
+)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +141,7 @@ def free(tmp_path_factory) -> CompiledController:
 
 @needs_compiler
 @pytest.mark.parametrize("real", APART)
-@pytest.mark.parametrize("name", ["rate limit", "soft bounds"])
+@pytest.mark.parametrize("name", seeds(["rate limit", "soft bounds"]))
 def test_controls_keep_hard_limits_exactly_at_every_state_and_status(tmp_path, name, real):
     """States jump up to 1e30; bounds and rate limit are no numbers of float, and no power of two."""
     problem, rng = LOOPS["soft bounds"](), np.random.default_rng(0)

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
+from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import known_states
 
 X_0 = np.array([0.05, 0.03, 0.1, 0.1])
@@ -27,7 +28,7 @@ def test_the_last_controls_and_those_before_are_known():
 
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("certify", ["each", "later"])
-@pytest.mark.parametrize("name", LIMITED)
+@pytest.mark.parametrize("name", seeds(LIMITED))
 def test_a_step_without_the_last_control_is_that_with_it(name, certify, delay):
     problem, rng = LIMITED[name](), np.random.default_rng(0)
     whole, short = (lfo.RecedingHorizon(problem, certify=certify, delay=delay) for _ in range(2))

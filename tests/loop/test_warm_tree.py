@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.loop.step_problem import free_first_state
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 
@@ -26,6 +27,7 @@ def states(steps, jumps):
     return found, controller.log
 
 
+@turn(1)
 @pytest.mark.parametrize("jumps", [(), (2, 4)], ids=["disturbed", "into another mode"])
 def test_steps_cost_what_their_problems_cost_alone(jumps):
     measured, log = states(6, jumps)

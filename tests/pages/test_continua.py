@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.pages.figures.continua import held_panels, panels_figure, vibration_panels
 from lin_freq_ocp.pages.figures.figures import comparison_data, result_data
 from lin_freq_ocp.pages.figures.plot_data import joint_rows
@@ -42,6 +43,7 @@ def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
     assert drawn["limit"].get_ydata()[0] == pytest.approx(1.0)
 
 
+@turn(1)
 def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
     drawings = tuple(draw_figures(held))
     (drawing,) = (one for one in drawings if one.name == "held_spectra")
@@ -51,6 +53,7 @@ def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
     assert "held_spectra-" in page
 
 
+@turn(2)
 def test_a_box_without_shapers_is_drawn_all_the_same():
     longer = replace(FREE, horizon=80, control_set=[FREE.control_set] * 80)
     comparison = lfo.compare(replace(longer, control_spectrum=CALM), [])

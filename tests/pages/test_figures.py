@@ -11,6 +11,7 @@ import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
+from helpers.seeds import seeds
 from lin_freq_ocp.api.compare import compare
 from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.errors import SolveError
@@ -112,7 +113,7 @@ def test_result_figure_shows_one_solution():
         result_figure(case("infeasible").constrained)
 
 
-@pytest.mark.parametrize(("n", "panels"), [(1, 3), (2, 5), (3, 7), (4, 8), (5, 9), (9, 6)])
+@pytest.mark.parametrize(("n", "panels"), seeds([(1, 3), (2, 5), (3, 7), (4, 8), (5, 9), (9, 6)]))
 def test_any_number_of_states_can_be_drawn(n: int, panels: int):
     problem = OptimalControlProblem(
         LinearDynamics(0.9 * np.eye(n) + 0.1 * np.eye(n, k=1), np.ones((n, 1))),

@@ -4,6 +4,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
+from helpers.seeds import seeds
 
 PAPER = 720  # px: what is left of A4 between its margins
 
@@ -53,7 +54,7 @@ def asked(browser, expression):
     return browser.execute_script(f"return {expression}")
 
 
-@pytest.mark.parametrize("name", SAVED)
+@pytest.mark.parametrize("name", seeds(SAVED))
 def test_a_page_is_silent_offline_described_narrow_and_printed_on_white(browser, address, name):
     browser.get_log("performance")
     url = address(name)

@@ -18,6 +18,7 @@ import lin_freq_ocp as lfo
 from helpers.compared_pages import blanks
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
+from helpers.seeds import seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.api.compare import Comparison, compare
 from lin_freq_ocp.api.result import Result
@@ -122,7 +123,7 @@ def test_spans_cover_the_horizon_once_and_in_order(modes):
     assert [one.mode for one in found for _ in range(one.start, one.end)] == modes
 
 
-@pytest.mark.parametrize("name", ["wall", "tree", "kink"])
+@pytest.mark.parametrize("name", seeds(["wall", "tree", "kink"]))
 def test_tints_are_the_modes_of_the_result_at_its_times(name):
     result, data = case(name).constrained, comparison_data(case(name))
     assert data.modes == spans(result.sequence)
@@ -257,7 +258,7 @@ def test_a_wrong_adjoint_lies_outside_the_bar():
     assert any("fails with these multipliers" in sentence for sentence in switching_sentences(certificate.borders))
 
 
-@pytest.mark.parametrize("name", ["wall", "kink", "linear"])
+@pytest.mark.parametrize("name", seeds(["wall", "kink", "linear"]))
 def test_page_is_one_file_that_loads_nothing(name):
     html = page(name)
     found = parsed(html)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.pages.explorer.session import GROUPS, HORIZON, Session, sliders_of
 from lin_freq_ocp.transform.limits import changed_fields
 
@@ -176,7 +177,7 @@ def session_of(name):
     return Session(CASES[name][0])
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_an_answer_is_that_of_the_problem_with_this_value(name):
     _, (key, notches), built = CASES[name]
     session = session_of(name)
@@ -267,6 +268,7 @@ def test_ends_that_are_more_than_boxes_have_no_sliders():
     ]
 
 
+@turn(1)
 def test_an_infeasible_level_is_cured_by_a_higher_level():
     session = Session(lfo.library.printer_move())
     level = next(one for one in session.sliders if one.key.startswith("level"))

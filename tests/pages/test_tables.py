@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from helpers.compared_pages import CASES, case
+from helpers.seeds import seeds
 from lin_freq_ocp.base.phrases import NOTHING, split_unit
 from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, comparison_table, worst_location
 
@@ -57,7 +58,7 @@ def test_certificate_table_has_the_conditions(name: str):
             assert ("bin" in place) == (one.label in ("C-vi", "C-vii"))
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_terminal_tables_show_units_and_rows(name: str):
     comparison = case(name)
     console = Console(file=StringIO(), width=220)

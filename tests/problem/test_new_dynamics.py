@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.base.arrays import assign
 from lin_freq_ocp.pages.report.page import draw_figures, render_page
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
@@ -135,6 +136,7 @@ def test_it_describes_itself_and_its_methods(registered):
         _ = given.linear
 
 
+@turn(0)
 def test_it_is_reported_and_compared(registered):
     given = problem(BILINEAR, control_spectrum=lfo.stop_band(bins=[3]))
     comparison = lfo.compare(given)

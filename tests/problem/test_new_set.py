@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
@@ -83,6 +84,7 @@ def test_it_keeps_the_protocols():
     assert check_terms(problem(state_set=ROUND, initial_state=[2.0, 1.0])) == []
 
 
+@turn(2)
 def test_it_is_relaxed_where_a_conflict_is_explained():
     impossible = problem(12, control_set=SET & lfo.Box(None, 50.0), terminal_state=[10.0, 0.0])
     assert lfo.solve(impossible, throw=False).status == "infeasible"

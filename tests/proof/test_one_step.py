@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.proof import proof_of
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
@@ -71,7 +72,7 @@ PROBLEMS = {
 
 
 @pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")  # a single control has a single bin
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", seeds(PROBLEMS))
 def test_the_checker_accepts_a_single_step(name):
     result = lfo.solve(one_step(**PROBLEMS[name]), throw=False)
     proof, _ = proof_of(result)

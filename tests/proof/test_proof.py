@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.api import result as api
 from lin_freq_ocp.proof import enclosure as extra
 from lin_freq_ocp.proof import lfo_check
@@ -87,7 +88,7 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", seeds(PROBLEMS))
 def test_the_interval_is_narrow_and_the_file_proves_it(name, tmp_path):
     result = lfo.solve(PROBLEMS[name]())
     proven = result.enclosure

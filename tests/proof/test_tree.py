@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.proof.proof import proof_of
 from lin_freq_ocp.proof.tree import written_nodes
@@ -21,7 +22,7 @@ def confirmed(result, folder):
         return [float(end) for end in lfo_check.check(file, lambda text: None)]
 
 
-@pytest.mark.parametrize("name", PIECEWISE_AFFINE)
+@pytest.mark.parametrize("name", seeds(PIECEWISE_AFFINE))
 def test_the_interval_has_the_known_optimum(name, tmp_path):
     system, arguments, known = PIECEWISE_AFFINE[name]
     result = lfo.solve(lfo.library.by_name(system)(**arguments))

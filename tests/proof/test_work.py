@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from helpers.hand_proofs import DOUBLE_INTEGRATOR, check, checker, scalar_problem, text, two_modes
+from helpers.seeds import seeds
 
 FREE = ("-inf", "inf")
 SUM = {"A": [[1]], "B": [[1]], "d": [0], "G": [], "H": [], "h": []}
@@ -69,7 +70,7 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", seeds(HOSTILE))
 def test_a_file_that_asks_for_much_is_refused_before_it_is_done(name, tmp_path):
     verdict = check(text(HOSTILE[name]), tmp_path)
     assert verdict.status == 1, verdict.printed

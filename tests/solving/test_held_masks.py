@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.base.errors import ProblemError
 
 H, LIMIT, FROM = 0.04, 1.0, 3.0  # s, and Hz; Nyquist is 12.5 Hz
@@ -44,6 +45,7 @@ def failed_labels(problem, trajectory, multipliers):
     return {condition.label for condition in lfo.certify(problem, trajectory, multipliers).failed}
 
 
+@turn(0)
 def test_the_held_spectrum_stays_below_the_limit_without_end(solved):
     assert (solved.status, solved.certificate.pmp) == ("optimal", "satisfied")
     assert abs(solved.gap) < 1e-7
@@ -164,6 +166,7 @@ def test_scale_does_not_matter(imaged):
     assert result.cost == pytest.approx(1e-9 * imaged.cost, rel=1e-7)
 
 
+@turn(2)
 def test_minimum_time_is_monotone():
     problem = masked(2.0, problem=replace(FREE, state_set=None))
     found = lfo.minimum_time(problem, horizons=(48, 54))

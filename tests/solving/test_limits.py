@@ -13,6 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds
 from lin_freq_ocp.base import resources
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
@@ -56,7 +57,7 @@ PATHS: dict[str, tuple[Callable[[], lfo.OptimalControlProblem], str]] = {
 }
 
 
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("path", seeds(PATHS))
 def test_every_path_ends_at_its_time_limit(path: str) -> None:
     """How long that takes by a real clock is what scripts/verify/limits.py measures."""
     make, method = PATHS[path]

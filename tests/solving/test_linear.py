@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.random.linear import random_linear
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SolveOptions
@@ -123,6 +123,7 @@ def test_bounds_of_1e20_and_more_are_none():
         lfo.Box([1e20], [2e20])
 
 
+@turn(2)
 @pytest.mark.parametrize(
     ("changed", "family", "moved"),
     [

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.linear import random_linear
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 
@@ -59,7 +60,7 @@ def test_below_the_tolerance_of_the_judge_both_answers_are_consistent(method):
 
 
 @METHODS
-@pytest.mark.parametrize("eps", [0.0, -1e-10, -1e-9, -1e-8, -1e-6, -1e-4])
+@pytest.mark.parametrize("eps", seeds([0.0, -1e-10, -1e-9, -1e-8, -1e-6, -1e-4]))
 def test_what_holds_by_a_hair_is_solved(eps, method):
     """Within 1e-8, more constraints are active than there is freedom: a feasible trajectory nearby may not be known."""
     result = lfo.solve(bounded(eps), method=method, throw=False)
@@ -73,6 +74,7 @@ def test_what_holds_by_a_hair_is_solved(eps, method):
 
 
 # Found with a tolerance of 1e-9 or so on each constraint, a cure of 1e-9 is known to a third of itself.
+@turn(2)
 @pytest.mark.parametrize(("eps", "to"), [(1e-5, 0.1), (1e-9, 0.4)])
 def test_the_cure_is_as_small_as_what_is_missing(eps, to):
     explanation = lfo.explain(bounded(eps))

@@ -8,12 +8,13 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import uncontrollable
 from helpers.checks.uncontrollable import METHODS, Outcome, check
+from helpers.seeds import seeds
 
 PROBLEMS = Path(uncontrollable.__file__).parents[1] / "problems"
 
 
 @pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.BandWarning")
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", seeds(METHODS))
 @pytest.mark.parametrize(("name", "cost"), [("weak_direction", 246.199256), ("redundant_rows", 518.174745)])
 def test_a_miss_of_the_end_as_large_as_the_move_is_no_rounding(name, cost, method):
     """The end is 2e-7 and 2e-8 away, and a solver missed it by 7e-7 and 3e-8: costs of 191.87 and 507.54."""

@@ -215,7 +215,7 @@ SPECTRA = {
 
 
 @pytest.mark.parametrize("horizon", [40, 41])
-@pytest.mark.parametrize("name", SPECTRA)
+@pytest.mark.parametrize("name", seeds(SPECTRA))
 def test_spectra_of_states_are_those_of_outputs_with_t_samples(name, horizon):
     problem = with_states(SPECTRA[name], horizon)
     outputs = lfo.spectrum.OutputSpectrum(np.eye(2), np.zeros((2, 1)), SPECTRA[name])

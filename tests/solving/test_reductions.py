@@ -12,6 +12,7 @@ import pytest
 import lin_freq_ocp
 import lin_freq_ocp as lfo
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
+from helpers.seeds import seeds
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.solving.judging import candidate_of, judge_candidate
@@ -40,7 +41,7 @@ def recovered(entry: Entry, reduced: Reduced) -> lfo.results.Outcome:
     return judge_candidate(given, replace(candidate, ray=ray, multipliers=multipliers), "", None, None)
 
 
-@pytest.mark.parametrize(("name", "case"), CASES, ids=[", ".join(case) for case in CASES])
+@pytest.mark.parametrize(("name", "case"), seeds(CASES), ids=str)
 def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
     entry = REDUCTIONS[name]
     given = entry.problems[case]()

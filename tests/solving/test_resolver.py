@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.methods.structured import assembly
 from lin_freq_ocp.solving.resolver import Resolver
 from lin_freq_ocp.transform.reductions import Change
@@ -33,7 +34,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_answers_are_those_of_solve(name):
     problem, method = CASES[name]
     solver, start = lfo.Solver(problem, method), problem.initial_state.lower
@@ -131,6 +132,7 @@ def test_bad_calls_say_what_is_wrong():
         lfo.Solver(replace(SHORT, cost=lfo.costs.L1Cost(u=1.0)), "structured").solve(references={"x_ref": 0.0})
 
 
+@turn(1)
 def test_masks_at_every_frequency_are_judged_by_the_tolerance_of_the_method():
     mask = lfo.MagnitudeBound(1.5, band=lfo.low_pass(0.6), every_frequency=True)
     problem = replace(lfo.library.double_integrator(horizon=100, sampling_time=0.04), control_spectrum=mask)

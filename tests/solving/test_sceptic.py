@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
+from helpers.seeds import turn
 
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -49,6 +50,7 @@ def test_a_numerical_ray_does_not_outweigh_a_trajectory():
     assert result.certificate.globally_optimal
 
 
+@turn(0)
 def test_blocks_of_one_field_are_taken_away_together():
     def problem(spectrum):
         return lfo.OptimalControlProblem(
@@ -122,7 +124,7 @@ def with_stage(multipliers: lfo.results.Multipliers, stage) -> lfo.results.Multi
 def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never_a_higher():
     rng = np.random.default_rng(3)
     lower = 0
-    for seed in range(14):
+    for seed in range(7):
         problem = problem_of(random_model(seed))
         result = lfo.solve(problem)
         for scale in (0.3, 1.0):
@@ -134,7 +136,7 @@ def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never
             if found is not None:
                 assert found <= result.cost + 1e-7 * max(1.0, abs(result.cost)), seed
                 lower += found < result.cost - 1e-6
-    assert lower >= 12
+    assert lower >= 6
 
 
 def test_a_multiplier_of_a_ball_that_points_elsewhere_is_seen_to_first_order():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.certificate.sizes import cost_scale
@@ -46,7 +47,7 @@ def cheap(hard):
     return lfo.solve(problem(0.3 * weight_of(hard)))
 
 
-@pytest.mark.parametrize("method", ["auto", "convex", "structured"])
+@pytest.mark.parametrize("method", seeds(["auto", "convex", "structured"]))
 def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     price = 0.3 * weight_of(hard)
     result = cheap if method == "auto" else lfo.solve(problem(price), method)
@@ -65,12 +66,14 @@ def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     assert result.cost < hard.cost
 
 
+@turn(0)
 def test_a_price_above_the_multipliers_gives_the_hard_optimum(hard):
     result = lfo.solve(problem(1.5 * weight_of(hard)))
     assert result.cost == pytest.approx(hard.cost, rel=1e-6)
     assert peak_of(result).ratio < 1 + 1e-6
 
 
+@turn(1)
 def test_the_cost_lies_between_grids_of_an_independent_model(hard, cheap):
     price, given = 0.3 * weight_of(hard), problem(None)
     x, u, s = cp.Variable((41, 2)), cp.Variable((40, 1)), cp.Variable(nonneg=True)
@@ -152,6 +155,7 @@ def test_verdicts_do_not_depend_on_units(hard, cheap):
     assert result.cost == pytest.approx(cost * cheap.cost, rel=1e-7)
 
 
+@turn(1)
 def test_what_a_hard_mask_excludes_a_soft_one_allows():
     assert lfo.solve(problem(None, 1e-3), "convex", throw=False).status == "infeasible"
     result = lfo.solve(problem(1.0, 1e-3), "convex")
@@ -159,7 +163,7 @@ def test_what_a_hard_mask_excludes_a_soft_one_allows():
     assert peak_of(result).ratio > 10
 
 
-@pytest.mark.parametrize("field", ["points", "window", "state", "output", "two masks"])
+@pytest.mark.parametrize("field", seeds(["points", "window", "state", "output", "two masks"]))
 def test_points_windows_states_and_outputs(field):
     fields = {"window": "hann"} if field == "window" else {}
     limit = {"points": [[0.6, 1.0], [np.pi, 0.3]], "window": 0.1}.get(field, 0.5)
@@ -210,6 +214,7 @@ def test_a_tree_with_atoms_far_from_the_peak_of_the_centre_proves_nothing_more()
     assert tree_bound(result.problem, replace(result.tree, nodes=nodes)).value <= result.cost
 
 
+@turn(2)
 def test_modes_at_some_frequencies_are_not_called_optimal(monkeypatch):
     """A soft mask is never violated: what the cost lacks at other frequencies is seen in the gap."""
     T, step = 8, lfo.PiecewiseAffineDynamics([lfo.AffineMode([[1.0]], [[1.0]])])

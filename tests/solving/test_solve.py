@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
+from helpers.seeds import seeds
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.program.backends import clarabel_
@@ -23,7 +24,7 @@ METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
 @pytest.mark.parametrize(
     "how", [{"method": "spectral"}, {"backend": "clarabel"}, {"backend": "qpsolvers:piqp"}], ids=str
 )
-@pytest.mark.parametrize("name", PENDULUM)
+@pytest.mark.parametrize("name", seeds(PENDULUM))
 def test_pendulum(name, how):
     keywords, optimum = PENDULUM[name]
     result = lfo.solve(lfo.library.pendulum(**keywords), **how)
@@ -31,7 +32,7 @@ def test_pendulum(name, how):
     assert_proven(result)
 
 
-@pytest.mark.parametrize("name", PENDULUM)
+@pytest.mark.parametrize("name", seeds(PENDULUM))
 def test_pendulum_by_osqp(name):
     keywords, optimum = PENDULUM[name]
     assert lfo.solve(lfo.library.pendulum(**keywords), backend="osqp").cost == pytest.approx(optimum, rel=1e-5)
@@ -46,7 +47,7 @@ def test_physical_pendulum(cutoff, optimum, method):
 
 
 @METHODS
-@pytest.mark.parametrize("name", STATED)
+@pytest.mark.parametrize("name", seeds(STATED))
 def test_reference_problems(name, method):
     result = lfo.solve(reference_problem(name), method=method)
     assert result.cost == pytest.approx(INSTANCES[name]["optimal_value"], rel=1e-7)
@@ -203,7 +204,7 @@ class TestShapesOfProblems:
         assert result.control[:10].max() <= 0.2 + 1e-9
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("factor", seeds([1e-6, 1e-3, 1e3, 1e6]))
 def test_the_unit_of_cost_does_not_matter(factor):
     problem = replace(lfo.library.pendulum(), cost=lfo.QuadraticCost(R=2.0 * factor))
     for how in ({"method": "spectral"}, {"backend": "clarabel"}, {"backend": "osqp"}):
@@ -233,7 +234,7 @@ def test_mixed_units_do_not_matter():
         assert result.certificate.pmp == "satisfied"
 
 
-@pytest.mark.parametrize(("k", "component"), [(97, 0), (97, 1), (110, 0), (110, 1), (120, 0)])
+@pytest.mark.parametrize(("k", "component"), seeds([(97, 0), (97, 1), (110, 0), (110, 1), (120, 0)]))
 def test_the_price_of_a_bin(k, component, solved):
     """d J*/d uhat_k = -rho_u[k]: moving the real (0) or imaginary (1) part of one bin, its conjugate with it."""
     problem, step = solved("paper, constrained").problem, 1e-3

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds, turn
 from helpers.stage_rows import (
     KINDS,
     VARYING,
@@ -29,7 +30,7 @@ from lin_freq_ocp.methods.fitted_multipliers import fit_multipliers
 
 @pytest.mark.parametrize("method", ["convex", "auto"])
 @pytest.mark.parametrize("varying", VARYING)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", seeds(KINDS))
 def test_cost_and_multipliers_are_those_of_cvxpy(kind, varying, method):
     problem = problem_of(kind, varying)
     result = solve(problem, method)
@@ -85,7 +86,7 @@ def test_the_price_of_a_limit(kind):
     assert (costs[1] - costs[0]) / 2e-4 == pytest.approx(price, rel=1e-4)
 
 
-@pytest.mark.parametrize("varying", VARYING)
+@pytest.mark.parametrize("varying", seeds(VARYING))
 def test_multipliers_are_found_for_a_trajectory_alone(varying):
     problem = problem_of("xu", varying)
     result = solve(problem)
@@ -119,6 +120,7 @@ def test_rows_in_conflict_are_named_with_their_times():
     assert prove_infeasible(cart(stage_rows=replace_limits(rows, [9.0, 3.0], "traction")), ray) is None
 
 
+@turn(1)
 def test_rows_that_contradict_each_other_are_both_named():
     rows = [lfo.StageRows(None, [[1.0]], [-1.0], name="pull"), lfo.StageRows(None, [[-1.0]], [0.5], name="push")]
     with pytest.raises(lfo.errors.InfeasibleError, match=r"row 0 of pull.*row 0 of push"):

@@ -14,6 +14,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
@@ -60,7 +61,7 @@ def forms(result):
     }
 
 
-@pytest.mark.parametrize("form", ["modes", "list", "controls", "trajectory", "result"])
+@pytest.mark.parametrize("form", seeds(["modes", "list", "controls", "trajectory", "result"]))
 def test_branch_and_bound_begins_with_the_best_trajectory_of_the_modes_of_its_start(obvious, form):
     result = lfo.solve(block(), node_limit=NODES, start=forms(obvious)[form], throw=False)
     assert result.status == "limit"
@@ -87,6 +88,7 @@ def test_a_start_changes_no_optimum():
         assert lfo.solve(problem, start=start).cost == pytest.approx(best, rel=1e-6)
 
 
+@turn(1)
 @pytest.mark.parametrize("looks", [1, 40])
 def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
     """The modes of the formulas have an order of their own; the trajectory is the same."""
@@ -97,6 +99,7 @@ def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
     assert result.cost <= obvious.cost * (1 + 1e-5)
 
 
+@turn(2)
 def test_the_local_search_takes_controls_and_modes_first(obvious):
     problem, tried = block(smooth=True), []
     modes = piecewise_smooth(problem).sequence_of(obvious.trajectory.x, obvious.trajectory.u)
@@ -166,6 +169,7 @@ def test_controls_that_cannot_be_simulated_are_refused():
         lfo.solve(replace(problem, initial_state=None), start=np.ones((6, 1)))
 
 
+@turn(0)
 def test_a_dumped_run_begins_where_it_began(obvious, tmp_path):
     for start, place in itertools.product((OBVIOUS, obvious.trajectory), (tmp_path / "run.zip",)):
         result = lfo.solve(block(), node_limit=2, start=start, throw=False)

@@ -146,7 +146,7 @@ VANISHING = {  # name: cost, x_0, x_T: squares of the states, of the controls or
 
 
 @pytest.mark.parametrize("horizon", [1, 8])
-@pytest.mark.parametrize("name", VANISHING)
+@pytest.mark.parametrize("name", seeds(VANISHING))
 @pytest.mark.parametrize("method", ["auto", "spectral", "structured", "convex"])
 def test_numbers_that_vanish_end_with_an_answer_or_a_refusal(name, method, horizon):
     cost, start, end = VANISHING[name]

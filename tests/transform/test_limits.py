@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import turn
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
 from lin_freq_ocp.problem.terms.penalties import NormBall
@@ -135,6 +136,7 @@ def test_bounds_that_depend_on_time_give_way_and_have_no_number():
     assert "bound.0" not in numbers(given)
 
 
+@turn(2)
 def test_a_class_of_ones_own_is_explained_moved_and_checked():
     impossible = problem(control_spectrum=SteadyGain(0.1), initial_state=[0.0, 0.0], terminal_state=[1.0, 1.0])
     explanation = lfo.explain(impossible)

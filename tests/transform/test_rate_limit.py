@@ -74,7 +74,7 @@ LIMITS = {  # name: limit as given, as numbers, previous control
 
 
 @pytest.mark.parametrize("method", ["auto", "convex"])
-@pytest.mark.parametrize("name", LIMITS)
+@pytest.mark.parametrize("name", seeds(LIMITS))
 def test_the_optimum_is_that_of_a_program_written_by_hand(name, method):
     given, numbers, previous = LIMITS[name]
     problem = problem_of()

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 
 WEIGHTS = [1.0, 0.2, 2.0, 0.5]
 
@@ -50,7 +51,7 @@ def least_of_many(problem):
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
 
-@pytest.mark.parametrize("name", list(PROBLEMS))
+@pytest.mark.parametrize("name", seeds(PROBLEMS))
 def test_the_bound_is_below_every_trajectory_and_close(name):
     problem = PROBLEMS[name]()
     result = lfo.solve(problem)

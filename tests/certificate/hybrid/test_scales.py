@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 
 ONE = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -15,7 +16,7 @@ def stated(stage, horizon, cost, **fields):
     return lfo.OptimalControlProblem(ONE, horizon, cost + lfo.costs.SmoothCost(stage=stage), **fields)
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("unit", seeds([1e-9, 1.0, 1e9]))
 def test_a_minimum_of_no_cost_is_one_in_every_unit(unit):
     """Of u - u^2/5 over 0 <= u <= 1, u = 0 is the least, and the Hessian is negative there."""
     problem = stated(f"{unit!r}*(u_0 - 0.2*u_0**2)", 1, lfo.QuadraticCost(), control_set=lfo.Box(0, 1))
@@ -26,7 +27,7 @@ def test_a_minimum_of_no_cost_is_one_in_every_unit(unit):
     assert lfo.certify(problem, np.ones((1, 1)) / 2).pmp == "violated"
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("unit", seeds([1e-9, 1.0, 1e9]))
 def test_rest_at_a_bound_is_stationary_in_every_unit(unit):
     cost = f"{unit!r}*(x_0**2 + 0.37*u_0 + 0.2*u_0**2 + 0.3*x_0*u_0)"
     problem = stated(cost, 3, lfo.QuadraticCost(), control_set=lfo.Box(0, 5), state_set=None)
@@ -47,7 +48,7 @@ def test_a_constant_in_the_cost_is_no_part_of_its_scale():
     assert scales[1] <= 3 * scales[0]
 
 
-@pytest.mark.parametrize("weight", [2e4, 2e7, 2e10])
+@pytest.mark.parametrize("weight", seeds([2e4, 2e7, 2e10]))
 def test_a_large_weight_at_the_end_loosens_nothing_before(weight):
     """The cost falls with slope -1.6 a along (1, -1) at (a, -a), and to second order at 0."""
     problem = stated("-x_0**2", 2, lfo.QuadraticCost(R=0.2, P=weight))

@@ -15,6 +15,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods import native_code
@@ -48,7 +49,7 @@ def compiled():
     return found
 
 
-@pytest.mark.parametrize("name", LOOPS)
+@pytest.mark.parametrize("name", seeds(LOOPS))
 def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
     problem = LOOPS[name]()
     spectral, solver = solver_of(problem)
@@ -188,7 +189,7 @@ def test_contradictory_rows_leave_the_next_step_as_it_is(kind):
     np.testing.assert_allclose(kernel.plan, plan, atol=APART)
 
 
-@pytest.mark.parametrize("name", ["low pass", "rate limit", "fixed end", "two controls", "joint rows"])
+@pytest.mark.parametrize("name", seeds(["low pass", "rate limit", "fixed end", "two controls", "joint rows"]))
 @pytest.mark.parametrize("kind", ["native", "dense"])
 def test_contradictory_rows_are_a_ray_that_the_judge_proves(name, kind, monkeypatch):
     problem = LOOPS[name]()

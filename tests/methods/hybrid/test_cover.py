@@ -97,7 +97,7 @@ def test_moved_relaxations_are_those_of_the_moved_problem(seed):
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
 
 
-@pytest.mark.parametrize("disturbance", [0.0, 0.02, 1.0])
+@pytest.mark.parametrize("disturbance", seeds([0.0, 0.02, 1.0]))
 def test_a_search_from_a_cover_ends_with_the_same_answer(disturbance):
     """A disturbance of 1 leads into other modes than those that were planned."""
     others = 0

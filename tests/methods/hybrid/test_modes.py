@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem, two_sides
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate.hybrid.tree import tree_bound
 from lin_freq_ocp.methods.hybrid.search import enumeration, parts
 from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
@@ -55,7 +55,7 @@ def ones(problem):
     return np.ones((problem.horizon, len(problem.dynamics.modes)), dtype=bool)
 
 
-@pytest.mark.parametrize(("name", "given", "cost"), REFERENCES + LONGER)
+@pytest.mark.parametrize(("name", "given", "cost"), seeds(REFERENCES + LONGER))
 def test_branch_and_bound_finds_and_proves_the_reference_values(name, given, cost):
     result = lfo.solve(library.by_name(name)(**given))
     assert result.status == "optimal"
@@ -300,6 +300,7 @@ class Here(Executor):
         return future
 
 
+@turn(0)
 def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
     monkeypatch.setattr(parts, "PARTS", 6)
     for executor in (Here(), Here(lost=[0, 3])):

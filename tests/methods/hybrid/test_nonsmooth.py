@@ -15,6 +15,7 @@ from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
 from helpers.known_optima import solved
 from helpers.schemas import RESULT
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
 from lin_freq_ocp.certificate.verdict import judge
@@ -42,7 +43,7 @@ KNOWN = [
 in scripts/verify.py."""
 
 
-@pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
+@pytest.mark.parametrize(("build", "arguments", "cost"), seeds(KNOWN))
 def test_known_optima_are_found_from_cold_starts_and_certified(build, arguments, cost):
     result = solved(build, arguments)
     assert result.status == "locally_optimal"
@@ -62,6 +63,7 @@ def test_where_the_multiplier_has_the_wrong_sign_only_the_joint_inclusion_holds(
     assert time in facts.times
 
 
+@turn(1)
 def test_the_weight_at_the_concave_kink_is_the_known_one():
     """i_4 = I_ref touches its bound, whose multiplier is not unique; without the bound it is 0, at the same optimum."""
     result = solved(BUCK, KINK)
@@ -148,6 +150,7 @@ def test_one_sequence_may_have_several_local_optima_and_flips_lead_on():
 # --- Newton -----------------------------------------------------------------------------------------------------------
 
 
+@turn(2)
 @pytest.mark.parametrize("name", ["norm, x_0 = (1, 1), T = 10", "buck on the border, T = 4"])
 def test_newton_returns_from_noise_and_doubles_its_digits(name):
     problem = newton_check.PROBLEMS[name]()

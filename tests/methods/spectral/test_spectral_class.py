@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from helpers.spectral_plants import (
     CONTROL_BOX,
     END,
@@ -222,7 +223,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # name: changes, an
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_the_optimum_is_that_of_the_sparse_program(name):
     changes, without = CASES[name]
     result = assert_optimal(problem_of(**changes))
@@ -230,7 +231,7 @@ def test_the_optimum_is_that_of_the_sparse_program(name):
     assert plain.cost is None or abs(plain.cost - result.cost) > 1e-4 * max(1.0, abs(result.cost))
 
 
-@pytest.mark.parametrize("horizon", [50, 150, 200, 400])
+@pytest.mark.parametrize("horizon", seeds([50, 150, 200, 400]))
 @pytest.mark.parametrize("start", [None, lfo.Box(-0.6, -0.4)], ids=["free", "boxed"])
 def test_a_start_that_the_end_has_forgotten(start, horizon):
     """The cost falls by 0.86^T along it, or not at all: to rounding, any start will do."""
@@ -256,7 +257,7 @@ SHORT_ENDS = {
 }
 
 
-@pytest.mark.parametrize("ends", SHORT_ENDS)
+@pytest.mark.parametrize("ends", seeds(SHORT_ENDS))
 @pytest.mark.parametrize("horizon", [1, 2, 3, 4])
 def test_the_shortest_horizons(horizon, ends):
     middle, constant = lfo.stop_band(bins=[horizon // 2]), lfo.stop_band(bins=[0])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
 from lin_freq_ocp.methods.spectral import rows, structure
 from lin_freq_ocp.methods.spectral.exchange import first_working_set
@@ -64,7 +65,7 @@ LONG_CASES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", LONG_CASES)
+@pytest.mark.parametrize("name", seeds(LONG_CASES))
 def test_long_horizons_with_a_guessed_first_working_set(name):
     target = np.cumsum(wave(LONG + 1, 3, 0.05, 1), axis=0) + np.linspace(START, END, LONG + 1)
     problem = problem_of(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from helpers.spectral_plants import certificate_of_claim
 
 T = 40
@@ -41,7 +42,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_the_optimum_is_that_of_the_sparse_program_and_its_multipliers_those_of_the_sets(name):
     given = problem(**CASES[name])
     ours, theirs = lfo.solve(given, method="spectral"), lfo.solve(given, method="convex")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.spectral import structure
 from lin_freq_ocp.sets import Polyhedron, Soft
@@ -47,7 +48,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", seeds(CASES))
 def test_the_optimum_is_that_of_the_other_methods_and_its_multipliers_those_of_the_sets(name):
     given = problem(**CASES[name])
     ours, theirs = lfo.solve(given, method="spectral"), lfo.solve(given, method="convex")

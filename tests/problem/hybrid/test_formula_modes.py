@@ -90,7 +90,7 @@ def test_choices_that_never_hold_are_no_modes(name):
     assert not np.isnan(found).all(axis=1).any()
 
 
-@pytest.mark.parametrize("name", ["saturated input", "saturated pendulum", "Coulomb friction", "stick-slip"])
+@pytest.mark.parametrize("name", seeds(["saturated input", "saturated pendulum", "Coulomb friction", "stick-slip"]))
 def test_saturation_and_friction_have_an_answer(name):
     formulas, _ = EXAMPLES[name]
     n = len(formulas)

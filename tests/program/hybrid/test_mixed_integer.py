@@ -43,7 +43,7 @@ REFERENCES = [  # shared/reference/hybrid.md
 
 
 @each_backend
-@pytest.mark.parametrize(("name", "given", "cost"), REFERENCES)
+@pytest.mark.parametrize(("name", "given", "cost"), seeds(REFERENCES))
 def test_the_reference_values_are_found(backend, name, given, cost):
     problem = library.by_name(name)(**given)
     outcome = solve_miqp(problem, backend)
@@ -95,7 +95,7 @@ SAMPLED = [
 ]
 
 
-@pytest.mark.parametrize("problem", SAMPLED, ids=lambda problem: problem.name or "random")
+@pytest.mark.parametrize("problem", seeds(SAMPLED), ids=lambda problem: problem.name or "random")
 def test_every_trajectory_satisfies_the_program_with_its_own_modes_and_no_others(problem):
     program = big_m_program(problem)
     nothing, wrong, tried = np.zeros(len(program.program.lower)), 0, 0

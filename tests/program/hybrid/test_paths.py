@@ -46,7 +46,7 @@ def root(problem, kind=PathRelaxation):
     return relaxation, relaxation.reach.from_start(everything)
 
 
-@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize("name", seeds(FIELDS))
 def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, solver):
     problem = random_problem(4, horizon=5, **FIELDS[name])
     relaxation, reach = root(problem)
@@ -143,7 +143,7 @@ def test_what_has_no_trajectory_is_proven_empty(solver):
     assert tree_bound(problem, ModeTree((node,))).value == np.inf
 
 
-@pytest.mark.parametrize("name", ["buck_affine", "switched_rotation", "pendulum_with_wall"])
+@pytest.mark.parametrize("name", seeds(["buck_affine", "switched_rotation", "pendulum_with_wall"]))
 def test_searches_agree_with_and_without_compiled_code(name, solver):
     given = {"initial_state": (-6, 7)} if name == "switched_rotation" else {}
     problem = lfo.library.by_name(name)(horizon=8, control_spectrum="freq", **given)

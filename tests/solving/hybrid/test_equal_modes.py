@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import seeds
 
 A, B, ROW = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([1.0, -0.5])
 SPECTRA = {
@@ -42,13 +43,15 @@ def formulas_of_one_map(A: np.ndarray, B: np.ndarray, row: np.ndarray) -> lfo.Pi
 
 @pytest.mark.parametrize(
     ("cost", "ends", "spectrum"),
-    [
-        ("zero at rest", "start on the boundary", "mask"),
-        ("zero at rest", "start on the boundary", "mask on a state"),
-        ("quadratic", "boundary on the way", "mask"),
-        ("quadratic", "target on the boundary", "mask on a state"),
-        ("L1", "boundary on the way", "notch"),
-    ],
+    seeds(
+        [
+            ("zero at rest", "start on the boundary", "mask"),
+            ("zero at rest", "start on the boundary", "mask on a state"),
+            ("quadratic", "boundary on the way", "mask"),
+            ("quadratic", "target on the boundary", "mask on a state"),
+            ("L1", "boundary on the way", "notch"),
+        ]
+    ),
 )
 def test_equal_modes_have_the_optimum_of_one(cost, ends, spectrum):
     modes = [lfo.AffineMode(A, B, G=[sign * ROW], h=[0.0], name=f"side {sign}") for sign in (1, -1)]

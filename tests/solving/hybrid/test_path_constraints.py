@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass, way_around
+from helpers.seeds import turn
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
 
@@ -31,6 +32,7 @@ def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
     assert certificate.worst.relative < 1e-9
 
 
+@turn(0)
 def test_both_sides_of_an_obstacle_are_tried():
     symmetric = mass(initial_state=[-1, 0, 0, 0])  # a straight line leads through the centre
     result = lfo.solve(symmetric, "nonsmooth")
@@ -106,6 +108,7 @@ def test_a_declaration_proves_nothing_but_is_checked(around):
     assert convex.bound is None  # its Hessian is negative
 
 
+@turn(1)
 def test_few_states_have_a_global_bound_around_obstacles():
     line = lfo.LinearDynamics([[1.0]], [[1.0]])
     problem = lfo.OptimalControlProblem(
@@ -132,6 +135,10 @@ def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
     assert slow.status == "infeasible"
     assert slow.message.startswith("proven by a ray: no trajectory satisfies tangents of the path constraints")
     assert lfo.solve(mass("x_2**2 + x_3**2 - 1", price=9.0), throw=False).status == "optimal"
+
+
+@turn(1)
+def test_ones_that_are_not_convex_and_leave_no_trajectory_are_not_proven_infeasible():
     around = lfo.solve(mass(lambda x, u: [disc(x, u), -disc(x, u) - 0.9, x[2] ** 2 + x[3] ** 2 - 1]), throw=False)
     assert around.status == "numerical_error"  # a disc is not convex
 
@@ -172,6 +179,7 @@ def test_the_second_order_test_has_the_curvature_of_h():
         assert (certificate.pmp, certificate.second_order.passed) == ("satisfied", passed)
 
 
+@turn(1)
 def test_kinked_dynamics_take_it_by_sequential_programs():
     drag = lfo.PiecewiseSmoothDynamics.from_formulas(
         lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * u[0] - 0.02 * abs(x[1]) * x[1]], 2, 1
@@ -186,6 +194,7 @@ def test_kinked_dynamics_take_it_by_sequential_programs():
     assert result.multipliers.stage["speed"].max() > 1e-2
 
 
+@turn(2)
 def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
     """The data state a height of 0.1 and a force of 30; the way around the disc needs 0.5 and 0.3."""
     A, B = np.eye(4) + 0.1 * np.eye(4, k=2), 0.1 * np.eye(4, 2, k=-2)

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate.hybrid.smooth import kinks
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.comparison.trajectories import mode_sequence
@@ -48,7 +49,7 @@ def waved(wave):
     return lfo.solve(wave, "nonsmooth")
 
 
-@pytest.mark.parametrize("name", [name for name in PUBLISHED if "CLNLBEAM" not in name and "N = 100" not in name])
+@pytest.mark.parametrize("name", seeds(name for name in PUBLISHED if "CLNLBEAM" not in name and "N = 100" not in name))
 def test_published_problems_with_their_cost_as_a_cost(name):
     build, best = PUBLISHED[name]
     result = lfo.solve(build(), "nonsmooth")
@@ -103,16 +104,18 @@ def test_a_trajectory_of_another_cost_is_refuted(wave, waved, part):
 
 @pytest.mark.parametrize(
     ("norm", "formula"),
-    [
-        (lfo.costs.L1Cost(u=0.3), "0.3 * abs(u_0)"),
-        (lfo.costs.L1Cost(x=[0.0, 2.0]), lambda x, u: 2 * abs(x[1])),
-        (lfo.costs.LInfCost(x=[1.0, 2.0]), lambda x, u: lfo.maximum(x[0], -x[0], 2 * x[1], -2 * x[1])),
-    ],
+    seeds(
+        [
+            (lfo.costs.L1Cost(u=0.3), "0.3 * abs(u_0)"),
+            (lfo.costs.L1Cost(x=[0.0, 2.0]), lambda x, u: 2 * abs(x[1])),
+            (lfo.costs.LInfCost(x=[1.0, 2.0]), lambda x, u: lfo.maximum(x[0], -x[0], 2 * x[1], -2 * x[1])),
+        ]
+    ),
 )
 def test_kinks_of_a_cost_are_those_of_the_convex_norm(norm, formula):
     quadratic = lfo.QuadraticCost(Q=1.0, R=0.1, P=5.0)
-    convex = lfo.solve(cart(quadratic + norm, 4))
-    kinked = lfo.solve(cart(quadratic + SmoothCost(stage=formula), 4), "nonsmooth")
+    convex = lfo.solve(cart(quadratic + norm, 3))
+    kinked = lfo.solve(cart(quadratic + SmoothCost(stage=formula), 3), "nonsmooth")
     assert kinked.certificate.pmp == "satisfied"
     assert kinked.cost == pytest.approx(convex.cost, rel=1e-8)
     np.testing.assert_allclose(kinked.trajectory.u, convex.trajectory.u, atol=1e-4)
@@ -275,6 +278,7 @@ def test_what_takes_no_cost_by_formulas_names_the_cost(wave, tmp_path):
             refused()
 
 
+@turn(2)
 def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="sin(x_0)**2")
     ends = {"initial_state": [0.0], "terminal_state": [4.0]}

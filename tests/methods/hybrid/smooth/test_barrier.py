@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
 from lin_freq_ocp.base.clock import use_clock
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
@@ -56,15 +57,17 @@ def test_the_local_optimum_of_ipopt_is_found_and_certified(build, arguments, cos
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"terminal_state": None},
-        {"initial_state": lfo.Box([-0.1, -0.1], [0.1, 0.1])},
-        {"terminal_state": lfo.sets.Ball(0.1, [0.4, 0.0])},
-        {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
-        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0))},
-        {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0), oversampling=4)},
-        {"cost": lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(Q=1.0, R=0.1)},
-    ],
+    seeds(
+        [
+            {"terminal_state": None},
+            {"initial_state": lfo.Box([-0.1, -0.1], [0.1, 0.1])},
+            {"terminal_state": lfo.sets.Ball(0.1, [0.4, 0.0])},
+            {"state_set": lfo.sets.Soft(lfo.Box([-1.0, -0.2], [1.0, 0.2]), 3.0)},
+            {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0))},
+            {"control_spectrum": lfo.MagnitudeBound(1.0, band=lfo.low_pass(cutoff_hz=2.0), oversampling=4)},
+            {"cost": lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(Q=1.0, R=0.1)},
+        ]
+    ),
 )
 def test_all_sets_costs_and_spectra_are_taken(changes):
     result = lfo.solve(pendulum(**changes), global_bound=False)
@@ -109,6 +112,7 @@ def test_a_start_alone_is_followed_and_near_an_optimum_takes_few_steps(monkeypat
     assert steps[0] <= 20
 
 
+@turn(2)
 def test_where_no_trajectory_exists_the_nearest_is_measured():
     result = lfo.solve(library.pendulum_swing_up(horizon=5), global_bound=False, throw=False)
     assert (result.status, result.trajectory) == ("numerical_error", None)
@@ -212,6 +216,7 @@ def test_without_bounds_starts_are_spread_over_the_controls():
     assert result.message.endswith("4 starts tried")
 
 
+@turn(1)
 @pytest.mark.parametrize(
     ("stage", "starts"),
     [("x_0**4 + u_0**2", 1), ("u_0**2 - x_0**4", 1), ("sin(x_0)**2 + u_0**2", 2)],

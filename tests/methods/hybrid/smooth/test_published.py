@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.published import PUBLISHED, mass_around_disc
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 
 QUICK = [
     "DTOC1L, N = 10",
@@ -42,6 +42,7 @@ def around():
     return lfo.solve(mass_around_disc(), global_bound=False)
 
 
+@turn(1)
 def test_an_optimum_at_the_rim_of_a_region_is_named(around):
     result = around
     assert result.cost == pytest.approx(PUBLISHED["mass around a disc"].cost, rel=1e-7)

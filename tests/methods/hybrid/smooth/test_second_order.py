@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.solving.hybrid import smooth
@@ -116,7 +117,8 @@ def flat_top(bound, unit, origin):
 
 
 @pytest.mark.parametrize(
-    ("bound", "unit", "origin"), [(1e3, 1e6, 0.0), (1e9, 1.0, 0.0), (1e9, 1e-3, 0.0), (1e9, 1e3, 1e7), (1e6, 1e6, 1e7)]
+    ("bound", "unit", "origin"),
+    seeds([(1e3, 1e6, 0.0), (1e9, 1.0, 0.0), (1e9, 1e-3, 0.0), (1e9, 1e3, 1e7), (1e6, 1e6, 1e7)]),
 )
 def test_a_saddle_is_left_with_far_bounds_in_all_units_and_from_all_origins(bound, unit, origin):
     problem, start = flat_top(bound, unit, origin)
@@ -125,6 +127,7 @@ def test_a_saddle_is_left_with_far_bounds_in_all_units_and_from_all_origins(boun
     assert result.cost == pytest.approx(1.0493827174769796, rel=1e-8)  # with a unit of 1 and bounds of 3
 
 
+@turn(1)
 @pytest.mark.parametrize(("bound", "unit", "steps"), [(1e3, 1.0, 6), (1e6, 1e6, 12)])
 def test_wells_in_the_dynamics_are_left_with_far_bounds(bound, unit, steps):
     def f(x, u):
