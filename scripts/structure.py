@@ -49,10 +49,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_548,
-    "code lines": 41_708,
-    "code lines, linear part": 20_827,
-    "code lines, hybrid": 8_623,
+    "shipped lines": 44_547,
+    "code lines": 41_707,
+    "code lines, linear part": 20_830,
+    "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
     "files": 306,
     "folders": 42,

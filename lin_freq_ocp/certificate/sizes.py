@@ -58,8 +58,9 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         total = _sum_of_terms(problem, trajectory) / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
-    origin = np.zeros(n + m) if problem.origin is None else np.abs(np.append(problem.origin, np.zeros(m)))
-    sizes = np.where(sizes > 0, sizes, np.where(origin > 0, origin, 1.0))
+    if not sizes.all() and problem.origin is not None:
+        sizes[:n] = np.where(sizes[:n] > 0, sizes[:n], np.abs(problem.origin))
+    sizes = np.where(sizes > 0, sizes, 1.0)
     return sizes[:n], sizes[n:]
 
 

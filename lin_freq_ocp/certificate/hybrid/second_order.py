@@ -37,33 +37,27 @@ ALLOWED_VIOLATION = 1e-3  # violation of active constraints, relative to a direc
 
 
 def second_order_test(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    multipliers: Multipliers,
-    units: Array,
-    slopes: Array,
-    terminal: Array,
+    problem: OptimalControlProblem, at: Trajectory, multipliers: Multipliers, sizes: tuple[Array, Array], final: Array
 ) -> SecondOrder:
     """Test a trajectory of smooth dynamics on which no kink and no switching boundary is active.
 
-    ``units`` (n + m,) are the sizes of states and controls; ``slopes`` (T, n + m) are the scales of the adjoint
-    equation and of stationarity in u; ``terminal`` (n, n) is added to the Hessian of the cost of x_T.
+    ``sizes`` are those of states and controls, (n + m,), and the scales of the adjoint equation and of stationarity in
+    u, (T, n + m); ``final`` (n, n) is added to the Hessian of the cost of x_T.
     """
     dynamics, T, n = piecewise_smooth(problem), problem.horizon, problem.state_dim
     formulas = [formula for mode in dynamics.modes for formula in mode.f]
     rough = [node.function for node in kinks(formulas, EXTERNAL) if node.function and not node.function.exact_curvature]
     if rough:
         return SecondOrder(None, f"{rough[0].title} has no exact second derivatives")
-    x, u = trajectory.x, trajectory.u
+    x, u, (units, slopes) = at.x, at.u, sizes
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
     _, gains, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
     cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
     bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
     H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
-    terms[:-1] = np.einsum(
-        "tii->ti", np.abs(cost) + np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
-    )
-    added = terminal.copy()
+    bends = np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))
+    terms[:-1] = np.einsum("tii->ti", np.abs(cost) + bends)
+    added = final.copy()
     for one in problem.path_constraints:
         prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
         bends = np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)
@@ -72,13 +66,13 @@ def second_order_test(
         added += bends[T:, :n, :n].sum(axis=0)
     P = (problem.quadratic.P + added) * scale[:n, :n]
     terms[-1, :n] = np.abs(np.diag(problem.quadratic.P)) + np.abs(added).max(axis=0)
-    sizes = terms * units**2
-    largest = float(sizes.max())
+    weighted = terms * units**2
+    largest = float(weighted.max())
     if largest == 0:
         return SecondOrder(True, "")
-    error = (CURVATURE * sizes + CURVATURE_FLOOR * largest)[:, None] * np.eye(len(units))
-    AB, linear = gains * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(trajectory))
-    rows = _active_rows(linear, trajectory, multipliers, units, slopes)
+    error = (CURVATURE * weighted + CURVATURE_FLOOR * largest)[:, None] * np.eye(len(units))
+    AB, linear = gains * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(at))
+    rows = _active_rows(linear, at, multipliers, units, slopes)
     strong = np.zeros((T + 1, len(units), len(units)))
     for t, row, sign, is_strong in rows:
         strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
@@ -98,9 +92,8 @@ def second_order_test(
     reason = reason or (f"{others[0]} is curved or couples times" if others else "")
     if reason or curvature >= 0 or not keeps:
         return SecondOrder(None, reason or "active constraints leave it open")
-    if max(weak, default=0.0) > ALLOWED_VIOLATION:
-        d, weak = -d, [-change for change in weak]
-    if max(weak, default=0.0) > ALLOWED_VIOLATION:
+    d = -d if max(weak, default=0.0) > ALLOWED_VIOLATION else d
+    if max(weak, default=0.0) > ALLOWED_VIOLATION < -min(weak, default=0.0):
         return SecondOrder(None, "bounds that are active without a multiplier leave it open")
     return SecondOrder(False, "", curvature, Trajectory(d[:, :n] * units[:n], d[:-1, n:] * units[n:]))
 
@@ -131,10 +124,8 @@ def _active_rows(
         rows = term.polyhedron(n, problem.control_dim)
         if rows is None:
             continue
-        values, given = (
-            term.map.values(trajectory.x, trajectory.u),
-            multipliers.stage.get(term.name, np.zeros(term.shape)),
-        )
+        values = term.map.values(trajectory.x, trajectory.u)
+        given = multipliers.stage.get(term.name, np.zeros(term.shape))
         near = CONDITION_TOLERANCE * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
         for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
             t, slope = int(rows.times[group]), rows.matrix(int(group))[row]

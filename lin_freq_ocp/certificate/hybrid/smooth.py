@@ -53,7 +53,7 @@ OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose comp
 def judge_smooth(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array, scales: Scales
 ) -> Judgement:
-    """Judge a trajectory of smooth pieces; ``terminal`` as for ``second_order_test``."""
+    """Judge a trajectory of smooth pieces; ``terminal`` is the ``final`` of ``second_order_test``."""
     problem.require(trajectory)
     selections, norms = _judge_norms(problem, trajectory, multipliers, scales)
     judgement = judge_modes(problem.affine_at(trajectory, selections), trajectory, multipliers, scales)
@@ -69,13 +69,11 @@ def judge_smooth(
         unqualified=dependent_gradients(problem, trajectory),
     )
     satisfied, test = all(condition.passed for condition in judgement.conditions), None
-    if satisfied and facts.applicable and multipliers.eta_C == 1:
-        sizes = np.concatenate(scales.sizes), judgement.slopes
-        test = (
-            SecondOrder(None, "modes meet or norms are zero")
-            if facts.times or norms
-            else second_order_test(problem, trajectory, multipliers, *sizes, terminal)
-        )
+    if satisfied and facts.applicable and multipliers.eta_C == 1 and judgement.slopes is not None:
+        test = SecondOrder(None, "modes meet or norms are zero")
+        if not facts.times and not norms:
+            sizes = np.concatenate(scales.sizes), judgement.slopes
+            test = second_order_test(problem, trajectory, multipliers, sizes, terminal)
     return replace(judgement, borders=facts, second_order=test)
 
 

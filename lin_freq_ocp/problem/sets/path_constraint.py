@@ -188,8 +188,7 @@ class PathConstraint(StageRows):
 
     def term(self, horizon: int) -> Term:
         """Return the term, whose values are those of h."""
-        penalty = HalfSpaces(self.limits(), weight_of(self.penalty))
-        return Term(self.name, TermKind.STAGE_ROWS, self.map, penalty)
+        return Term(self.name, TermKind.STAGE_ROWS, self.map, HalfSpaces(self.limits(), weight_of(self.penalty)))
 
     def linearised(self, x: Array, u: Array) -> TangentRows:
         """Return h to first order along a trajectory, as rows; ProblemError where h or its slopes are no numbers.
@@ -202,9 +201,9 @@ class PathConstraint(StageRows):
             expected = "finite numbers along the trajectory"
             raise ProblemError(f"{self.name!r}, component {i}", got, expected, "Constrain its arguments by a set.")
         C, D = np.split(at.slopes, [self.C.shape[1]], axis=2)
-        e = self.limits() - self.map.least_values(x, u) + times_vectors(C, x[groups])
-        if len(groups) == len(u):
-            e = e + times_vectors(D, u)
+        y = self.map.signals(x, u)
+        enclosed = least_values(self.formulas, y, y, groups)
+        e = self.limits() - np.where(np.isfinite(enclosed), enclosed, at.values) + times_vectors(at.slopes, y)
         return TangentRows(C, D[: len(u)], e, self.name, self.penalty)
 
     def excludes(self, t: int, x: Array) -> bool:
@@ -213,10 +212,7 @@ class PathConstraint(StageRows):
             return False
         y = np.append(x, np.zeros(self.D.shape[1]))[None]
         near, limits = END_TOLERANCE * np.abs(y), self.limits()[t]
-        try:
-            least = interval_jets(self.formulas, y - near, y + near, curved=False, time=t).values[0][0]
-        except UnsupportedError:
-            return False
+        least = least_values(self.formulas, y - near, y + near, t)[0]
         return bool((least > limits + END_TOLERANCE * np.abs(limits)).any())
 
     def bends_down(self, x: Array, u: Array) -> bool:
@@ -354,14 +350,6 @@ class FormulaMap(AffineMap):
         """Return the values, (groups, components)."""
         return values_of(self.formulas, self.signals(x, u), self.times)
 
-    def least_values(self, x: Array, u: Array) -> Array:
-        """Return the lower ends of enclosures of the values, or the values of functions that have none."""
-        y = self.signals(x, u)
-        try:
-            return interval_jets(self.formulas, y, y, curved=False, time=self.times).values[0]
-        except UnsupportedError:
-            return values_of(self.formulas, y, self.times)
-
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the slopes times the signals."""
         y = self.signals(x, u)
@@ -382,6 +370,14 @@ class FormulaMap(AffineMap):
     def _unfit_error(self) -> UnsupportedError:
         text = brief(text_of(self.formulas[0]))
         return UnsupportedError(f"stage_rows: got the path constraint {text} {AT_MOST} ...; expected linear rows.")
+
+
+def least_values(formulas: Sequence[Formula], lower: Array, upper: Array, times: int | Indices) -> Array:
+    """Return lower bounds of formulas over boxes at times, (boxes, formulas); -inf of functions without enclosures."""
+    try:
+        return interval_jets(formulas, lower, upper, curved=False, time=times).values[0]
+    except UnsupportedError:
+        return np.full((len(lower), len(formulas)), -np.inf)
 
 
 def path_constraints(rows: Sequence[StageRows]) -> tuple[PathConstraint, ...]:

@@ -332,16 +332,8 @@ class _Bounding:
     def _improve(self) -> bool:
         """Replace the answer by a better one along a path of the bound; return whether there is one."""
         _, multipliers, certificate = self.judged
-        levels = value_bounds(
-            self.search.problem,
-            multipliers,
-            certificate.cost,
-            self._wanted_gap,
-            self.deadline,
-            self._report,
-            certificate.cost_scale,
-        )
-        for level in levels:
+        given = self.search.problem, multipliers, certificate.cost, self._wanted_gap, self.deadline, self._report
+        for level in value_bounds(*given, certificate.cost_scale):
             if level.value > self.best:
                 self.best, self.sets = level.value, "dynamic programming over cells of the states, with intervals"
             if self._proven:
@@ -376,10 +368,8 @@ def _proof_of_infeasibility(
     """
     deadline, stated = now() + seconds, problem.dynamics
     if not stated.mode_names:
-        rows = problem.stage_rows if at is None else problem.rows_along(at)
-        left_out = {
-            one.name for one in problem.path_constraints if at is None or not is_proven_convex(problem, one, at)
-        }
+        rows, given = problem.stage_rows if at is None else problem.rows_along(at), problem.path_constraints
+        left_out = {one.name for one in given if at is None or not is_proven_convex(problem, one, at)}
         hard = [row for row in rows if row.hard_part is not None and row.name not in left_out]
         relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))
@@ -399,11 +389,11 @@ def _proof_of_infeasibility(
 
 def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> bool:
     """Whether a trajectory satisfies the bounds and path constraints of a problem that has others, too."""
-    others = len(problem.terms) > len(problem.path_constraints)
-    if not (others or problem.control_stop.any() or problem.state_stop.any()):
+    constraints, stops = problem.path_constraints, problem.control_stop.any() or problem.state_stop.any()
+    if len(problem.terms) == len(constraints) and not stops:
         return False
     sets = {field: map_sets(getattr(problem, field), box_of) for field in BOXES}
-    bounded = replace(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=problem.path_constraints)
+    bounded = replace(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=constraints)
     search = LocalSearch(bounded, seconds, is_proven=lambda _: True).run()
     if search.interrupted:
         raise KeyboardInterrupt

@@ -407,15 +407,6 @@ def test_solve_proves_that_an_end_is_out_of_reach():
     assert "proven by dynamic programming" in result.message
 
 
-def test_intervals_are_not_tried_where_bounds_alone_admit_a_trajectory(monkeypatch):
-    monkeypatch.setattr(solve_smooth, "value_bounds", lambda *given, **options: pytest.fail("they exclude none"))
-    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["x_0 + u_0 + 0.1*sin(x_0)"], 1, 1)
-    rows = [lfo.StageRows(None, [[1.0]], [-50.0])]  # no control in its box satisfies them
-    fields = {"state_set": lfo.Box(-3, 3), "initial_state": [0.0], "stage_rows": rows}
-    problem = lfo.OptimalControlProblem(dynamics, 1, lfo.QuadraticCost(R=1.0), lfo.Box(-1, 1), **fields)
-    assert lfo.solve(problem, throw=False).status == "numerical_error"
-
-
 def test_the_time_is_kept():
     """It ends at the first look at the clock after its deadline."""
     problem, clock = BUCK(8), Clock(1.0)

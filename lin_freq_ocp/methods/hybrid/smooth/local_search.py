@@ -331,12 +331,11 @@ class LocalSearch:
                 self.interrupted = ended is End.INTERRUPTED
             except UnsupportedError:  # too large for the structured method
                 self._smooth, self._with_cost = False, cost_as_state(self.problem)
-        if not self._smooth and self._with_cost is None:
-            optimum = local_optimum(self.problem, start, sequence, below, self.end)
-        elif not self._smooth and self._with_cost is not None:
+        if not self._smooth:
             priced = self._with_cost
-            optimum = local_optimum(priced.problem, priced.start(start), sequence, below, self.end)
-            if optimum is not None:
+            given = (self.problem, start) if priced is None else (priced.problem, priced.start(start))
+            optimum = local_optimum(*given, sequence, below, self.end)
+            if optimum is not None and priced is not None:
                 trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
                 optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
         best = self.best
