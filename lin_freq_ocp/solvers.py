@@ -6,15 +6,9 @@ from lin_freq_ocp.solving.hybrid.pulse_train import Angles
 from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
 from lin_freq_ocp.solving.linear import Convex, Spectral, Structured
 
+# fmt: off
 __all__ = [
-    "Angles",
-    "BranchAndBound",
-    "Convex",
-    "Enumeration",
-    "MixedInteger",
-    "Nonsmooth",
-    "Spectral",
-    "SpectralSolution",
-    "SpectralSolver",
-    "Structured",
+    "Angles", "BranchAndBound", "Convex", "Enumeration", "MixedInteger", "Nonsmooth", "Spectral", "SpectralSolution",
+    "SpectralSolver", "Structured",
 ]
+# fmt: on
