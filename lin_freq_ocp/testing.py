@@ -118,7 +118,7 @@ def check(case: Case, solver: Solver, tolerance: float = TOLERANCE) -> Report:
 
 # Problems with known costs: linear ones in full, others as arguments of the library; the file says more
 _REFERENCE: dict[str, Any] = json.loads(Path(__file__).with_name("reference.json").read_text())
-INSTANCES: dict[str, dict[str, Any]] = {data["name"]: data for data in _REFERENCE["instances"]}
+INSTANCES = {str(data["name"]): data for data in _REFERENCE["instances"]}
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]  # by boxes and stop bands, without a mask
 MASKED = 1e-6  # relative error of the known cost of the problem with a mask, dint200_soft
 PENDULUM: dict[str, tuple[dict[str, object], float]] = _REFERENCE["pendulum"]  # keyword arguments, optimal cost

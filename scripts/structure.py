@@ -49,10 +49,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_548,
-    "code lines": 41_708,
-    "code lines, linear part": 20_827,
-    "code lines, hybrid": 8_623,
+    "shipped lines": 44_545,
+    "code lines": 41_705,
+    "code lines, linear part": 20_917,
+    "code lines, hybrid": 8_641,
     SHARE_SAID: 19.5,  # at least
     "files": 306,
     "folders": 42,
@@ -65,7 +65,7 @@ LIMITS: dict[str, float] = {
     "files entered by a solve": 48,
     "functions entered by a solve": 386,
     "calls of a solve": 772,
-    "modules that tests import": 222,
+    "modules that tests import": 85,
     "attributes that tests replace": 231,
     "private attributes that tests read": 17,
     "imports through the door": 0,

@@ -23,7 +23,7 @@ from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
 from helpers.without_flint import SkippedModule
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.explanation import explanation
 from lin_freq_ocp.testing import PENDULUM, reference_problem
 

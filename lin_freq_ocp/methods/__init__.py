@@ -1,1 +1,16 @@
 """SOLVE, with our own methods: a problem becomes a Candidate, a trajectory with multipliers but never a verdict."""
+
+from lin_freq_ocp.base import lazy_exports
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "absorbed_cost": "ABSORBED_COST", "candidate": "Candidate SOLVED_TOLERANCE SolveOptions zero_multipliers",
+    "condensed.dense": "DenseKernel", "condensed.native": "NativeKernel",
+    "condensed.plans": "Budget CondensedSolver extremals_of",
+    "condensed.tables": "CondensedTables INFEASIBLE LIMIT SOLVED condense", "convex.attempts": "ScaledSolver",
+    "convex.polish": "steepest_recession zero_rounding",
+    "convex.sparse_program": "MOST_PROGRAMS ProgramCache convex_candidates solve_convex", "correction": "corrections",
+    "fitted_multipliers": "Uniqueness abnormal_multipliers fit_multipliers uniqueness",
+    "native_code": "DAY compiled_library compiler", "repair": "break_times repair_trajectory",
+})
+# fmt: on

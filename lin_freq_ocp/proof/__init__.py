@@ -1,1 +1,11 @@
 """Proofs: files from which a checker that shares no code with the package confirms a claim (docs/proof.md)."""
+
+from lin_freq_ocp.base import lazy_exports
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "dual": "growth precision project_on_bounds shrink steer_adjoint", "lfo_check": "check",
+    "point": "add_feedback interior_trajectory interpolate least_distance needs_feedback share_of_way tighten",
+    "proof": "convex_problem proof_of raised_by", "statement": "exact problem_lines vector", "tree": "written_nodes",
+})
+# fmt: on

@@ -1,1 +1,12 @@
 """From a problem to a judged outcome: a method for its dynamics, and the proof of the answer by the judge."""
+
+from lin_freq_ocp.base import lazy_exports
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "families": "FAMILIES Family Shorthand choose_method family_of",
+    "judging": "candidate_of judge_candidate verified_direction", "linear": "LinearAuto", "method": "Request",
+    "outcome": "Outcome", "resolver": "PlannedStart Resolver proven_in_batch", "solve": "solve_judged",
+    "solver_cache": "SolverCache solve_spectral",
+})
+# fmt: on

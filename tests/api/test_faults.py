@@ -18,7 +18,7 @@ from helpers.command_line import parsed, run
 from lin_freq_ocp.base import errors
 from lin_freq_ocp.batch.tasks import process_pool
 from lin_freq_ocp.files import problem_file as toml_file
-from lin_freq_ocp.methods.spectral.rows import Violations
+from lin_freq_ocp.methods.spectral import Violations
 from lin_freq_ocp.pages.report import page
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)

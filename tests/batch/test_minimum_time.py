@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.solving import solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems

@@ -12,11 +12,13 @@ from scipy.integrate import solve_ivp
 import lin_freq_ocp as lfo
 from helpers.schemas import RESULT, faults, printed
 from helpers.seeds import seeds
+from lin_freq_ocp.certificate import LARGEST_REACH, REACH
 from lin_freq_ocp.certificate import between_samples as module
-from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, BetweenSamples, BoundPeak, between_samples
+from lin_freq_ocp.certificate.between_samples import between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
-from lin_freq_ocp.files.summary import certificate_summary, result_summary
-from lin_freq_ocp.pages.report.findings import finding_of
+from lin_freq_ocp.files import certificate_summary, result_summary
+from lin_freq_ocp.pages import finding_of
+from lin_freq_ocp.results import BetweenSamples, BoundPeak
 
 # Largest violation over half the width of the bounds, 2 digits: CONTINUOUS.md, section 2
 FREE = {"notch_width_hz": None}

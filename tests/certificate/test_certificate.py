@@ -10,16 +10,19 @@ from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
 from helpers.seeds import examples
-from lin_freq_ocp.base.arrays import first_largest
+from lin_freq_ocp.base import first_largest
+from lin_freq_ocp.certificate import (
+    DATA_ROUNDING,
+    box_minimum,
+    diagonal_curvature,
+    extremal_at,
+    judge,
+    prove_infeasible,
+    trajectory_sizes,
+)
 from lin_freq_ocp.certificate import bound as bound_module
-from lin_freq_ocp.certificate.bound import box_minimum
-from lin_freq_ocp.certificate.hamiltonian import diagonal_curvature, extremal_at
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import DATA_ROUNDING
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
+from lin_freq_ocp.methods import solve_convex
+from lin_freq_ocp.problem import RISES, is_semidefinite
 from lin_freq_ocp.program import linear_program
 from lin_freq_ocp.testing import STATED, reference_problem
 

@@ -10,11 +10,16 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate import many
-from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
-from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
-from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.problem.trajectory import Extremals
+from lin_freq_ocp.certificate import (
+    batch_judge_takes,
+    infeasibility_certificate,
+    judge,
+    judge_batch,
+    many,
+    prove_infeasible,
+)
+from lin_freq_ocp.problem import Extremals
+from lin_freq_ocp.results import Certificate
 
 COST = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.5, S=[[0.1], [0.0]], P=2.0, q=[0.1, 0.0], x_ref=[0.1, 0.0])
 PROBLEMS = {

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal.windows import chebwin
 
 from helpers.seeds import seeds
+from lin_freq_ocp.certificate import TERMS, Cells, certified_peak
 from lin_freq_ocp.certificate import peaks as cells
-from lin_freq_ocp.certificate.peaks import TERMS, Cells, certified_peak
-from lin_freq_ocp.problem.terms.semi_infinite import limits_on
+from lin_freq_ocp.problem import limits_on
 
 WHOLE = [(0.0, np.pi)]
 ABOVE = 3e-10  # RATIO, and as much for rounding at -100 dB

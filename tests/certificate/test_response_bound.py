@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate import response_bound
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.response_curvature import BinCurvature, bin_curvature
+from lin_freq_ocp import Trajectory
+from lin_freq_ocp.certificate import extremal_at, judge, response_bound
+from lin_freq_ocp.transform import BinCurvature, bin_curvature
 
 T = 16
 LIMIT = 1.15  # of the output: some of its largest values reach it

@@ -11,20 +11,19 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.sweeps import SHORT
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
+from lin_freq_ocp import PiecewiseSmoothDynamics, certify
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate import hamiltonian, rays
-from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
+from lin_freq_ocp.certificate.hybrid import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search import multipliers as search_weights
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.program import units
-from lin_freq_ocp.solving.certify import certify
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.transform import stated_sizes
 from lin_freq_ocp.transform.hybrid import mode_reach
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
-from lin_freq_ocp.transform.sizes import stated_sizes
 
 library = lfo.library
 

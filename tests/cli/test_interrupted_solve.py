@@ -15,10 +15,9 @@ from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.spectral.exchange import deadline
+from lin_freq_ocp.methods.spectral import deadline, solver
+from lin_freq_ocp.program import Claim, Solution
 from lin_freq_ocp.program.backends import clarabel_
-from lin_freq_ocp.program.backends.base import Claim, Solution
 
 # --- interrupted ----------------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, HARMLESS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require, require_words
 from helpers.command_line import once, parsed, run
 from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from lin_freq_ocp.methods.structured import can_compile
 
 UNBOUNDED = UNCLOCKED.replace("R = 1.0\nP = 1.0", "r = [1.0]")
 ADRIFT = UNBOUNDED.replace("horizon = 6", "horizon = 60")

@@ -14,7 +14,7 @@ from helpers.command_line import parsed, run
 from helpers.schemas import SWEEP, faults
 from helpers.sweeps import SHORT, assert_same, broken_builder
 from lin_freq_ocp.batch import sweep as sweep_point
-from lin_freq_ocp.files.batch_files import sweep_summary
+from lin_freq_ocp.files import sweep_summary
 
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 

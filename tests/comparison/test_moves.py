@@ -8,14 +8,12 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import shortest_moves, vibration, why_not_shaped
-from lin_freq_ocp.pages.figures.continua import ringing_of
-from lin_freq_ocp.pages.report.page import draw_figures, render_page
-from lin_freq_ocp.pages.report.tables import moves_rows, moves_sentence
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.pages import draw_figures, moves_rows, moves_sentence, render_page, ringing_of
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.solving import solve_judged
 
 CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
 

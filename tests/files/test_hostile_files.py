@@ -19,12 +19,9 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
+from lin_freq_ocp.files import BEGINNING, MOST_ENTRIES, run_file, sweep_summary, to_json
 from lin_freq_ocp.files import reading as files
-from lin_freq_ocp.files import run_file
-from lin_freq_ocp.files.batch_files import BEGINNING, sweep_summary
-from lin_freq_ocp.files.reading import MOST_ENTRIES
-from lin_freq_ocp.files.summary import to_json
-from lin_freq_ocp.pages.report.tables import sweep_table
+from lin_freq_ocp.pages import sweep_table
 
 SMOOTH = {
     **{"schema": 1, "horizon": 4, "cost": {"R": 1.0}, "initial_state": [0.0, 0.0], "control_set": {"upper": 1.0}},

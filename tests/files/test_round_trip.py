@@ -15,8 +15,8 @@ from helpers.formulas import exact_text
 from helpers.random.mixed import FEATURES, problem_of, random_model
 from helpers.seeds import seeds
 from lin_freq_ocp.costs import L1Cost, LInfCost
+from lin_freq_ocp.files import INLINE_LIMIT
 from lin_freq_ocp.files import problem_file as toml_file
-from lin_freq_ocp.files.problem_file import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
 
 T, N, M = 12, 3, 2

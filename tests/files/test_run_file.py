@@ -18,10 +18,9 @@ from helpers.clocks import Clock
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
 from lin_freq_ocp.api.runs import SAME_COST, Rerun
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.cli import app as cli
-from lin_freq_ocp.files.run_file import dump_run
-from lin_freq_ocp.files.summary import result_summary
+from lin_freq_ocp.files import dump_run, result_summary
 from lin_freq_ocp.methods.convex import sparse_program as convex
 
 CART = lfo.OptimalControlProblem(

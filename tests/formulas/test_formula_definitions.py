@@ -111,7 +111,7 @@ def test_short_formulas_stand_as_they_are(tmp_path):
 
 def dynamics_with(**table):
     head = {"schema": 1, "horizon": 2, "cost": {}}
-    from lin_freq_ocp.files.problem_tables import problem_from_tables
+    from lin_freq_ocp.files import problem_from_tables
 
     return piecewise_smooth(problem_from_tables({**head, "dynamics": {"control_dim": 1, **table}}))
 

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from lin_freq_ocp.pages.report.page import Drawing
+from lin_freq_ocp.pages import Drawing
 
 DRAWN = Drawing.png
 BLANK = b"\x89PNG\r\n\x1a\n"  # the beginning of an image, without the image

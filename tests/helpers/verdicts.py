@@ -14,13 +14,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lin_freq_ocp.api import result as results
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.certificate import GAP_TOLERANCE, RIGOROUS, Condition
+from lin_freq_ocp.results import Certificate, Status
+from lin_freq_ocp.solving import Outcome
 from lin_freq_ocp.solving import certify as certifying
-from lin_freq_ocp.solving.outcome import Outcome
 
 TESTS = str(Path(__file__).parents[1])
 CLOSEST = "closest verdict"  # the property of a test's report

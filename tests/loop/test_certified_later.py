@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from lin_freq_ocp.loop import controller
-from lin_freq_ocp.solving.resolver import PlannedStart, proven_in_batch
+from lin_freq_ocp.solving import PlannedStart, proven_in_batch
 
 
 @pytest.mark.parametrize("name", LOOPS)

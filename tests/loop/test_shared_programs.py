@@ -9,9 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import with_past
-from lin_freq_ocp.methods.convex.sparse_program import MOST_PROGRAMS, ProgramCache
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.transform.reformulations import add_disturbance
+from lin_freq_ocp.methods import MOST_PROGRAMS, ProgramCache
+from lin_freq_ocp.program import LinearProgram
+from lin_freq_ocp.transform import add_disturbance
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 HOP, LENGTH = 4, 12

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.loops import pendulum
 from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import soften
-from lin_freq_ocp.methods.structured.solver import solve_structured
+from lin_freq_ocp.methods.structured import solve_structured
 from lin_freq_ocp.solving import solver_cache
 
 PENALTIES = 1e2, 1e3, 1e5

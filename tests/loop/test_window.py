@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import depends_on_past, free_first_state, with_past
-from lin_freq_ocp.transform.reformulations import add_disturbance
+from lin_freq_ocp.transform import add_disturbance
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 COST = lfo.QuadraticCost(Q=1.0, R=0.1)

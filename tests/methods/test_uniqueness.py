@@ -16,9 +16,9 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.methods import Uniqueness, abnormal_multipliers, uniqueness
 from lin_freq_ocp.methods import fitted_multipliers as multipliers_module
-from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, abnormal_multipliers, uniqueness
 
 T = 12
 CART = lfo.LinearDynamics([[1, 0.2], [0, 1]], [[0.02], [0.2]])

@@ -11,26 +11,22 @@ import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
-from lin_freq_ocp.api.compare import compare
-from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.pages.figures.figures import (
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, compare, solve
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.pages import (
+    MOST_DRAWN,
+    STYLES,
     comparison_data,
     comparison_figure,
     gap_figure,
     phase_pairs,
     result_figure,
     states_figure,
+    thin_out,
+    view,
 )
-from lin_freq_ocp.pages.figures.look import MOST_DRAWN, STYLES, thin_out
-from lin_freq_ocp.pages.figures.plot_data import view
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.measures import padded_spectrum
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem import padded_spectrum, problem_facts
 
 
 def test_every_control_has_its_panels():

@@ -16,17 +16,24 @@ from matplotlib.figure import Figure
 
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
-from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import NOTHING, number
-from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
-from lin_freq_ocp.pages.figures.look import STYLES
+from lin_freq_ocp import Trajectory, compare, stop_band
+from lin_freq_ocp.base import NOTHING, number
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.pages import (
+    NOT_MEANINGFUL,
+    STYLES,
+    comparison_data,
+    comparison_figure,
+    comparison_rows,
+    draw_figures,
+    drawing_of,
+    render_page,
+    save_report,
+    tiles,
+)
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import draw_figures, drawing_of, render_page, save_report, tiles
-from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, comparison_rows
-from lin_freq_ocp.problem.spectrum.bands import stop_band
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.results import Certificate, Comparison
 
 
 def quietly(name: str) -> list[float]:

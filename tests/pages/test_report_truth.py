@@ -12,11 +12,16 @@ from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.filters import apply_filter, filter_limits, filter_stop
-from lin_freq_ocp.pages.figures.figures import comparison_data, spectra_figure, states_figure
-from lin_freq_ocp.pages.figures.look import REFERENCE
+from lin_freq_ocp.pages import (
+    REFERENCE,
+    certificate_table,
+    comparison_data,
+    comparison_rows,
+    spectra_figure,
+    states_figure,
+    tiles,
+)
 from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import tiles
-from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows
 
 T = 24
 

@@ -12,7 +12,7 @@ from scipy.signal import get_window
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
-from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.transform import translation_of
 
 T, CUTOFF, PRICE, LIMIT = 7, 1.2, 0.6, 0.3
 LOW = lfo.low_pass(CUTOFF)

@@ -17,18 +17,12 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.methods import SOLVED_TOLERANCE, solve_convex
+from lin_freq_ocp.program import SETTINGS, Claim, Program, Solution, SolverEntry, backend
 from lin_freq_ocp.program.backends import base
-from lin_freq_ocp.program.backends.base import Claim, Solution, SolverEntry, backend
-from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
-from lin_freq_ocp.program.program import Program
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]
 EXACT = {"clarabel", "osqp", "qpsolvers:clarabel", "qpsolvers:piqp", "qpsolvers:highs"}

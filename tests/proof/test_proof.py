@@ -8,9 +8,8 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.api import result as api
 from lin_freq_ocp.proof import enclosure as extra
-from lin_freq_ocp.proof import lfo_check
+from lin_freq_ocp.proof import lfo_check, proof_of
 from lin_freq_ocp.proof import proof as writer
-from lin_freq_ocp.proof.proof import proof_of
 
 
 def confirmed(path):

@@ -9,10 +9,9 @@ import lin_freq_ocp as lfo
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from helpers.seeds import seeds
 from lin_freq_ocp.api import result as api
-from lin_freq_ocp.certificate.reach import Region
-from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
-from lin_freq_ocp.proof.lfo_check import check
-from lin_freq_ocp.proof.proof import convex_problem, raised_by
+from lin_freq_ocp.certificate import Region
+from lin_freq_ocp.problem import is_semidefinite
+from lin_freq_ocp.proof import check, convex_problem, raised_by
 
 
 def problem_of(Q):

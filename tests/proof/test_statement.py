@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.statement import exact, problem_lines, vector
+from lin_freq_ocp.proof import exact, problem_lines, vector
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
 

@@ -10,10 +10,10 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.random.linear import random_linear
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
+from lin_freq_ocp import SpectralSolver
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.spectral import SpectralSolver
+from lin_freq_ocp.results import Status
 from lin_freq_ocp.testing import reference_problem
 
 DOUBLE = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])

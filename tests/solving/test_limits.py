@@ -13,18 +13,14 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base import resources
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDERED
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
+from lin_freq_ocp.base import resources, use_clock
+from lin_freq_ocp.certificate.hybrid import TreeBound, tree_bound
+from lin_freq_ocp.methods import SolveOptions, solve_convex
+from lin_freq_ocp.methods.hybrid import SearchLimits, TreeSearch
+from lin_freq_ocp.methods.spectral import LARGEST_BORDERED, BorderedQp, interior_point
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
+from lin_freq_ocp.program import LinearProgram, dense_rows
+from lin_freq_ocp.program import solve as clarabel_solve
 from lin_freq_ocp.solving.hybrid import modes
 
 LOOK = 0.01

@@ -13,10 +13,8 @@ from helpers.checks import linear
 from helpers.random.linear import random_linear
 from helpers.seeds import seeds
 from helpers.sweeps import SHORT
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.polish import zero_rounding
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.methods import SolveOptions, convex_candidates, solve_convex, zero_rounding
+from lin_freq_ocp.results import Status
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),

@@ -9,8 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.linear import random_linear
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge, prove_infeasible
 
 T = 20
 BRAKES = 0.4

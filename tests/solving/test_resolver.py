@@ -9,8 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods.structured import assembly
-from lin_freq_ocp.solving.resolver import Resolver
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.solving import Resolver
+from lin_freq_ocp.transform import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)

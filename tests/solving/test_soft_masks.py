@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.certificate.sizes import cost_scale
+from lin_freq_ocp.certificate import cost_scale
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem import LargestExcess
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
-from lin_freq_ocp.problem.terms.penalties import LargestExcess
 from lin_freq_ocp.solving import solve as solving
 
 MASK = lfo.MagnitudeBound

@@ -8,12 +8,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.convex import sparse_program as convex
+from lin_freq_ocp.program import Block, Claim, Solution, scaled_program
 from lin_freq_ocp.program.backends import clarabel_
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.units import scaled_program
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])

@@ -14,7 +14,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 

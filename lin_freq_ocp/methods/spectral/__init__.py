@@ -14,7 +14,14 @@ In reading order:
 ``solver``      SpectralSolver, which puts these together; ``tolerances`` are those of all files
 """
 
-from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
-from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
+from lin_freq_ocp.base import lazy_exports
 
-__all__ = ["REDUCTIONS", "SpectralSolution", "SpectralSolver"]
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "exchange": "deadline first_working_set", "kkt": "LARGEST_BORDERED",
+    "model": "Lti LtiUnits lti_problem natural_units",
+    "qp": "BorderedQp block_pivoting bounded_qp interior_point predictor_corrector",
+    "reductions": "SoftBounds priced_bounds row_form soft_bins", "rows": "Rows Violations WholeHorizon WorkingSet",
+    "spaces": "BinSpaces CirculantKernels", "structure": "Structure data_of verified_ray",
+})
+# fmt: on

@@ -11,17 +11,22 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import seeds
-from lin_freq_ocp import library
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.bound import terminal_minorants, value_bounds
-from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
-from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, taylor_bounds
+from lin_freq_ocp import library, norm, signals
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import (
+    CostToGo,
+    Lattice,
+    Minima,
+    OutOfTimeError,
+    QuadraticForm,
+    taylor_bounds,
+    terminal_minorants,
+    value_bounds,
+)
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
-from lin_freq_ocp.formulas.nodes import norm, signals
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
+from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 
 ROUNDING = 1e-9

@@ -16,10 +16,9 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random import convex, infeasible, linear, lti, mixed
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods.structured import loops, solver
+from lin_freq_ocp.transform import stated_sizes
 
 KINDS: dict[str, Callable[[int], lfo.OptimalControlProblem]] = {  # linear problems by seed, taken in turn
     "convex": lambda seed: convex.random_problem(seed)[1],

@@ -15,17 +15,22 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods import native_code
+from lin_freq_ocp import SpectralSolver
+from lin_freq_ocp.certificate import judge, prove_infeasible
+from lin_freq_ocp.methods import (
+    INFEASIBLE,
+    SOLVED,
+    CondensedSolver,
+    CondensedTables,
+    DenseKernel,
+    NativeKernel,
+    condense,
+    extremals_of,
+    native_code,
+)
 from lin_freq_ocp.methods.condensed import native, plans
-from lin_freq_ocp.methods.condensed.dense import DenseKernel
-from lin_freq_ocp.methods.condensed.native import NativeKernel
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
-from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
-from lin_freq_ocp.methods.spectral import SpectralSolver
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.methods.spectral import lti_problem, natural_units
+from lin_freq_ocp.transform import Change
 
 FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1

@@ -12,10 +12,10 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem, two_sides
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
+from lin_freq_ocp.methods.hybrid import solve_relaxation
 from lin_freq_ocp.methods.hybrid.search import common as search
-from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
 

@@ -11,9 +11,9 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem, two_sides
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.methods.hybrid import solve_relaxation
 from lin_freq_ocp.methods.hybrid.search import enumeration, parts
-from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine

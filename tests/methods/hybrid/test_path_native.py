@@ -12,8 +12,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from lin_freq_ocp.methods import native_code
+from lin_freq_ocp.methods.hybrid import OPTIMAL, path_library, run_path
 from lin_freq_ocp.methods.hybrid.search import node, path_native
-from lin_freq_ocp.methods.hybrid.search.path_native import OPTIMAL, path_library, run_path
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 

@@ -11,10 +11,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import exchange
-from lin_freq_ocp.methods.spectral.rows import WorkingSet
-from lin_freq_ocp.methods.spectral.structure import Structure, data_of, verified_ray
-from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.methods.spectral import Structure, WorkingSet, data_of, exchange, verified_ray
+from lin_freq_ocp.problem import time_signal
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 LTI = [name for name in STATED if name != "ltv200"]

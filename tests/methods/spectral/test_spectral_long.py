@@ -9,9 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import rows, structure
-from lin_freq_ocp.methods.spectral.exchange import first_working_set
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral import first_working_set, lti_problem, natural_units, rows, structure
 
 LONG = 640
 """A horizon from which a first working set is guessed from cheaper problems."""

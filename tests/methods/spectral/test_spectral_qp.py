@@ -9,8 +9,8 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
+from lin_freq_ocp.methods.spectral import BorderedQp, block_pivoting, bounded_qp, interior_point, predictor_corrector
 from lin_freq_ocp.methods.spectral import qp as qp_module
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, block_pivoting, bounded_qp, interior_point, predictor_corrector
 
 Qp = tuple[np.ndarray, np.ndarray]
 

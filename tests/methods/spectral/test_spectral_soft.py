@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.rays import prove_infeasible
+from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.methods.spectral import structure
 from lin_freq_ocp.sets import Polyhedron, Soft
 

@@ -11,10 +11,9 @@ import pytest
 from scipy.linalg import block_diag, null_space
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.methods.spectral import BinSpaces, CirculantKernels, Lti, LtiUnits, lti_problem
 from lin_freq_ocp.methods.spectral import spaces as spaces_module
-from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
-from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp.program import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""

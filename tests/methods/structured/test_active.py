@@ -7,20 +7,28 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.structured import active
-from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
-from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
-from lin_freq_ocp.solving.linear import Structured
-from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.solver_cache import SolverCache
-from lin_freq_ocp.transform.reformulations import Change
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import Candidate
+from lin_freq_ocp.methods.structured import (
+    Coupling,
+    Embedding,
+    End,
+    Equations,
+    Inequalities,
+    RowResponses,
+    StepSystem,
+    System,
+    Targets,
+    active,
+    can_compile,
+    loops,
+    range_space_solver,
+    solve_active,
+)
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.solvers import Structured
+from lin_freq_ocp.solving import Request, SolverCache
+from lin_freq_ocp.transform import Change
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]

@@ -5,14 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured import choice
-from lin_freq_ocp.methods.structured.choice import Sizes, choose_kkt_solver, sizes_of
-from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, NullSpaceSolver, Slacks, sort_rows
-from lin_freq_ocp.methods.structured.kkt.range_space import RangeSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.stages import Coupling, Equations
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured import (
+    Coupling,
+    DenseReduced,
+    Equations,
+    NullSpace,
+    NullSpaceSolver,
+    RangeSpaceSolver,
+    Sizes,
+    Slacks,
+    choice,
+    choose_kkt_solver,
+    loops,
+    sizes_of,
+    sort_rows,
+)
 from methods.structured.examples import spectrum, stages
 
 

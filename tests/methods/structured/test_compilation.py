@@ -7,13 +7,13 @@ from threading import Event, Thread
 import pytest
 
 from helpers.patience import PATIENCE
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from lin_freq_ocp.methods.structured import can_compile
 
 if not can_compile():
     pytest.skip("numba does not compile", allow_module_level=True)
 
+from lin_freq_ocp.methods.structured import Kernels, jit
 from lin_freq_ocp.methods.structured.kkt import compilation, kernels
-from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
 
 
 class Kernel:

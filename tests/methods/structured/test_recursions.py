@@ -10,9 +10,8 @@ import pytest
 import scipy.linalg as la
 
 from helpers.seeds import seeds
+from lin_freq_ocp.methods.structured import BandedLoops, OpenLoop, can_compile, loops
 from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.dense import OpenLoop
-from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, can_compile, loops
 
 NONE = np.zeros(0, dtype=np.intp)
 

@@ -6,20 +6,26 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.system import (
+from lin_freq_ocp.methods.structured import (
     BALLS,
     EQUATIONS,
     INEQUALITIES,
     STAGES,
+    CouplingResponse,
+    EmbeddedPoint,
+    Embedding,
+    End,
+    LowRankSolver,
+    RangeSpaceSolver,
     StepSystem,
     System,
+    Targets,
+    can_compile,
+    fine_rows,
     largest,
+    loops,
 )
-from lin_freq_ocp.program.backends.base import Claim, backend
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program import Claim, Program, backend
 
 from .examples import every_kind, stages
 

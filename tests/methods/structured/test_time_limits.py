@@ -8,14 +8,20 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.assembly import assemble_stages
-from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import SolveOptions
+from lin_freq_ocp.methods.structured import (
+    Embedding,
+    End,
+    StepSystem,
+    System,
+    Targets,
+    assemble_stages,
+    choose_kkt_solver,
+    loops,
+    solver,
+    step_seconds,
+)
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.base.polyhedra import cell_of, irredundant, natural_sizes
+from lin_freq_ocp.base import cell_of, irredundant, natural_sizes
 from lin_freq_ocp.problem.hybrid.formula_modes import SMALLEST_PIECE
 
 SEEDS = st.integers(0, 2**32 - 1)

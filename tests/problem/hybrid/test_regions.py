@@ -14,8 +14,7 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.base import polyhedra
-from lin_freq_ocp.base.polyhedra import SAME_FACET, THICKNESS, Cell
+from lin_freq_ocp.base import SAME_FACET, THICKNESS, Cell, polyhedra
 
 SEEDS = st.integers(0, 2**32 - 1)
 FACTOR = 10.0 ** np.arange(-9, 10, 6)

@@ -15,13 +15,12 @@ from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods.hybrid import solve_miqp
 from lin_freq_ocp.methods.hybrid.search import mixed
-from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.backends.base import backend as solver_named
+from lin_freq_ocp.program import Block, Claim, Program, Solution
+from lin_freq_ocp.program import backend as solver_named
 from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
-from lin_freq_ocp.program.program import Block, Program
 
 library = lfo.library
 BACKENDS = ["scip", "daqp"]

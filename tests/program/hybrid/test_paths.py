@@ -9,10 +9,9 @@ from scipy.linalg import solve_discrete_are
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.methods.hybrid import TOLERANCES, path_library, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search import node as path_node
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
-from lin_freq_ocp.methods.hybrid.search.path_native import path_library
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
+from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_relaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Quadratic
 

@@ -8,14 +8,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
-from lin_freq_ocp import library
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp import OptimalControlProblem, library
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods.hybrid import Barrier, End, LocalSearch, SmoothModel, SmoothProgress, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth import interior_point
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.methods.structured import loops
 
 KNOWN = [
     (library.pendulum_swing_up, {}, 42.59133929494813),
