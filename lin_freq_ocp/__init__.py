@@ -102,7 +102,7 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.{name}")
     for space in () if name in _names or name.startswith("_") else NAMESPACES:
         namespace = import_module(f"{__name__}.{space}")
-        if name in (namespace.PROBLEMS if space == "library" else namespace.__all__):
+        if name in namespace.__all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it is lin_freq_ocp.{space}.{name}")
     return _import_name(name)
 

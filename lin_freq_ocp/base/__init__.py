@@ -27,6 +27,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "cones": "Cone",
     "interrupts": "interrupts_noted", "kinds": "register_all",
     "phrases": "NOTHING join_words number runs_in_words split_unit",
-    "polyhedra": "Cell SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes",
+    "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
+    "uncovered_point", "resources": "ALWAYS_THERE memory_limit",
 })
 # fmt: on

@@ -4,12 +4,13 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "between_samples": "LARGEST_REACH REACH", "bound": "Bound RIGOROUS box_minimum", "conditions": "Condition",
+    "between_samples": "BERNSTEIN DEGREE LARGEST_REACH LATEST_HALVING REACH",
+    "bound": "Bound RIGOROUS box_minimum unit_rounding", "conditions": "Condition",
     "hamiltonian": "diagonal_curvature extremal_at", "many": "batch_judge_takes judge_batch",
-    "peaks": "Cells TERMS certified_peak certified_vibration proven_peak",
+    "peaks": "Cells HALVINGS TERMS certified_peak certified_vibration proven_peak",
     "rays": "Conflict descent_direction infeasibility_certificate prove_infeasible unbounded_direction",
     "reach": "Region implied_bounds reachable_bounds", "sensitivities": "bin_prices",
-    "sizes": "cost_scale trajectory_sizes", "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE",
-    "verdict": "judge",
+    "sizes": "cost_scale trajectory_sizes",
+    "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE RADIUS_MARGIN", "verdict": "judge",
 })
 # fmt: on

@@ -4,8 +4,10 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "dual": "growth precision project_on_bounds shrink steer_adjoint", "lfo_check": "check",
+    "dual": "growth precision project_on_bounds shrink steer_adjoint", "enclosure": "LONGEST_CHECK",
+    "lfo_check": "check",
     "point": "add_feedback interior_trajectory interpolate least_distance needs_feedback share_of_way tighten",
-    "proof": "convex_problem proof_of raised_by", "statement": "exact problem_lines vector", "tree": "written_nodes",
+    "proof": "checked_enclosure convex_problem proof_of raised_by", "statement": "exact problem_lines vector",
+    "tree": "written_nodes",
 })
 # fmt: on

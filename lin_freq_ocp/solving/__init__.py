@@ -6,7 +6,7 @@ from lin_freq_ocp.base import lazy_exports
 __all__, __getattr__ = lazy_exports(__name__, {
     "families": "FAMILIES Family Shorthand choose_method family_of",
     "judging": "candidate_of judge_candidate verified_direction", "linear": "LinearAuto", "method": "Request",
-    "outcome": "Outcome", "resolver": "PlannedStart Resolver proven_in_batch", "solve": "solve_judged",
+    "outcome": "Outcome", "resolver": "PlannedStart Resolver proven_in_batch", "solve": "ROUNDS solve_judged",
     "solver_cache": "SolverCache solve_spectral",
 })
 # fmt: on

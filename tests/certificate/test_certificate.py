@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import examples
 from lin_freq_ocp.base import first_largest
 from lin_freq_ocp.certificate import (
@@ -187,7 +188,7 @@ class TestEachConditionFails:
             for rows in honest(block, np.roll(stop, -1, axis=0), *others):
                 yield replace(rows, targets=np.full(len(rows.targets), -1))
 
-        monkeypatch.setattr(linear_program, "stop_band_rows", shifted)
+        substitute(monkeypatch, "program.stop_band_rows", shifted)
         candidate = solve_convex(problem, "clarabel")
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
         assert failures(certificate, "C-vii")[0].time == problem.horizon // 2
@@ -371,7 +372,7 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     result = solved("paper, constrained")
     before = result.certificate.bound
     honest = bound_module.unit_rounding
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda lift: 1e4 * honest(lift))
+    substitute(monkeypatch, "certificate.unit_rounding", lambda lift: 1e4 * honest(lift))
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
     assert after.value < before.value
@@ -401,7 +402,7 @@ def test_a_slope_that_rounding_hides_leaves_no_rigorous_bound():
 @pytest.mark.parametrize(("wrong_by", "lower", "upper"), [(-1e-3, -1.0, 10.0), (1e-3, -10.0, 1.0)])
 def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wrong_by, lower, upper):
     """J = r u - x_1 and x_1 = u: with a rounding of 1e-3, r = 1 is not told from 1 + wrong_by."""
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: abs(wrong_by))
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: abs(wrong_by))
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.0]], [[1.0]]),
         1,
@@ -419,7 +420,7 @@ def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wron
 @pytest.mark.parametrize("kind", ["offset", "row"])
 def test_the_bound_holds_for_all_data_that_rounding_may_hide(monkeypatch, kind):
     """D = -1 is the offset times eta, or the limit of a row times its multiplier: with a rounding of 1e-3, -1.001."""
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: 1e-3)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: 1e-3)
     rows = [lfo.StageRows(None, [[1.0]], [1.0], name="row")] if kind == "row" else ()
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0 if kind == "offset" else 0.0]),

@@ -18,12 +18,11 @@ from lin_freq_ocp.certificate.hybrid import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search import multipliers as search_weights
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
+from lin_freq_ocp.problem.hybrid import ModeArrays
 from lin_freq_ocp.program import units
 from lin_freq_ocp.results import Status
 from lin_freq_ocp.transform import stated_sizes
-from lin_freq_ocp.transform.hybrid import mode_reach
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid import mode_reach, piecewise_affine
 
 library = lfo.library
 

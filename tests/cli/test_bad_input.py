@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.replacing import substitute
 from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
@@ -394,7 +395,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
     def exhausted(*given, **named):
         raise MemoryError("Unable to allocate 7.45 GiB")
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", exhausted)
+    substitute(monkeypatch, "solve", exhausted)
     status, out, err = run("solve", "pendulum")
     assert status in (BAD_INPUT, NOT_PROVEN)
     assert out == ""

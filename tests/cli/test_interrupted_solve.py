@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
-from lin_freq_ocp.methods.convex import sparse_program as convex
+from helpers.replacing import substitute
 from lin_freq_ocp.methods.spectral import deadline, solver
 from lin_freq_ocp.program import Claim, Solution
 from lin_freq_ocp.program.backends import clarabel_
@@ -26,7 +26,7 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", interrupted)
+    substitute(monkeypatch, "solve", interrupted)
     status, out, err = run("solve", "pendulum", "--json")
     assert (status, out, err.strip()) == (130, "", "")
 
@@ -35,15 +35,15 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
 def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
     finished = []
-    monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
+    substitute(monkeypatch, "methods.ACCURATE_ANSWER", -1.0)
+    substitute(monkeypatch, "program.revised_scaling", lambda linear, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
         answer = clarabel_.solve(program, tolerance, time_limit)
         finished.append(answer)
         return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
 
-    monkeypatch.setattr(convex, "backend", lambda name: impatient)
+    substitute(monkeypatch, "program.backend", lambda name: impatient)
     status, out, _ = run("solve", "pendulum", "--method", "convex", "--json")
     summary = parsed(out)
     require(summary, SOLVE)
@@ -84,7 +84,7 @@ def test_ctrl_c_after_the_last_round_is_not_lost(monkeypatch, method):
         signal.raise_signal(signal.SIGINT)
         return recover(*found)
 
-    monkeypatch.setattr(solver, "recover", pressing)
+    substitute(monkeypatch, "methods.spectral.recover", pressing)
     status, out, _ = run("solve", "pendulum", "--method", method, "--json")
     assert (status, parsed(out)["status"]) == (130, "optimal")
 
@@ -104,7 +104,7 @@ def press_ctrl_c(monkeypatch, rounds):
 
         return pressed
 
-    monkeypatch.setattr(solver, "deadline", pressing)
+    substitute(monkeypatch, "methods.spectral.deadline", pressing)
     return asked
 
 

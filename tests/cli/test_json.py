@@ -9,6 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, HARMLESS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require, require_words
 from helpers.command_line import once, parsed, run
+from helpers.replacing import substitute
 from lin_freq_ocp.methods.spectral import solver
 from lin_freq_ocp.methods.structured import can_compile
 
@@ -90,8 +91,8 @@ def test_an_answer_that_the_judge_rejects_is_not_proven(monkeypatch):
         return replace(answer, trajectory=lfo.Trajectory(x * (1 + 1e-3), u))
 
     monkeypatch.setattr(solver.SpectralSolver, "solve", spoiled)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
+    substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
+    substitute(monkeypatch, "methods.corrections", lambda *given: ())
     for method, expected in (("auto", (0, "convex", "satisfied")), ("spectral", (3, "spectral", "violated"))):
         status, out, _ = run("solve", "pendulum", "--method", method, "--json")
         summary = parsed(out)

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
+from helpers.replacing import substitute
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import shortest_moves, vibration, why_not_shaped
 from lin_freq_ocp.errors import ProblemError
@@ -171,7 +172,7 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
 
 def test_the_command_prints_both_tables(monkeypatch):
     made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
-    monkeypatch.setattr("lin_freq_ocp.api.compare.compare", lambda *given: made)
+    substitute(monkeypatch, "compare", lambda *given: made)
     given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
     status, out, _ = run(*given)
     assert status == 0

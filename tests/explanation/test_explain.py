@@ -12,8 +12,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.replacing import substitute
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.explanation import explanation as explanation_module
 from lin_freq_ocp.explanation.explanation import least_cure
 from lin_freq_ocp.solving import solve_judged
 from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
@@ -239,7 +239,7 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
         result = solve_judged(problem, *given, **options)
         return replace(result, interrupted=True) if len(solved) == 3 else result
 
-    monkeypatch.setattr(explanation_module, "solve_judged", interrupted)
+    substitute(monkeypatch, "solving.solve_judged", interrupted)
     explanation = lfo.explain(carriage())
     assert len(solved) == 3
     assert not explanation.irreducible

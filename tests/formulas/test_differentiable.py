@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from helpers.seeds import seeds
 from lin_freq_ocp import library
-from lin_freq_ocp.batch.grid import fingerprint
+from lin_freq_ocp.batch import fingerprint
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas import Formula

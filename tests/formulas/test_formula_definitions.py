@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import nodes_in_order
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 SCHEMA = Draft202012Validator(PROBLEM)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from helpers.replacing import substitute
 from lin_freq_ocp.pages import Drawing
 
 DRAWN = Drawing.png
@@ -26,7 +27,7 @@ def blank(monkeypatch: pytest.MonkeyPatch) -> None:
     def undrawn(name: str, title: str, caption: str, figure: Figure) -> Drawing:
         return Drawing(name, title, caption, "<svg></svg>", figure)
 
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.drawing_of", undrawn)
+    substitute(monkeypatch, "pages.drawing_of", undrawn)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import wraps
 
 from lin_freq_ocp import OptimalControlProblem
-from lin_freq_ocp.batch.grid import fingerprint
+from lin_freq_ocp.batch import fingerprint
 from lin_freq_ocp.results import Explanation
 
 Explain = Callable[..., Explanation]

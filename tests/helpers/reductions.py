@@ -27,7 +27,7 @@ from lin_freq_ocp.transform import (
     translated_by,
     translation_of,
 )
-from lin_freq_ocp.transform.hybrid.priced import cost_as_state
+from lin_freq_ocp.transform.hybrid import cost_as_state
 
 Problem = lfo.OptimalControlProblem
 T, SEEDS = 16, seeds(range(3))

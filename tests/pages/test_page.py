@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
+from helpers.replacing import substitute
 from lin_freq_ocp import Trajectory, compare, stop_band
 from lin_freq_ocp.base import NOTHING, number
 from lin_freq_ocp.certificate import judge
@@ -98,9 +99,7 @@ def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(images, monkey
 
 
 def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "lin_freq_ocp.pages.report.page.draw_figures", lambda _: drawings("state band")
-    )  # they are drawn only once
+    substitute(monkeypatch, "pages.draw_figures", lambda _: drawings("state band"))  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
     assert path == tmp_path / "new" / "folder" / "index.html"
     assert path.read_text(encoding="utf-8") == page("state band")
@@ -116,7 +115,7 @@ def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
 
 
 def test_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw_figures", lambda _: blanks())
+    substitute(monkeypatch, "pages.draw_figures", lambda _: blanks())
     (tmp_path / "taken").write_text("")
     with pytest.raises(ProblemError, match="taken: got File exists"):
         save_report(case("no band"), tmp_path / "taken")

@@ -51,7 +51,7 @@ from lin_freq_ocp.pages.report import findings
 from lin_freq_ocp.problem import problem_facts
 from lin_freq_ocp.results import Comparison, Multipliers, Result
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
 def vanishing_norm() -> OptimalControlProblem:

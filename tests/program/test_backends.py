@@ -16,6 +16,7 @@ import qpsolvers
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost
 from lin_freq_ocp.base import use_clock
@@ -293,7 +294,7 @@ def least_squares(program, tolerance, time_limit):
 
 
 def test_a_new_solver_is_one_registration(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.program.backends.base.REGISTER", dict(base.REGISTER))
+    substitute(monkeypatch, "program.REGISTER", dict(base.REGISTER))
     base.REGISTER["toy"] = SolverEntry(lambda member: least_squares)
     problem = OptimalControlProblem(
         dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),

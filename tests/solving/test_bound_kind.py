@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.minimum_time import Search
+from lin_freq_ocp.batch import Search
 from lin_freq_ocp.files import result_summary
 from lin_freq_ocp.pages import answer_data
 

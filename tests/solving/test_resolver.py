@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from lin_freq_ocp.methods.structured import assembly
 from lin_freq_ocp.solving import Resolver
 from lin_freq_ocp.transform import Change
@@ -98,9 +99,7 @@ def test_infeasible_states_do_not_spoil_the_next():
 
 def test_the_structured_method_assembles_once(monkeypatch):
     count, honest = [], assembly.assemble_stages
-    monkeypatch.setattr(
-        "lin_freq_ocp.methods.structured.solver.assemble_stages", lambda problem: count.append(1) or honest(problem)
-    )
+    substitute(monkeypatch, "methods.structured.assemble_stages", lambda problem: count.append(1) or honest(problem))
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):
         solver.solve(initial_state=VARYING.initial_state.lower + move)

@@ -8,8 +8,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
+from helpers.replacing import substitute
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.methods.convex import sparse_program as convex
 from lin_freq_ocp.program import Block, Claim, Solution, scaled_program
 from lin_freq_ocp.program.backends import clarabel_
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
@@ -124,7 +124,7 @@ class TestEndings:
             honest = clarabel_.solve(program, tolerance, time_limit)
             return Solution(Claim.SOLVED, 1e3 + honest.z[::-1], 1e3 + honest.y[::-1], "Solved")
 
-        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        substitute(monkeypatch, "program.backend", lambda name: liar)
         with pytest.raises(lfo.errors.NumericalError, match="residuals are too large"):
             lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
 
@@ -132,7 +132,7 @@ class TestEndings:
         def liar(program, tolerance, time_limit):
             return Solution(Claim.INFEASIBLE, None, np.ones(len(program.lower)), "PrimalInfeasible")
 
-        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        substitute(monkeypatch, "program.backend", lambda name: liar)
         with pytest.raises(lfo.errors.InfeasibleError, match=r"without a proof .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
         assert not caught.value.proven

@@ -4,14 +4,15 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "active": "RowResponses solve_active", "assembly": "assemble_stages choose_origin",
-    "choice": "Sizes choose_kkt_solver sizes_of step_seconds", "embedding": "EmbeddedPoint Embedding End Targets",
-    "kkt.compilation": "Kernels jit", "kkt.dense": "OpenLoop",
+    "active": "MOST_NUMBERS RowResponses TRIES solve_active", "assembly": "assemble_stages choose_origin",
+    "choice": "Sizes choose_kkt_solver sizes_of step_seconds",
+    "embedding": "CORRECTORS EmbeddedPoint Embedding End Targets", "kkt.compilation": "Kernels jit",
+    "kkt.dense": "OpenLoop", "kkt.kernels": "KERNELS",
     "kkt.null_space": "Coefficients NullSpace NullSpaceSolver Slacks break_times sort_rows unit_scale",
     "kkt.range_space": "CouplingResponse LowRankSolver RangeSpaceSolver fine_rows range_space_solver",
     "kkt.recursions": "BandedLoops can_compile loops", "kkt.reduced": "CLIP DenseReduced LEAST_REST TwoLevel clip",
     "kkt.system": "BALLS Compliance EQUATIONS INEQUALITIES STAGES StepSystem System SystemSolution largest",
-    "rows": "assign_slots stage_rows", "solver": "solve_structured",
+    "rows": "assign_slots stage_rows", "solver": "solve_from_warm_start solve_structured",
     "stages": "Balls Coupling Equations Inequalities SparseRows SpectrumRows Stages",
 })
 # fmt: on

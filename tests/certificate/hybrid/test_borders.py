@@ -12,7 +12,7 @@ from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.random.kinks import KINDS, random_map
 from lin_freq_ocp.certificate import Bound, judge, trajectory_sizes
 from lin_freq_ocp.methods.hybrid import multipliers_with_weights
-from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
+from lin_freq_ocp.problem.hybrid import REGION
 
 
 def failures(certificate, label, name=""):

@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp import library, norm, signals
 from lin_freq_ocp.base import use_clock
@@ -27,7 +28,6 @@ from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
 from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
-from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 
 ROUNDING = 1e-9
 
@@ -432,7 +432,7 @@ class OneStart(LocalSearch):
 
 
 def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
-    monkeypatch.setattr(solve_smooth, "LocalSearch", OneStart)
+    substitute(monkeypatch, "methods.hybrid.LocalSearch", OneStart)
     assert lfo.solve(BUCK(4), method="nonsmooth").cost > 25
     told = []
     result = lfo.solve(BUCK(4), progress=told.append)

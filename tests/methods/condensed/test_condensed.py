@@ -15,6 +15,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
+from helpers.replacing import substitute
 from lin_freq_ocp import SpectralSolver
 from lin_freq_ocp.certificate import judge, prove_infeasible
 from lin_freq_ocp.methods import (
@@ -200,7 +201,7 @@ def test_contradictory_rows_are_a_ray_that_the_judge_proves(name, kind, monkeypa
     if kind == "native":
         compiled()
     else:
-        monkeypatch.setattr(plans, "library", lambda: None)
+        substitute(monkeypatch, "methods.library", lambda: None)
     spectral, solver = solver_of(problem)
     proven = 0
     for scale in (1.0, 4.0, 10.0, 30.0):

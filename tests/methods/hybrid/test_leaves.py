@@ -11,13 +11,14 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem, two_sides
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid import solve_relaxation
 from lin_freq_ocp.methods.hybrid.search import common as search
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
+from lin_freq_ocp.transform.hybrid import ModeReach
 
 SEEDS = range(4)
 
@@ -85,7 +86,7 @@ def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeyp
         x[1:] *= 0.5
         return replace(answer, bound=answer.bound - 1.0, trajectory=lfo.Trajectory(x, answer.trajectory.u))
 
-    monkeypatch.setattr(search, "solve_path_relaxation", claims)
+    substitute(monkeypatch, "methods.hybrid.solve_path_relaxation", claims)
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(best, rel=1e-6, abs=1e-7)

@@ -11,11 +11,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
+from helpers.replacing import substitute
 from lin_freq_ocp.methods import native_code
 from lin_freq_ocp.methods.hybrid import OPTIMAL, path_library, run_path
 from lin_freq_ocp.methods.hybrid.search import node, path_native
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
 @pytest.fixture
@@ -87,7 +88,7 @@ def test_a_ray_counts_only_if_its_bound_proves_it(library, monkeypatch):
         run = run_path(*given)
         return replace(run, end=path_native.INFEASIBLE, p=np.ones_like(run.p), bound=1.0)
 
-    monkeypatch.setattr(node, "run_path", wrong_ray)
+    substitute(monkeypatch, "methods.hybrid.run_path", wrong_ray)
     answer = node.solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None)
     assert answer.bound == pytest.approx(expected, rel=1e-6)
 

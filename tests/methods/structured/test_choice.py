@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.replacing import substitute
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.structured import (
     Coupling,
@@ -15,7 +16,6 @@ from lin_freq_ocp.methods.structured import (
     RangeSpaceSolver,
     Sizes,
     Slacks,
-    choice,
     choose_kkt_solver,
     loops,
     sizes_of,
@@ -47,7 +47,7 @@ def test_sizes_are_those_of_the_space(k, free):
 def test_a_narrow_pass_band_is_solved_in_null_space_and_a_narrow_stop_band_in_range_space(monkeypatch):
     narrow = with_stop(400, np.arange(20, 201))
     assert isinstance(choose_kkt_solver(narrow, loops(False)), NullSpaceSolver)
-    monkeypatch.setattr(choice, "NullSpaceSolver", lambda stages, loops, reduced: reduced)
+    substitute(monkeypatch, "methods.structured.NullSpaceSolver", lambda stages, loops, reduced: reduced)
     assert choose_kkt_solver(narrow, loops(False)) is DenseReduced
     assert isinstance(choose_kkt_solver(with_stop(400, np.arange(1, 15)), loops(False)), RangeSpaceSolver)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.methods.structured import BandedLoops, OpenLoop, can_compile, loops
 from lin_freq_ocp.methods.structured.kkt import recursions
@@ -267,7 +268,7 @@ def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
 
     assert isinstance(loops(), kernels.CompiledLoops)
     assert isinstance(loops(wait=False), kernels.CompiledLoops)  # compiled by now
-    monkeypatch.setattr(kernels, "KERNELS", SimpleNamespace(ready=False))
+    substitute(monkeypatch, "methods.structured.KERNELS", SimpleNamespace(ready=False))
     assert isinstance(loops(wait=False), BandedLoops)
 
 

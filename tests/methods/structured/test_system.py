@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from helpers.replacing import substitute
 from lin_freq_ocp.methods.structured import (
     BALLS,
     EQUATIONS,
@@ -181,7 +182,7 @@ def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
         return sum(answer.steps for answer in answers)
 
     with_correctors = steps()
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
+    substitute(monkeypatch, "methods.structured.CORRECTORS", 0)
     assert with_correctors < 0.9 * steps()
 
 

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
+from helpers.replacing import substitute
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods import SolveOptions
 from lin_freq_ocp.methods.structured import (
@@ -50,8 +51,8 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
     def never(*given):
         raise AssertionError("it was begun")
 
-    monkeypatch.setattr(solver, "Embedding", never)
-    monkeypatch.setattr(solver, "step_seconds", lambda *given: 4.0)
+    substitute(monkeypatch, "methods.structured.Embedding", never)
+    substitute(monkeypatch, "methods.structured.step_seconds", lambda *given: 4.0)
     (candidate,) = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
     assert candidate.status == "limit"
     assert candidate.trajectory is None

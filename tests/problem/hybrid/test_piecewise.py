@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.problem.hybrid.regions import CONTINUITY_TOLERANCE
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid import CONTINUITY_TOLERANCE
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -13,6 +13,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.replacing import substitute
 from helpers.seeds import examples, seeds
 from lin_freq_ocp.base import SAME_FACET, THICKNESS, Cell, polyhedra
 
@@ -243,7 +244,7 @@ def test_rows_that_are_equations_leave_the_bounds():
 def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
     problem = problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 0.5))
     assert problem.gap is None
-    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.regions.uncovered_point", None)
+    substitute(monkeypatch, "base.uncovered_point", None)
     assert replace(problem, horizon=7).gap is None
     with pytest.raises(TypeError):
         _ = replace(problem, state_set=lfo.Box(-3, 0.4)).gap
@@ -276,7 +277,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert point is not None
     assert point[1] == pytest.approx(0.25)
     assert square.inner_point(0.76) is None
-    monkeypatch.setattr(polyhedra, "PROJECTIONS", 0)
+    substitute(monkeypatch, "base.PROJECTIONS", 0)
     assert halves(0.0, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
     assert halves(0.0, 0.1).gap is not None
 

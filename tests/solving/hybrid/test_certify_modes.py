@@ -19,9 +19,9 @@ from lin_freq_ocp.files import certificate_summary, save_solution
 from lin_freq_ocp.methods import uniqueness
 from lin_freq_ocp.methods.hybrid import multipliers_with_weights
 from lin_freq_ocp.pages import verdict, worst_location
-from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
+from lin_freq_ocp.problem.hybrid import REGION
 from lin_freq_ocp.transform import Inverse
-from lin_freq_ocp.transform.hybrid.forms import linear_along
+from lin_freq_ocp.transform.hybrid import linear_along
 
 
 def best(problem):

@@ -14,7 +14,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp import simulate
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import tree_bound
-from lin_freq_ocp.problem.hybrid.levels import cost_unit
+from lin_freq_ocp.problem.hybrid import cost_unit
 from lin_freq_ocp.transform.level_rows import level_rows
 
 T = 6

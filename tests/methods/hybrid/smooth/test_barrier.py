@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
+from helpers.replacing import substitute
 from lin_freq_ocp import OptimalControlProblem, library
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.hybrid import Barrier, End, LocalSearch, SmoothModel, SmoothProgress, smooth_optimum
@@ -82,7 +83,7 @@ def test_loops_that_are_not_compiled_lead_to_the_same_answer():
 def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
     problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
     expected = lfo.solve(problem, global_bound=False).control
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.interior_point.FEW_ROWS", -1)
+    substitute(monkeypatch, "methods.hybrid.FEW_ROWS", -1)
     np.testing.assert_allclose(lfo.solve(problem, global_bound=False).control, expected, atol=1e-8)
 
 
@@ -143,7 +144,7 @@ def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
         return derivatives(self, y)
 
     monkeypatch.setattr(SmoothModel, "derivatives", interrupted)
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.SMOOTH_STARTS", 5)
+    substitute(monkeypatch, "methods.hybrid.SMOOTH_STARTS", 5)
     result = lfo.solve(problem, global_bound=False, throw=False)
     assert len(calls) == 40
     assert (result.status, result.interrupted, result.message) == ("limit", True, "interrupted")
@@ -177,11 +178,9 @@ def test_functions_are_as_good_as_formulas(kind):
 
 
 def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.LONGEST_REPLAY", 10)
+    substitute(monkeypatch, "methods.hybrid.LONGEST_REPLAY", 10)
     search, problem = LocalSearch(pendulum()), pendulum()
-    monkeypatch.setattr(
-        "lin_freq_ocp.methods.hybrid.smooth.local_search.simulate", lambda *given: pytest.fail("replayed")
-    )
+    substitute(monkeypatch, "simulate", lambda *given: pytest.fail("replayed"))
     found = search.run().best
     assert found is not None
     monkeypatch.undo()
