@@ -334,7 +334,7 @@ def modules_of_test(tree: ast.Module) -> Iterator[tuple[str, bool]]:
                 name, listed = f"{node.module}.{alias.name}", alias.name in names_of_door(str(node.module))
                 yield name if is_module(name) and not listed else str(node.module), not listed
         elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in {"setattr", "import_module"}:
-            for text in (part.value for part in node.args if isinstance(part, ast.Constant)):
+            for text in (part.value for part in node.args[:1] if isinstance(part, ast.Constant)):
                 if isinstance(text, str) and text.startswith("lin_freq_ocp."):
                     yield next(name for name in parents(text) if is_module(name)), True
 

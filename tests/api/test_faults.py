@@ -120,8 +120,8 @@ def test_what_nobody_foresaw_is_called_a_fault_of_ours(monkeypatch, error, statu
     def broken(*given, **named):
         raise error
 
-    for name in ("cli.solve.solve", "api.compare.compare"):
-        monkeypatch.setattr(f"lin_freq_ocp.{name}", broken)
+    for name in ("solve", "compare"):
+        substitute(monkeypatch, name, broken)
     got, out, err = run(*arguments)
     assert (got, out) == (status, "")
     assert all(word in err for word in words)

@@ -15,7 +15,7 @@ from distributed import Client, LocalCluster
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from lin_freq_ocp.batch import many as many_module
-from lin_freq_ocp.batch import tour
+from lin_freq_ocp.batch import solve_part, tour
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 STARTS = PENDULUM.initial_state.lower + 1e-3 * np.random.default_rng(1).standard_normal((12, 4))
@@ -171,7 +171,7 @@ def test_a_file_is_resumed(serial, tmp_path, monkeypatch):
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])  # killed while it wrote
     calls = []
-    honest = many_module.solve_part
+    honest = solve_part
     substitute(monkeypatch, "batch.solve_part", lambda *given: calls.append(len(given[1])) or honest(*given))
     second = lfo.solve_many(PENDULUM, STARTS, path=path)
     assert calls == [7]

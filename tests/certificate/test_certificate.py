@@ -15,16 +15,19 @@ from lin_freq_ocp.base import first_largest
 from lin_freq_ocp.certificate import (
     DATA_ROUNDING,
     box_minimum,
+    cost_is_never_negative,
     diagonal_curvature,
     extremal_at,
     judge,
+    optimum_box,
     prove_infeasible,
+    ray_bound,
     trajectory_sizes,
+    unit_rounding,
 )
-from lin_freq_ocp.certificate import bound as bound_module
 from lin_freq_ocp.methods import solve_convex
 from lin_freq_ocp.problem import RISES, is_semidefinite
-from lin_freq_ocp.program import linear_program
+from lin_freq_ocp.program import stop_band_rows
 from lin_freq_ocp.testing import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
@@ -182,7 +185,7 @@ class TestEachConditionFails:
 
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
         problem = solved(name).problem
-        honest = linear_program.stop_band_rows
+        honest = stop_band_rows
 
         def shifted(block, stop, *others):
             for rows in honest(block, np.roll(stop, -1, axis=0), *others):
@@ -371,7 +374,7 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     """With a coarser arithmetic assumed, the bound falls by what it then cannot exclude."""
     result = solved("paper, constrained")
     before = result.certificate.bound
-    honest = bound_module.unit_rounding
+    honest = unit_rounding
     substitute(monkeypatch, "certificate.unit_rounding", lambda lift: 1e4 * honest(lift))
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
@@ -433,7 +436,7 @@ def test_the_bound_holds_for_all_data_that_rounding_may_hide(monkeypatch, kind):
     eta, stage = np.full((1, 1), 1.0 if kind == "offset" else 0.0), {"row": np.ones((1, 1))} if rows else {}
     at_rest = lfo.Trajectory(np.zeros((2, 1)), np.zeros((1, 1)))
     extremal = extremal_at(problem, at_rest, multipliers_of(problem, eta=eta, stage=stage))
-    assert bound_module.ray_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+    assert ray_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
 
 
 def test_the_rounding_of_rows_grows_with_their_terms():
@@ -441,7 +444,7 @@ def test_the_rounding_of_rows_grows_with_their_terms():
     T = 500
     total = lfo.spectrum.LinearConstraint(np.ones((T, 1, 1)), [1.0])
     plain = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), T, lfo.QuadraticCost(R=1.0))
-    assert bound_module.unit_rounding(replace(plain, control_spectrum=total)) >= T * np.finfo(np.longdouble).eps
+    assert unit_rounding(replace(plain, control_spectrum=total)) >= T * np.finfo(np.longdouble).eps
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -464,7 +467,7 @@ def test_a_cost_that_is_semidefinite_up_to_rounding_may_be_negative(part):
         problem = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))), 1, cost)
         moved = lfo.simulate(problem, [[0.0]], [1.0, -1.0])
         assert (problem.value(moved.x, moved.u) >= 0) is never
-        assert bound_module.cost_is_never_negative(problem) is never
+        assert cost_is_never_negative(problem) is never
 
 
 def test_the_box_of_near_optima_holds_all_of_them():
@@ -472,7 +475,7 @@ def test_the_box_of_near_optima_holds_all_of_them():
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
     problem = problem.with_ends([0.0])
     extremal = extremal_at(problem, lfo.simulate(problem, [[0.0]]), multipliers_of(problem))
-    lower, upper = bound_module.optimum_box(extremal, 0.02).u
+    lower, upper = optimum_box(extremal, 0.02).u
     assert (lower[0, 0] <= -0.2, upper[0, 0] >= 0.2) == (True, True)
     assert upper[0, 0] < 1.0
 

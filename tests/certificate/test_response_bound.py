@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from lin_freq_ocp import Trajectory
-from lin_freq_ocp.certificate import extremal_at, judge, response_bound
+from lin_freq_ocp.certificate import extremal_at, farkas_bound, judge
 from lin_freq_ocp.transform import BinCurvature, bin_curvature
 
 T = 16
@@ -274,7 +274,7 @@ def test_the_bound_holds_for_all_limits_that_rounding_may_hide(monkeypatch):
     )
     multipliers = replace(zero_multipliers(problem), mu=np.eye(3, 1))
     extremal = extremal_at(problem, lfo.simulate(problem, np.zeros((2, 1))), multipliers)
-    assert response_bound.farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+    assert farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.hybrid import ModeArrays
 from lin_freq_ocp.program import units
 from lin_freq_ocp.results import Status
 from lin_freq_ocp.transform import stated_sizes
-from lin_freq_ocp.transform.hybrid import mode_reach, piecewise_affine
+from lin_freq_ocp.transform.hybrid import ModeReach, piecewise_affine
 
 library = lfo.library
 
@@ -90,7 +90,7 @@ def shrunk(images, by):
 @pytest.mark.parametrize("given", [WALL, ROTATION, BUCK])
 @pytest.mark.parametrize("by", [0.5, 0.1, 0.0])
 def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by):
-    monkeypatch.setattr(mode_reach.ModeReach, "images", shrunk(mode_reach.ModeReach.images, by))
+    monkeypatch.setattr(ModeReach, "images", shrunk(ModeReach.images, by))
     result = lfo.solve(made(given), throw=False)
     assert not wrongly_optimal(result, given["cost"])
     assert result.status != Status.INFEASIBLE
@@ -99,7 +99,7 @@ def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by)
 
 def test_that_search_would_have_been_wrong(monkeypatch):
     """The mutation above makes the search lose the optimum: without a judge of its own, this would be 'infeasible'."""
-    monkeypatch.setattr(mode_reach.ModeReach, "images", shrunk(mode_reach.ModeReach.images, 0.0))
+    monkeypatch.setattr(ModeReach, "images", shrunk(ModeReach.images, 0.0))
     results = [lfo.solve(made(given), throw=False) for given in (WALL, ROTATION, BUCK)]
     assert any(not result.tree_bound.covers for result in results)
 

@@ -16,8 +16,7 @@ from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
 from helpers.replacing import substitute
 from lin_freq_ocp.methods.spectral import deadline, solver
-from lin_freq_ocp.program import Claim, Solution
-from lin_freq_ocp.program.backends import clarabel_
+from lin_freq_ocp.program import Claim, Solution, solve
 
 # --- interrupted ----------------------------------------------------------------------------------------------------
 
@@ -39,7 +38,7 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     substitute(monkeypatch, "program.revised_scaling", lambda linear, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
-        answer = clarabel_.solve(program, tolerance, time_limit)
+        answer = solve(program, tolerance, time_limit)
         finished.append(answer)
         return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
 
@@ -57,7 +56,7 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
 @pytest.mark.parametrize("method", ["auto", "spectral"])
 def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, method):
     """Each round's point is kept, with the bound that it proves; no other method begins after it."""
-    optimum, last, bounds = 3199.18631986, solver.SpectralSolver(lfo.library.pendulum()).solve().rounds, []
+    optimum, last, bounds = 3199.18631986, lfo.SpectralSolver(lfo.library.pendulum()).solve().rounds, []
     for rounds in range(1, last):
         asked = press_ctrl_c(monkeypatch, rounds)
         status, out, err = run("solve", "pendulum", "--method", method, "--json")

@@ -14,8 +14,8 @@ from helpers.command_line import parsed, run
 from helpers.replacing import substitute
 from helpers.schemas import SWEEP, faults
 from helpers.sweeps import SHORT, assert_same, broken_builder
-from lin_freq_ocp.batch import sweep as sweep_point
 from lin_freq_ocp.files import sweep_summary
+from lin_freq_ocp.solving import solve_judged
 
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 
@@ -71,7 +71,7 @@ def test_the_command_says_which_points_are_not_proven(monkeypatch):
 
 
 def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
-    honest, pressed = sweep_point.solve_judged, threading.Event()
+    honest, pressed = solve_judged, threading.Event()
 
     def interrupted(*given, **named):
         if pressed.is_set():

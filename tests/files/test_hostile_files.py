@@ -20,8 +20,7 @@ from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from helpers.replacing import substitute
 from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
-from lin_freq_ocp.files import BEGINNING, MOST_ENTRIES, sweep_summary, to_json
-from lin_freq_ocp.files import reading as files
+from lin_freq_ocp.files import BEGINNING, LARGE, MOST_ENTRIES, sweep_summary, to_json
 from lin_freq_ocp.pages import sweep_table
 
 SMOOTH = {
@@ -344,8 +343,8 @@ def unpacked(monkeypatch):
 
 def test_bombs_are_not_unpacked(tmp_path, unpacked, monkeypatch):
     """The sizes that the archive itself declares are enough: here of a sixteenth of what is large otherwise."""
-    substitute(monkeypatch, "files.LARGE", files.LARGE // 16)
-    path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], files.LARGE)
+    substitute(monkeypatch, "files.LARGE", LARGE // 16)
+    path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], LARGE // 16)
     for read in (lfo.load, lfo.load_run):
         with pytest.raises(lfo.errors.ProblemError, match=r"bytes that unpack to 3\d+ or more"):
             read(path)
@@ -390,7 +389,7 @@ def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path, monkeypatch):
 def test_a_large_answer_of_zeros_is_no_bomb(cart, tmp_path, monkeypatch):
     """What is dumped can be read again: it is stored as it is where it would be taken for a bomb."""
     substitute(monkeypatch, "files.LARGE", 10_000)
-    monkeypatch.setattr(files, "MOST_COMPRESSED", 2)
+    substitute(monkeypatch, "files.MOST_COMPRESSED", 2)
     cart.dump(tmp_path / "run.zip")
     assert lfo.load_run(tmp_path / "run.zip").summary["status"] == "optimal"
 

@@ -12,14 +12,14 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.sweeps import GRID, SHORT, assert_same
-from lin_freq_ocp.batch import sweep as sweep_point
+from lin_freq_ocp.solving import solve_judged
 
 
 @pytest.fixture
 def counted(monkeypatch):
     """Count what is solved in this process."""
     solved = []
-    honest = sweep_point.solve_judged
+    honest = solve_judged
     substitute(monkeypatch, "solving.solve_judged", lambda *a, **b: solved.append(1) or honest(*a, **b))
     return solved
 

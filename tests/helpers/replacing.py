@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -31,11 +30,9 @@ def substitute(patch: pytest.MonkeyPatch, name: str, new: object) -> None:
             patch.setattr(module, name, new)
 
 
-def modules_with(name: str) -> Iterator[ModuleType]:
-    """Import and yield the modules whose text has a name: one that is imported during the test would keep the new."""
-    for module, text in texts().items():
-        if re.search(rf"\b{name}\b", text):
-            yield import_module(module)
+def modules_with(name: str) -> list[ModuleType]:
+    """Import and return the modules whose text has a name: one that is imported during the test would keep the new."""
+    return [import_module(module) for module, text in texts().items() if re.search(rf"\b{name}\b", text)]
 
 
 @cache

@@ -18,14 +18,15 @@ from lin_freq_ocp.pages import (
     STYLES,
     comparison_data,
     comparison_figure,
+    finding_of,
     gap_figure,
+    parts_of_the_gap,
     phase_pairs,
     result_figure,
     states_figure,
     thin_out,
     view,
 )
-from lin_freq_ocp.pages.report import findings, proof
 from lin_freq_ocp.problem import padded_spectrum, problem_facts
 
 
@@ -95,7 +96,7 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
     assert (trace.label, trace.detail) == ("filtered", "moving average")
     assert trace.trajectory is comparison.filtered[3].replay.trajectory
     nothing = replace(comparison, filtered=())
-    assert findings.finding_of(nothing).filtering == ""
+    assert finding_of(nothing).filtering == ""
     assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 
@@ -152,7 +153,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     assert len(lower_edge.get_ydata()) == len(gaps) - len(points.get_ydata())
     unbounded = replace(result.certificate, bound=None)
     assert gap_figure(comparison_data(comparison), unbounded) is None
-    assert proof.parts_of_the_gap(unbounded) == ""
+    assert parts_of_the_gap(unbounded) == ""
 
 
 def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):

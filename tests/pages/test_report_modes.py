@@ -33,6 +33,7 @@ from lin_freq_ocp.pages import (
     comparison_data,
     comparison_rows,
     draw_figures,
+    finding_of,
     modes_caption,
     render_page,
     result_data,
@@ -47,7 +48,6 @@ from lin_freq_ocp.pages import (
     tiles,
     worst_location,
 )
-from lin_freq_ocp.pages.report import findings
 from lin_freq_ocp.problem import problem_facts
 from lin_freq_ocp.results import Comparison, Multipliers, Result
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
@@ -424,7 +424,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     rows = dict(strip_rows(comparison))
     assert rows["brickwall"] is None
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
-    assert "its states leave the regions of all modes, so that" in str(findings.finding_of(comparison))
+    assert "its states leave the regions of all modes, so that" in str(finding_of(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert not first.between_levels
     assert notes == ["filtered: not simulated; its states leave the regions of all modes"]
@@ -450,7 +450,7 @@ def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     (filtered,) = comparison.filtered
     assert filtered.replay.between_levels
     assert not comparison.classical_solution.between_levels
-    words = findings.finding_of(comparison).filtering
+    words = finding_of(comparison).filtering
     assert words == "its controls lie between the levels, so that they cannot be simulated to the end"
     data = comparison_data(comparison)
     assert [note.text for note in data.notes(data.states[:1])] == [

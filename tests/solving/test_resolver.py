@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from lin_freq_ocp.methods.structured import assembly
+from lin_freq_ocp.methods.structured import assemble_stages
 from lin_freq_ocp.solving import Resolver
 from lin_freq_ocp.transform import Change
 
@@ -98,7 +98,7 @@ def test_infeasible_states_do_not_spoil_the_next():
 
 
 def test_the_structured_method_assembles_once(monkeypatch):
-    count, honest = [], assembly.assemble_stages
+    count, honest = [], assemble_stages
     substitute(monkeypatch, "methods.structured.assemble_stages", lambda problem: count.append(1) or honest(problem))
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):

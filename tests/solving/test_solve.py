@@ -10,8 +10,7 @@ from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.replacing import substitute
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.program import Block, Claim, Solution, scaled_program
-from lin_freq_ocp.program.backends import clarabel_
+from lin_freq_ocp.program import Block, Claim, Solution, scaled_program, solve
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
@@ -121,7 +120,7 @@ class TestEndings:
 
     def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
-            honest = clarabel_.solve(program, tolerance, time_limit)
+            honest = solve(program, tolerance, time_limit)
             return Solution(Claim.SOLVED, 1e3 + honest.z[::-1], 1e3 + honest.y[::-1], "Solved")
 
         substitute(monkeypatch, "program.backend", lambda name: liar)
@@ -246,7 +245,7 @@ def test_the_price_of_a_bin(k, component, solved):
         shift[program.rows[Block.CONTROL_SPECTRUM].start + row] = unit * move
         shift *= scaling.rows
         moved = replace(program, lower=program.lower + shift, upper=program.upper + shift)
-        trajectory = linear.trajectory(scaling.primal(clarabel_.solve(moved, 1e-12, None).z))
+        trajectory = linear.trajectory(scaling.primal(solve(moved, 1e-12, None).z))
         assert np.fft.rfft(trajectory.u[:, 0])[k] == pytest.approx(move * (1j if component else 1), abs=1e-9)
         return problem.cost.value(trajectory.x, trajectory.u)
 

@@ -9,7 +9,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "search.level_rounding": "level_rounding neighbouring_levels", "search.mixed": "SolverClaim solve_miqp",
     "search.multipliers": "multipliers_with_weights", "search.node": "solve_path_relaxation", "search.parts": "PARTS",
     "search.path_native": "OPTIMAL path_library run_path",
-    "smooth.interior_point": "Barrier End FEW_ROWS Filter Measure smooth_optimum",
+    "smooth.interior_point": "Barrier BarrierPoint End FEW_ROWS Filter Measure smooth_optimum",
     "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress", "smooth.model": "SmoothModel",
     "smooth.newton": "NewtonRun NewtonSystem iterate_from newton", "smooth.sequential": "local_optimum",
 })

@@ -5,9 +5,9 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "active": "MOST_NUMBERS RowResponses TRIES solve_active", "assembly": "assemble_stages choose_origin",
-    "choice": "Sizes choose_kkt_solver sizes_of step_seconds",
+    "choice": "LARGEST_BYTES RANGE_SPACE_BYTES Sizes choose_kkt_solver sizes_of step_seconds",
     "embedding": "CORRECTORS EmbeddedPoint Embedding End Targets", "kkt.compilation": "Kernels jit",
-    "kkt.dense": "OpenLoop", "kkt.kernels": "KERNELS",
+    "kkt.dense": "OpenLoop", "kkt.kernels": "CompiledLoops KERNELS",
     "kkt.null_space": "Coefficients NullSpace NullSpaceSolver Slacks break_times sort_rows unit_scale",
     "kkt.range_space": "CouplingResponse LowRankSolver RangeSpaceSolver fine_rows range_space_solver",
     "kkt.recursions": "BandedLoops can_compile loops", "kkt.reduced": "CLIP DenseReduced LEAST_REST TwoLevel clip",

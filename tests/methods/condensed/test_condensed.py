@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -25,8 +26,10 @@ from lin_freq_ocp.methods import (
     CondensedTables,
     DenseKernel,
     NativeKernel,
+    compiled_library,
     condense,
     extremals_of,
+    library,
     native_code,
 )
 from lin_freq_ocp.methods.condensed import native, plans
@@ -48,7 +51,7 @@ def tables_of(problem: lfo.OptimalControlProblem) -> CondensedTables:
 
 @cache
 def compiled():
-    found = native.library()
+    found = library()
     if found is None:
         pytest.skip("no C compiler")
     return found
@@ -343,8 +346,8 @@ def test_a_solver_can_be_copied_and_shared():
 def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    monkeypatch.setattr(native_code.shutil, "which", lambda name: compiler if name == compiler else None)
-    native_code.compiled_library.cache_clear()
+    monkeypatch.setattr(shutil, "which", lambda name: compiler if name == compiler else None)
+    compiled_library.cache_clear()
     try:
         if compiler:
             with pytest.warns(RuntimeWarning, match="could not be compiled"):
@@ -353,7 +356,7 @@ def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_p
             _, solver = solver_of(LOOPS["low pass"]())
         assert isinstance(solver.kernel, DenseKernel)
     finally:
-        native_code.compiled_library.cache_clear()
+        compiled_library.cache_clear()
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

@@ -15,8 +15,7 @@ from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
-from lin_freq_ocp.methods.hybrid import solve_relaxation
-from lin_freq_ocp.methods.hybrid.search import common as search
+from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_path_relaxation, solve_relaxation
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.transform.hybrid import ModeReach
 
@@ -65,7 +64,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None).bound == np.inf
+        assert solve_path_relaxation(relaxation, reach, TOLERANCES, np.inf, None).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]
@@ -75,7 +74,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
 @pytest.mark.parametrize("seed", [2, 7, 22])
 def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeypatch, seed):
     """Of every single sequence it claims the relaxed point without its dynamics."""
-    problem, honest = random_problem(seed, horizon=3, n=1), search.solve_path_relaxation
+    problem, honest = random_problem(seed, horizon=3, n=1), solve_path_relaxation
     best = brute_force(problem)[0]
 
     def claims(relaxation, reach, *given):

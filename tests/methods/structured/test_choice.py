@@ -60,6 +60,6 @@ def test_long_horizons_by_conjugate_gradients(T):
 
 def test_what_does_not_fit_is_said(monkeypatch):
     for limit in ("LARGEST_BYTES", "RANGE_SPACE_BYTES"):
-        monkeypatch.setattr(f"lin_freq_ocp.methods.structured.choice.{limit}", 1e4)
+        substitute(monkeypatch, f"methods.structured.{limit}", 1e4)
     with pytest.raises(UnsupportedError, match="rows that couple times"):
         choose_kkt_solver(with_stop(200, np.arange(20, 101)), loops(False))

@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.structured import (
     assemble_stages,
     choose_kkt_solver,
     loops,
-    solver,
+    solve_structured,
     step_seconds,
 )
 
@@ -41,7 +41,7 @@ def test_no_step_is_begun_that_would_end_late(limit):
 
 def test_the_best_point_is_returned_with_what_it_reached():
     with use_clock(Clock(1.0)):
-        (candidate,) = solver.solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
+        (candidate,) = solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
     assert candidate.status == "limit"
     assert candidate.message.startswith("time limit after 4 steps: relative residuals of ")
     assert np.isfinite(candidate.trajectory.x).all()
@@ -53,7 +53,7 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
 
     substitute(monkeypatch, "methods.structured.Embedding", never)
     substitute(monkeypatch, "methods.structured.step_seconds", lambda *given: 4.0)
-    (candidate,) = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
+    (candidate,) = solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
     assert candidate.status == "limit"
     assert candidate.trajectory is None
     assert "time limit of 7.9 s; one step may need 8 s" in candidate.message

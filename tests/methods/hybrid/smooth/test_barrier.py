@@ -11,8 +11,15 @@ from helpers.random.smooth import random_problem
 from helpers.replacing import substitute
 from lin_freq_ocp import OptimalControlProblem, library
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.methods.hybrid import Barrier, End, LocalSearch, SmoothModel, SmoothProgress, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth import interior_point
+from lin_freq_ocp.methods.hybrid import (
+    Barrier,
+    BarrierPoint,
+    End,
+    LocalSearch,
+    SmoothModel,
+    SmoothProgress,
+    smooth_optimum,
+)
 from lin_freq_ocp.methods.structured import loops
 
 KNOWN = [
@@ -134,7 +141,7 @@ def test_a_time_limit_ends_the_iteration():
 
 def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
     problem, calls = pendulum(), []
-    best = interior_point.smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
+    best = smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
     derivatives = SmoothModel.derivatives
 
     def interrupted(self, y):
@@ -256,7 +263,7 @@ def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start
 
 def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):
     """A map linearised far away may grow by 1e300 within the horizon; the last point is the answer."""
-    problem, honest, factored = qubit([0, 0, -1]), interior_point.BarrierPoint.factor, list[float]()
+    problem, honest, factored = qubit([0, 0, -1]), BarrierPoint.factor, list[float]()
 
     def factor(self, *given):
         factored.append(self.theta)
@@ -264,7 +271,7 @@ def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):
             raise np.linalg.LinAlgError("Singular matrix")
         return honest(self, *given)
 
-    monkeypatch.setattr(interior_point.BarrierPoint, "factor", factor)
+    monkeypatch.setattr(BarrierPoint, "factor", factor)
     optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0])
     assert ended is End.STALLED
     assert not optimum.converged
