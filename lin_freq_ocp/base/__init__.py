@@ -25,9 +25,9 @@ def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Cal
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "cones": "Cone",
-    "interrupts": "interrupts_noted", "kinds": "register_all",
+    "interrupts": "interrupts_noted", "kinds": "register_all", "resources": "ALWAYS_THERE memory_limit",
     "phrases": "NOTHING join_words number runs_in_words split_unit",
     "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
-    "uncovered_point", "resources": "ALWAYS_THERE memory_limit",
+    "uncovered_point",
 })
 # fmt: on

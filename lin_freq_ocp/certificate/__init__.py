@@ -4,13 +4,13 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "between_samples": "BERNSTEIN DEGREE LARGEST_REACH LATEST_HALVING REACH",
+    "between_samples": "BERNSTEIN DEGREE LARGEST_REACH LATEST_HALVING REACH", "conditions": "Condition",
     "bound": "Bound RIGOROUS box_minimum cost_is_never_negative optimum_box ray_bound unit_rounding",
-    "conditions": "Condition", "hamiltonian": "diagonal_curvature extremal_at", "many": "batch_judge_takes judge_batch",
-    "peaks": "Cells HALVINGS TERMS certified_peak certified_vibration proven_peak",
+    "hamiltonian": "diagonal_curvature extremal_at", "many": "batch_judge_takes judge_batch", "verdict": "judge",
+    "peaks": "Cells HALVINGS TERMS certified_peak certified_vibration proven_peak", "response_bound": "farkas_bound",
     "rays": "Conflict descent_direction infeasibility_certificate prove_infeasible unbounded_direction",
-    "reach": "Region implied_bounds reachable_bounds", "response_bound": "farkas_bound", "sensitivities": "bin_prices",
+    "reach": "Region implied_bounds reachable_bounds", "sensitivities": "bin_prices",
     "sizes": "cost_scale trajectory_sizes",
-    "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE RADIUS_MARGIN", "verdict": "judge",
+    "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE RADIUS_MARGIN",
 })
 # fmt: on

@@ -15,6 +15,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "report.page": "Drawing PIXELS_PER_INCH draw_figures drawing_of render_page save_report tiles",
     "report.proof": "adjoint_caption modes_caption parts_of_the_gap search_sentences switching_sentences verdict",
     "report.tables": "NOT_MEANINGFUL certificate_table comparison_rows comparison_table moves_rows moves_sentence "
-    "sweep_table worst_location", "units": "align frequency_scale quantity rough time_scale",
+    "sweep_table worst_location",
+    "units": "align frequency_scale quantity rough time_scale",
 })
 # fmt: on

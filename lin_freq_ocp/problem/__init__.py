@@ -9,10 +9,10 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "measures": "Measures measure one_step_residual padded_spectrum", "problem_data": "replace_fields",
     "sets.base": "ConvexSet Part", "sets.box": "end_within", "spectrum.bands": "Band stopped_bins time_signal",
     "spectrum.base": "FrequencyConstraint", "terms.maps": "AffineMap MatrixMap StageMap SumMap",
-    "terms.penalties": "HalfSpaces LargestExcess NormBall StandardCone Within",
-    "terms.penalty": "ConicForm HARD Penalty",
+    "terms.penalties": "HalfSpaces LargestExcess NormBall StandardCone Within", "terms.term": "Term TermKind",
+    "terms.penalty": "ConicForm HARD Penalty", "terms.spectrum_maps": "FrequencyMap SpectrogramMap SpectrumMap",
     "terms.semi_infinite": "Limits MagnitudeMask VibrationLimit VibrationMap ZeroOrderHoldMap ZeroOrderHoldMask "
-    "limits_on peaks_above", "terms.spectrum_maps": "FrequencyMap SpectrogramMap SpectrumMap",
-    "terms.term": "Term TermKind", "trajectory": "Extremals",
+    "limits_on peaks_above",
+    "trajectory": "Extremals",
 })
 # fmt: on

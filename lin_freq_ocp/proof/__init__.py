@@ -5,9 +5,8 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "dual": "growth precision project_on_bounds shrink steer_adjoint", "enclosure": "LONGEST_CHECK",
-    "lfo_check": "check",
+    "lfo_check": "check", "proof": "checked_enclosure convex_problem proof_of raised_by", "tree": "written_nodes",
     "point": "add_feedback interior_trajectory interpolate least_distance needs_feedback share_of_way tighten",
-    "proof": "checked_enclosure convex_problem proof_of raised_by", "statement": "exact problem_lines vector",
-    "tree": "written_nodes",
+    "statement": "exact problem_lines vector",
 })
 # fmt: on

@@ -5,8 +5,9 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "level_rows": "few_between_levels", "limits": "Limit changed_fields constraints drop_limits numbers",
-    "reductions": "Chain Inverse Reduction reduce_problem",
+    "reductions": "Chain Inverse Reduction reduce_problem", "response_curvature": "BinCurvature bin_curvature",
     "reformulations": "Change RATE_LIMIT add_disturbance far_origin rate_limit sampled_masks semi_infinite_terms "
-    "translated_by translation_of", "response_curvature": "BinCurvature bin_curvature", "sizes": "stated_sizes",
+    "translated_by translation_of",
+    "sizes": "stated_sizes",
 })
 # fmt: on

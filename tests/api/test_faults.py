@@ -16,7 +16,6 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.replacing import substitute
-from lin_freq_ocp.base import errors
 from lin_freq_ocp.batch import process_pool
 from lin_freq_ocp.methods.spectral import Violations
 
@@ -25,7 +24,9 @@ SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cu
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1", "--set", "cutoff_hz=1.0")
 """The same on the command line."""
 
-ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)]
+ERRORS = [
+    one for one in vars(lfo.errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)
+]
 
 
 def failing(error):

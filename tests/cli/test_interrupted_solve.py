@@ -15,7 +15,7 @@ from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
 from helpers.replacing import substitute
-from lin_freq_ocp.methods.spectral import deadline, solver
+from lin_freq_ocp.methods.spectral import deadline, recover
 from lin_freq_ocp.program import Claim, Solution, solve
 
 # --- interrupted ----------------------------------------------------------------------------------------------------
@@ -77,7 +77,6 @@ def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, meth
 @pytest.mark.parametrize("method", ["auto", "spectral"])
 def test_ctrl_c_after_the_last_round_is_not_lost(monkeypatch, method):
     """The answer is complete, and said to be; who waits for the exit status is told of Ctrl-C all the same."""
-    recover = solver.recover
 
     def pressing(*found):
         signal.raise_signal(signal.SIGINT)

@@ -11,9 +11,8 @@ from lin_freq_ocp.transform.hybrid.priced import DynamicsWithFormulaCost
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "clarke": "Flip SwitchingFacts modes_along", "global_bound.angles": "AngleBound AngleBoxes",
-    "global_bound.bound": "terminal_minorants value_bounds",
-    "global_bound.lattice": "CostToGo Lattice Minima QuadraticForm",
-    "global_bound.step": "OutOfTimeError taylor_bounds", "smooth": "kinks nearest_in_ball",
+    "global_bound.bound": "terminal_minorants value_bounds", "global_bound.step": "OutOfTimeError taylor_bounds",
+    "global_bound.lattice": "CostToGo Lattice Minima QuadraticForm", "smooth": "kinks nearest_in_ball",
     "tree": "IntervalReach TreeBound tree_bound",
 })
 # fmt: on

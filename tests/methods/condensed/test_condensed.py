@@ -31,8 +31,9 @@ from lin_freq_ocp.methods import (
     extremals_of,
     library,
     native_code,
+    unsettled_plan,
 )
-from lin_freq_ocp.methods.condensed import native, plans
+from lin_freq_ocp.methods.condensed import native
 from lin_freq_ocp.methods.spectral import lti_problem, natural_units
 from lin_freq_ocp.transform import Change
 
@@ -282,7 +283,7 @@ def test_the_worth_of_a_plan_is_its_cost_with_prices():
     problem = problem.with_references({"x_ref": [0.01, 0.0, 0.0, 0.0], "u_ref": [0.1]})
     spectral, tables = SpectralSolver(problem), tables_of(problem)
     start, v = states(problem, 1)[0], 0.1 * np.random.default_rng(0).standard_normal(20)
-    plan = plans.unsettled_plan(tables, spectral.units, start, v, 0)
+    plan = unsettled_plan(tables, spectral.units, start, v, 0)
     x, u = plan.trajectory.x, plan.trajectory.u
     cost = (tables.worth(start / spectral.units.x, v)[1] + spectral.lti.constant) * spectral.units.cost
     assert problem.value(x, u) > problem.quadratic.value(x, u)

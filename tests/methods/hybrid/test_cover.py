@@ -14,7 +14,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.methods.hybrid import CoverNode, TreeSearch, shifted_cover, solve_relaxation
 from lin_freq_ocp.problem.hybrid import ModeNode
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid import PathRelaxation
 from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 FIELDS = {

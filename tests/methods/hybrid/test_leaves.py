@@ -16,7 +16,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_path_relaxation, solve_relaxation
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid import PathRelaxation
 from lin_freq_ocp.transform.hybrid import ModeReach
 
 SEEDS = range(4)

@@ -15,7 +15,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.methods.hybrid import solve_relaxation
 from lin_freq_ocp.problem.hybrid import ModeTree
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid import ModeRelaxation
 from lin_freq_ocp.transform.hybrid import ModeReach, piecewise_affine
 
 library = lfo.library

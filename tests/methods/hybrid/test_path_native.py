@@ -16,7 +16,7 @@ from helpers.replacing import substitute
 from lin_freq_ocp.methods import compiled_library, native_code
 from lin_freq_ocp.methods.hybrid import OPTIMAL, path_library, run_path, solve_path_relaxation
 from lin_freq_ocp.methods.hybrid.search import path_native
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
+from lin_freq_ocp.program.hybrid import PathRelaxation
 from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 

@@ -20,7 +20,7 @@ from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.hybrid import solve_miqp
 from lin_freq_ocp.program import Block, Claim, Program, Solution
 from lin_freq_ocp.program import backend as solver_named
-from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
+from lin_freq_ocp.program.hybrid import big_m_bounds, big_m_program
 
 library = lfo.library
 BACKENDS = ["scip", "daqp"]

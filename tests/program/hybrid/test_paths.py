@@ -13,8 +13,7 @@ from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.methods.hybrid import TOLERANCES, path_library, solve_relaxation
 from lin_freq_ocp.problem.hybrid import ModeNode, ModeTree
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
+from lin_freq_ocp.program.hybrid import ModeRelaxation, PathRelaxation
 from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
