@@ -19,6 +19,7 @@ Nothing is imported before it is used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from lin_freq_ocp.base import lazy_exports
 from lin_freq_ocp.base.interrupts import leave_silently
 from lin_freq_ocp.base.kinds import register_later
 
@@ -66,33 +67,22 @@ __version__ = "0.1.0"
 
 NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "io", "results", "errors", "library")
 
-# The module of every name of everyday use.
-_HOMES = {
-    "api.batch": "Solver solve_many sweep",
-    "api.compare": "compare",
-    "api.generate": "certify_log generate",
-    "api.minimum_time": "minimum_time",
-    "api.receding_horizon": "RecedingHorizon",
-    "api.solve": "solve",
+# fmt: off
+_names, _import_name = lazy_exports(__name__, {
+    "api.batch": "Solver solve_many sweep", "api.compare": "compare", "api.generate": "certify_log generate",
+    "api.minimum_time": "minimum_time", "api.receding_horizon": "RecedingHorizon", "api.solve": "solve",
     "costs": "QuadraticCost",
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
-    "explanation.explanation": "explain",
-    "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
+    "explanation.explanation": "explain", "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
-    "problem.ocp": "OptimalControlProblem",
-    "transform.reformulations": "rate_limited",
-    "transform.simulation": "simulate",
-    "results": "Trajectory",
-    "sets": "Box FiniteSet Periodic StageRows",
-    "solvers": "SpectralSolver",
-    "solving.certify": "certify",
+    "problem.ocp": "OptimalControlProblem", "transform.reformulations": "rate_limited",
+    "transform.simulation": "simulate", "results": "Trajectory", "sets": "Box FiniteSet Periodic StageRows",
+    "solvers": "SpectralSolver", "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
-}
-
+})
+# fmt: on
 
 register_later(lambda: import_module("lin_freq_ocp.solving.hybrid"))  # what has modes, kinks or levels
-
-_MODULES = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 # fmt: off
 __all__ = [
@@ -110,16 +100,11 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in NAMESPACES:
         return import_module(f"{__name__}.{name}")
-    if name in _MODULES:
-        globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-        return globals()[name]
-    message = f"module {__name__!r} has no attribute {name!r}"
-    if not name.startswith("_"):
-        for space in NAMESPACES:
-            namespace = import_module(f"{__name__}.{space}")
-            if name in (namespace.PROBLEMS if space == "library" else namespace.__all__):
-                raise AttributeError(f"{message}; it is lin_freq_ocp.{space}.{name}")
-    raise AttributeError(message)
+    for space in () if name in _names or name.startswith("_") else NAMESPACES:
+        namespace = import_module(f"{__name__}.{space}")
+        if name in namespace.__all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it is lin_freq_ocp.{space}.{name}")
+    return _import_name(name)
 
 
 def __dir__() -> list[str]:

@@ -9,15 +9,9 @@ from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
 
+# fmt: off
 __all__ = [
-    "AffineMode",
-    "ContinuousPlant",
-    "DifferentiableFunction",
-    "FrequencyResponse",
-    "LinearDynamics",
-    "PiecewiseAffineDynamics",
-    "PiecewiseSmoothDynamics",
-    "PulseTrain",
-    "SmoothMode",
-    "SmoothPiece",
+    "AffineMode", "ContinuousPlant", "DifferentiableFunction", "FrequencyResponse", "LinearDynamics",
+    "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "PulseTrain", "SmoothMode", "SmoothPiece",
 ]
+# fmt: on

@@ -14,16 +14,9 @@ from lin_freq_ocp.base.errors import (
     UnsupportedError,
 )
 
+# fmt: off
 __all__ = [
-    "BandWarning",
-    "ClosedLoopWarning",
-    "InfeasibleError",
-    "LimitError",
-    "LinFreqOCPError",
-    "MissingExtraError",
-    "NumericalError",
-    "ProblemError",
-    "SolveError",
-    "UnboundedError",
-    "UnsupportedError",
+    "BandWarning", "ClosedLoopWarning", "InfeasibleError", "LimitError", "LinFreqOCPError", "MissingExtraError",
+    "NumericalError", "ProblemError", "SolveError", "UnboundedError", "UnsupportedError",
 ]
+# fmt: on

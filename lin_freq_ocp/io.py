@@ -7,15 +7,9 @@ from lin_freq_ocp.files.problem_file import read_problem, write_problem
 from lin_freq_ocp.files.solution_files import load_solution as load
 from lin_freq_ocp.files.solution_files import read_csv, read_mat
 
+# fmt: off
 __all__ = [
-    "from_time_response",
-    "load",
-    "load_run",
-    "load_sweep",
-    "read_csv",
-    "read_mat",
-    "read_problem",
-    "to_cvxpy",
-    "to_time_response",
-    "write_problem",
+    "from_time_response", "load", "load_run", "load_sweep", "read_csv", "read_mat", "read_problem", "to_cvxpy",
+    "to_time_response", "write_problem",
 ]
+# fmt: on

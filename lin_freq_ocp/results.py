@@ -17,25 +17,10 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.solving.outcome import Cure, Explanation
 
+# fmt: off
 __all__ = [
-    "BetweenSamples",
-    "BoundPeak",
-    "Certificate",
-    "CertifiedLog",
-    "ClosedLoop",
-    "Comparison",
-    "Cure",
-    "Enclosure",
-    "Explanation",
-    "GeneratedController",
-    "MinimumTime",
-    "Multipliers",
-    "Result",
-    "SavedRun",
-    "SavedSolution",
-    "Sensitivities",
-    "Solutions",
-    "Status",
-    "Sweep",
-    "Trajectory",
+    "BetweenSamples", "BoundPeak", "Certificate", "CertifiedLog", "ClosedLoop", "Comparison", "Cure", "Enclosure",
+    "Explanation", "GeneratedController", "MinimumTime", "Multipliers", "Result", "SavedRun", "SavedSolution",
+    "Sensitivities", "Solutions", "Status", "Sweep", "Trajectory",
 ]
+# fmt: on

@@ -8,19 +8,9 @@ from lin_freq_ocp.problem.sets.linked_ends import LinkedEnds, Periodic
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 
+# fmt: off
 __all__ = [
-    "Ball",
-    "Box",
-    "Ellipsoid",
-    "Everything",
-    "FiniteSet",
-    "Intersection",
-    "LinkedEnds",
-    "PathConstraint",
-    "Periodic",
-    "Point",
-    "Polyhedron",
-    "SecondOrderCone",
-    "Soft",
-    "StageRows",
+    "Ball", "Box", "Ellipsoid", "Everything", "FiniteSet", "Intersection", "LinkedEnds", "PathConstraint", "Periodic",
+    "Point", "Polyhedron", "SecondOrderCone", "Soft", "StageRows",
 ]
+# fmt: on

@@ -6,17 +6,9 @@ from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram, closed_loop
 
+# fmt: off
 __all__ = [
-    "EnergyBound",
-    "LinearConstraint",
-    "MagnitudeBound",
-    "OutputSpectrum",
-    "ResidualVibration",
-    "Spectrogram",
-    "band_pass",
-    "closed_loop",
-    "high_pass",
-    "low_pass",
-    "notch",
-    "stop_band",
+    "EnergyBound", "LinearConstraint", "MagnitudeBound", "OutputSpectrum", "ResidualVibration", "Spectrogram",
+    "band_pass", "closed_loop", "high_pass", "low_pass", "notch", "stop_band",
 ]
+# fmt: on

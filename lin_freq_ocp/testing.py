@@ -116,71 +116,15 @@ def check(case: Case, solver: Solver, tolerance: float = TOLERANCE) -> Report:
     return Report(case.name, cost, not message, message)
 
 
-# Linear problems: those of a file, by name, and the pendulum of the library
-INSTANCES: dict[str, dict[str, Any]] = {
-    data["name"]: data for data in json.loads(Path(__file__).with_name("reference.json").read_text())["instances"]
-}
+# Problems with known costs: linear ones in full, others as arguments of the library; the file says more
+_REFERENCE: dict[str, Any] = json.loads(Path(__file__).with_name("reference.json").read_text())
+INSTANCES = {str(data["name"]): data for data in _REFERENCE["instances"]}
 STATED = [name for name in INSTANCES if not INSTANCES[name]["soft_u"]]  # by boxes and stop bands, without a mask
 MASKED = 1e-6  # relative error of the known cost of the problem with a mask, dint200_soft
-PENDULUM: dict[str, tuple[dict[str, object], float]] = {  # keyword arguments, optimal cost
-    "paper, constrained": ({}, 3199.18631986),
-    "paper, classical": ({"cutoff": None}, 2852.70530277),
-    "to rest, constrained": ({"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0)}, 359.660659090),
-    "to rest, classical": (
-        {"initial_state": (0.05, 0.05, 0, 0), "terminal_state": (0, 0, 0, 0), "cutoff": None},
-        356.560725193,
-    ),
-    "slow sampling, constrained": ({"sampling_time": 0.1}, 135.081414040),
-    "slow sampling, classical": ({"sampling_time": 0.1, "cutoff": None}, 127.758711896),
-}
-# Problems with modes: system, arguments and optimal cost, None if it is not known (docs/hybrid_systems.md)
-PRINTED = 1e-7  # relative error of these costs, by their digits
-NEAR: dict[str, object] = {"initial_state": (1, 1), "terminal_cost": False}
-PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, object], float | None]] = {
-    "rotation, T = 6": ("switched_rotation", {"horizon": 6}, 159.320358),
-    "rotation, T = 6, freq": ("switched_rotation", {"horizon": 6, "control_spectrum": "freq"}, 161.197114),
-    "rotation, T = 10": ("switched_rotation", {"horizon": 10, **NEAR}, 2.8378768),
-    "rotation, T = 10, bin 5": ("switched_rotation", {"horizon": 10, "control_spectrum": [5], **NEAR}, 2.8944270),
-    "pendulum, T = 6": ("pendulum_with_wall", {"horizon": 6}, 34.990971),
-    "pendulum, T = 10, freq": ("pendulum_with_wall", {"horizon": 10, "control_spectrum": "freq"}, None),
-    "buck, T = 6": ("buck_affine", {"horizon": 6}, 32.681386),
-    "buck, T = 8, freq": ("buck_affine", {"horizon": 8, "control_spectrum": "freq"}, None),
-    "absolute value, T = 8": ("absolute_value", {"horizon": 8}, -2.8),
-    "network, T = 4, freq": ("max_min_network", {"horizon": 4, "control_spectrum": "freq"}, None),
-}
-# Problems with kinks: Examples 2 and 3 of the paper, solved by dynamic programming, by enumeration with a local solver
-# and by a global solver; for T = 20 by this project alone
-FREE_END: dict[str, object] = {"terminal_state": None}
-PIECEWISE_SMOOTH: dict[str, tuple[str, dict[str, object], float]] = {
-    "norm from (0, 1), T = 3": ("norm_dynamics", {"initial_state": (0.0, 1.0), "horizon": 3}, 1.0),
-    "norm from (1, 0), T = 3": ("norm_dynamics", {"initial_state": (1.0, 0.0), "horizon": 3}, 1.959023692803284),
-    "norm from (1, 0), T = 10": ("norm_dynamics", {"initial_state": (1.0, 0.0)}, 2.382234308047054),
-    "norm from (1, 1), T = 10": ("norm_dynamics", {"initial_state": (1.0, 1.0)}, 3.644688839725019),
-    "buck, T = 3": ("buck_converter", {"horizon": 3}, 17.345547997984184),
-    "buck, T = 4": ("buck_converter", {"horizon": 4}, 22.36493035150289),
-    "buck, T = 8": ("buck_converter", {"horizon": 8}, 44.67772239475926),
-    "buck to I_ref, T = 4": ("buck_converter", {"horizon": 4, "terminal_state": [1.0]}, 22.400633302541934),
-    "buck, T = 8, bins 3 to 5": ("buck_converter", {"control_spectrum": [3, 4, 5]}, 44.69913880875864),
-    "buck, T = 15": ("buck_converter", {"horizon": 15}, 83.66744364376612),
-    "buck, T = 20": ("buck_converter", {"horizon": 20}, 111.447689650827),
-    "buck, T = 20, bins 7 to 10": ("buck_converter", {"horizon": 20, "control_spectrum": [7, 8, 9, 10]}, 111.45769391),
-    "buck, wrong sign at 0": (
-        "buck_converter",
-        {"horizon": 2, "initial_state": [0.9351278729299871], **FREE_END},
-        11.554464138730564,
-    ),
-    "buck, wrong sign inside": (
-        "buck_converter",
-        {"horizon": 3, "initial_state": [0.8281718171540953], **FREE_END},
-        17.080332697458882,
-    ),
-    "buck as posed, T = 8": ("buck_converter", {"v_min": None, "v_max": None}, 11.221825808084372),
-    "buck on the border, T = 4": (
-        "buck_converter",
-        {"horizon": 4, "terminal_price": -40.0, **FREE_END},
-        -17.5993666975,
-    ),
-}
+PENDULUM: dict[str, tuple[dict[str, object], float]] = _REFERENCE["pendulum"]  # keyword arguments, optimal cost
+PRINTED = 1e-7  # relative error of the costs of problems with modes, by their digits
+PIECEWISE_AFFINE: dict[str, tuple[str, dict[str, object], float | None]] = _REFERENCE["piecewise affine"]
+PIECEWISE_SMOOTH: dict[str, tuple[str, dict[str, object], float]] = _REFERENCE["piecewise smooth"]
 
 
 def conformance_cases(kind: Kind | None = None) -> Iterator[Case]:

@@ -16,6 +16,7 @@ from helpers.drawings import BLANK, UnmovedPanels
 from helpers.drawings import blank as blank
 from helpers.drawings import images as images
 from helpers.explanations import explain_once
+from helpers.replacing import substitute
 from helpers.seeds import VARIABLE, choose_seeds
 from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
@@ -23,8 +24,9 @@ from helpers.sweeps import file as file
 from helpers.sweeps import serial as serial
 from helpers.verdicts import CLOSEST, FAR, REFUSED, Record, list_close_verdicts
 from helpers.without_flint import SkippedModule
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.explanation import explanation
+from lin_freq_ocp.pages import Drawing
 from lin_freq_ocp.testing import PENDULUM, reference_problem
 
 
@@ -93,9 +95,9 @@ def _plain_drawings():
     Pages are saved with blank images, but by tests with the fixture ``images``.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("lin_freq_ocp.pages.report.page.PIXELS_PER_INCH", 60)
+        substitute(patch, "pages.PIXELS_PER_INCH", 60)
         patch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", UnmovedPanels)
-        patch.setattr("lin_freq_ocp.pages.report.page.Drawing.png", lambda drawing: BLANK)
+        patch.setattr(Drawing, "png", lambda drawing: BLANK)
         yield
 
 

@@ -1,1 +1,33 @@
 """What everything stands on: arrays, errors, statuses, text, polyhedra, whole files, memory, the clock."""
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+
+
+def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[[str], object]]:
+    """Return ``__all__`` and ``__getattr__`` of a package that imports its names when they are first used.
+
+    ``names`` maps modules of the package to the names that others may import from them, separated by spaces.
+    """
+    homes = {name: module for module, listed in names.items() for name in listed.split()}
+
+    def import_name(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return list(homes), import_name
+
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "cones": "Cone",
+    "interrupts": "interrupts_noted", "kinds": "register_all", "resources": "ALWAYS_THERE memory_limit",
+    "phrases": "NOTHING join_words number runs_in_words split_unit",
+    "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
+    "uncovered_point",
+})
+# fmt: on

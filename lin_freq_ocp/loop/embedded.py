@@ -33,9 +33,8 @@ from lin_freq_ocp.methods.condensed.tables import (
     SOLVED,
     CondensedTables,
 )
-from lin_freq_ocp.methods.spectral import REDUCTIONS
 from lin_freq_ocp.methods.spectral.model import LtiUnits, lti_problem, natural_units, refusal
-from lin_freq_ocp.methods.spectral.reductions import soft_set
+from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS, soft_set
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.term import TermKind

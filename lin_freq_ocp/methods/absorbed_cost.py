@@ -58,7 +58,7 @@ class AbsorbedCost(OwnStates):
         return replace(own, eta=eta, rho_u=rho_u, stage={**own.stage, link: on_link})
 
 
-def absorbed_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
+def absorb_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
     """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
     response = problem.form.response(problem.horizon)
     curvature = None if response is None else bin_curvature(problem, response)

@@ -25,26 +25,18 @@ def form_of(dynamics: Dynamics, control_set: SetOrSets, cost: Cost, constrained:
 
     ``constrained`` says whether the problem has path constraints by formulas.
     """
-    levels, formulas = finite_set(dynamics, control_set), cost.has_formulas or constrained
-    if levels is not None:
-        dynamics = entry_for(FORMS, dynamics)(dynamics, levels, None)
-    return entry_for(FORMS, dynamics)(dynamics, None, cost.formulas[0]) if formulas else dynamics
-
-
-def finite_set(dynamics: Dynamics, control_set: SetOrSets) -> ConvexSet | None:
-    """Return the control set if it is one of finitely many points, else None; ProblemError for levels elsewhere."""
-    if not isinstance(control_set, ConvexSet):
-        sets = control_set if isinstance(control_set, Iterable) else ()  # others are refused with the sets
-        if any(isinstance(member, ConvexSet) and _has_points(member, dynamics) for member in sets):
-            raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
-        return None
-    if control_set.points(dynamics.control_dim) is not None:
-        return control_set
-    if any(_has_points(member, dynamics) for member in control_set.members):
+    m, has_formulas = dynamics.control_dim, cost.has_formulas or constrained
+    if isinstance(control_set, ConvexSet) and control_set.points(m) is not None:
+        dynamics = entry_for(FORMS, dynamics)(dynamics, control_set, None)
+    elif isinstance(control_set, ConvexSet) and _any_has_points(control_set.members, m):
         advice = "State other constraints as stage_rows, or take duty_cycles=True."
         raise ProblemError("control_set", "levels in an intersection", "a FiniteSet alone", advice)
-    return None
+    elif isinstance(control_set, Iterable) and _any_has_points(control_set, m):
+        raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
+    return entry_for(FORMS, dynamics)(dynamics, None, cost.formulas[0]) if has_formulas else dynamics
 
 
-def _has_points(convex_set: ConvexSet, dynamics: Dynamics) -> bool:
-    return any(member.points(dynamics.control_dim) is not None for member in convex_set.members)
+def _any_has_points(sets: Iterable[object], m: int) -> bool:
+    """Whether a set of controls, (m,), is finite or has a finite part; what is no set is refused elsewhere."""
+    parts = [part for one in sets if isinstance(one, ConvexSet) for part in one.members]
+    return any(part.points(m) is not None for part in parts)

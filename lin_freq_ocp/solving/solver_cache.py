@@ -14,7 +14,8 @@ from lin_freq_ocp.certificate.rays import InfeasibilityCertificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
-from lin_freq_ocp.methods.spectral import REDUCTIONS, SpectralSolution, SpectralSolver
+from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
+from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transform.reductions import Chain, Change, reduce_problem

@@ -29,15 +29,6 @@ from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
 
-def add_disturbance(problem: OptimalControlProblem, disturbance: ArrayLike) -> OptimalControlProblem:
-    """Return the problem with a disturbance, (n,) or (T, n), added to the coming states."""
-    T, n = problem.horizon, problem.state_dim
-    expected = real_array("disturbance", disturbance)
-    if expected.shape not in ((n,), (T, n)):
-        raise ProblemError("disturbance", f"shape {expected.shape}", f"shape {(n,)} or {(T, n)}")
-    return replace_fields(problem, dynamics=problem.form.disturbed(expected))
-
-
 @dataclass(frozen=True, eq=False)
 class Change:
     """New ends, references and bounds ("state_set", "control_set") of a problem; None leaves those that it has.
@@ -59,6 +50,7 @@ class Change:
 
     def apply(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the changed problem."""
+        n = problem.state_dim
         if self.bounds:
             bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
             if problem.form.choices is not None:  # the levels stay, within the new bounds
@@ -67,7 +59,10 @@ class Change:
         if self.references is not None:
             problem = problem.with_references(self.references)
         if self.disturbance is not None:
-            problem = add_disturbance(problem, self.disturbance)
+            disturbance, shapes = real_array("disturbance", self.disturbance), ((n,), (problem.horizon, n))
+            if disturbance.shape not in shapes:
+                raise ProblemError("disturbance", f"shape {disturbance.shape}", f"shape {shapes[0]} or {shapes[1]}")
+            problem = replace_fields(problem, dynamics=problem.form.disturbed(disturbance))
         if self.initial_state is None and self.terminal_state is None:
             return problem
         return problem.with_ends(self.initial_state, self.terminal_state)

@@ -15,18 +15,18 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from lin_freq_ocp.base import errors
-from lin_freq_ocp.batch.tasks import process_pool
-from lin_freq_ocp.files import problem_file as toml_file
-from lin_freq_ocp.methods.spectral.rows import Violations
-from lin_freq_ocp.pages.report import page
+from helpers.replacing import substitute
+from lin_freq_ocp.batch import process_pool
+from lin_freq_ocp.methods.spectral import Violations
 
 SHORT = partial(lfo.library.double_integrator, horizon=60, sampling_time=0.1, cutoff_hz=1.0)
 
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1", "--set", "cutoff_hz=1.0")
 """The same on the command line."""
 
-ERRORS = [one for one in vars(errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)]
+ERRORS = [
+    one for one in vars(lfo.errors).values() if isinstance(one, type) and issubclass(one, lfo.errors.LinFreqOCPError)
+]
 
 
 def failing(error):
@@ -121,8 +121,8 @@ def test_what_nobody_foresaw_is_called_a_fault_of_ours(monkeypatch, error, statu
     def broken(*given, **named):
         raise error
 
-    for name in ("cli.solve.solve", "api.compare.compare"):
-        monkeypatch.setattr(f"lin_freq_ocp.{name}", broken)
+    for name in ("solve", "compare"):
+        substitute(monkeypatch, name, broken)
     got, out, err = run(*arguments)
     assert (got, out) == (status, "")
     assert all(word in err for word in words)
@@ -139,7 +139,7 @@ def test_a_fault_that_ctrl_c_caused_is_ctrl_c(monkeypatch):
         except KeyboardInterrupt as error:
             raise ImportError("cannot load the library") from error
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
+    substitute(monkeypatch, "solve", broken)
     assert run("solve", "pendulum") == (130, "", "")
 
 
@@ -150,7 +150,7 @@ def test_a_dump_that_fails_does_not_hide_the_error(tmp_path, monkeypatch):
     def full(*given):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", broken)
+    substitute(monkeypatch, "solve", broken)
     monkeypatch.setattr(os, "replace", full)
     status, out, err = run("solve", "pendulum", "--dump", str(tmp_path / "run.zip"))
     assert (status, out, os.listdir(tmp_path)) == (70, "", [])
@@ -219,10 +219,10 @@ def test_new_files_have_the_mode_that_the_system_gives(result, tmp_path):
 @pytest.mark.parametrize("writer", ["save_report", "init"])
 def test_what_else_is_written_fails_with_words(writer, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", failing(errno.ENOSPC))
-    monkeypatch.setattr(page, "draw_figures", lambda comparison: ())
-    monkeypatch.setattr(page, "render_page", lambda *given: "page")
+    substitute(monkeypatch, "pages.draw_figures", lambda comparison: ())
+    substitute(monkeypatch, "pages.render_page", lambda *given: "page")
     if writer == "init":
-        monkeypatch.setattr(toml_file, "template", failing(errno.ENOSPC))
+        substitute(monkeypatch, "files.template", failing(errno.ENOSPC))
         assert run("init", str(tmp_path / "new.toml"))[0] == 2
     else:
         status, out, err = run("compare", *WORDS, "--out", str(tmp_path), "--json")

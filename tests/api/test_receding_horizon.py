@@ -10,8 +10,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import turn
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.errors import ProblemError
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 DYNAMICS = lfo.LinearDynamics(A, B, sampling_time=0.1, control_names=["force [N]"])

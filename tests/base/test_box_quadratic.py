@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.polyhedra import box_minimiser
+from lin_freq_ocp.base import box_minimiser
 
 
 def problems(seed, count, k, condition):

@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base.clock import now, use_clock
+from lin_freq_ocp.base import now, use_clock
 
 
 def test_by_itself_it_is_that_of_the_system():

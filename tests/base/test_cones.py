@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base import cones
-from lin_freq_ocp.base.cones import Cone
+from lin_freq_ocp.base import Cone, cones
 
 SIZES = (3, 2)
 

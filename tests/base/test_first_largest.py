@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.arrays import first_largest
+from lin_freq_ocp.base import first_largest
 
 
 @pytest.mark.parametrize("size", [3.0, -3.0, 1e-300])

@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.compared_pages import blanks
+from helpers.replacing import substitute
 from helpers.sweeps import SHORT
 
 FULL = Path("/dev/full")  # a disk without room: it can be opened, and refuses every byte
@@ -41,7 +42,7 @@ def test_a_sweep_tries_all_files(lost, written, tmp_path):
 @needs_full
 @pytest.mark.parametrize("lost", [["comparison.svg", "index.html"], ["states.png"]], ids=len)
 def test_a_comparison_tries_all_files_and_names_those_that_fail(lost, tmp_path, monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw_figures", lambda _: blanks())
+    substitute(monkeypatch, "pages.draw_figures", lambda _: blanks())
     folder = full(tmp_path / "out", *lost)
     with pytest.raises(lfo.errors.ProblemError, match="No space left") as raised:
         lfo.compare(SHORT(), ["brickwall"]).save(folder)

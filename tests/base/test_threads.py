@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured import loops
 
 FLOORS = "program", "methods", "certificate", "solving", "batch", "loop", "comparison", "explanation"
 ALGORITHMS = tuple(

@@ -13,8 +13,9 @@ import pytest
 from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from lin_freq_ocp.batch import many as many_module
-from lin_freq_ocp.batch.many import tour
+from lin_freq_ocp.batch import solve_part, tour
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 STARTS = PENDULUM.initial_state.lower + 1e-3 * np.random.default_rng(1).standard_normal((12, 4))
@@ -138,7 +139,7 @@ def test_the_examples_of_the_docs_run(tmp_path, monkeypatch, capsys):
 
 
 def test_executors_find_the_same(serial, monkeypatch):
-    monkeypatch.setattr(many_module, "PART", 5)
+    substitute(monkeypatch, "batch.PART", 5)
     with ThreadPoolExecutor(2) as pool:
         assert_same(lfo.solve_many(PENDULUM, STARTS, executor=pool), serial)
     with LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as cluster, Client(cluster) as client:
@@ -170,8 +171,8 @@ def test_a_file_is_resumed(serial, tmp_path, monkeypatch):
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])  # killed while it wrote
     calls = []
-    honest = many_module.solve_part
-    monkeypatch.setattr(many_module, "solve_part", lambda *given: calls.append(len(given[1])) or honest(*given))
+    honest = solve_part
+    substitute(monkeypatch, "batch.solve_part", lambda *given: calls.append(len(given[1])) or honest(*given))
     second = lfo.solve_many(PENDULUM, STARTS, path=path)
     assert calls == [7]
     assert_same(second, serial)
@@ -225,7 +226,7 @@ def test_a_damaged_line_is_named(damage, recorded, tmp_path):
 
 
 def test_ctrl_c_keeps_what_is_found(serial, tmp_path, monkeypatch):
-    monkeypatch.setattr(many_module, "PART", 4)
+    substitute(monkeypatch, "batch.PART", 4)
 
     def pressed(done: int, count: int) -> None:
         if done == 8:

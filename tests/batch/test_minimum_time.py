@@ -13,9 +13,10 @@ import pytest
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.batch.minimum_time import Verdict, obstacles, problem_at_horizon, search_horizons
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.batch import Verdict, obstacles, problem_at_horizon, search_horizons
+from lin_freq_ocp.solving import solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems
@@ -238,10 +239,10 @@ def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
 
 def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
     def stopped(problem, *options, **more):
-        outcome = lfo.solve(problem, "convex", throw=False)
+        outcome = solve_judged(problem, "convex")
         return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, infeasibility=None)
 
-    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
+    substitute(monkeypatch, "solving.solve_judged", stopped)
     found = lfo.minimum_time(integrator, horizons=(1, 9), throw=False)
     assert (found.horizon, found.proven, found.ray) == (None, False, None)
     assert found.proof == "nothing is proven of 1 to 9"
@@ -389,7 +390,7 @@ def test_a_recorded_search_is_resumed_without_solving_again(source, tmp_path, mo
         solved.append(problem.horizon)
         return solve_judged(problem, *options, **more)
 
-    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", counted)
+    substitute(monkeypatch, "solving.solve_judged", counted)
     first = lfo.minimum_time(source, horizons=(1, LAST), path=path)
     assert {row["parameters"]["horizon"] for row in lfo.load_sweep(path).rows} == set(first.verdicts)
     solved.clear()

@@ -15,12 +15,10 @@ from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
 from helpers.patience import wait_until
+from helpers.replacing import substitute
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
-from lin_freq_ocp.batch import sweep as sweep_point
-from lin_freq_ocp.batch import tasks as sweep_tasks
-from lin_freq_ocp.batch.grid import fingerprint
-from lin_freq_ocp.batch.sweep import MEASURED
-from lin_freq_ocp.batch.tasks import process_pool
+from lin_freq_ocp.batch import MEASURED, RESUBMISSIONS, fingerprint, process_pool
+from lin_freq_ocp.solving import solve_judged
 
 TWENTY = {"cutoff_hz": np.linspace(0.3, 4.0, 10), "speed_bound": [0.25, 0.4]}
 
@@ -223,7 +221,7 @@ class Closed(Executor):
 
 
 def test_a_point_that_kills_its_process_is_the_only_one_lost(monkeypatch):
-    monkeypatch.setattr(sweep_tasks, "RESUBMISSIONS", 0)
+    substitute(monkeypatch, "batch.RESUBMISSIONS", 0)
     with pytest.warns(RuntimeWarning, match="takes no more work: 3 points"):
         found = lfo.sweep(deadly, {"horizon": [60, 61, 62]}, Closed())
     assert found.column("status") == ["optimal", "error", "optimal"]
@@ -251,7 +249,7 @@ def test_lost_points_are_given_out_again_but_not_for_ever(losses, status):
     executor = Lossy(losses)
     found = lfo.sweep(SHORT, {"horizon": [60]}, executor)
     assert found.column("status") == [status]
-    assert executor.attempts == list(range(sweep_tasks.RESUBMISSIONS + 1))
+    assert executor.attempts == list(range(RESUBMISSIONS + 1))
 
 
 # --- Ctrl-C ---------------------------------------------------------------------------------------------------------
@@ -281,12 +279,12 @@ def test_ctrl_c_keeps_what_is_finished(serial, tmp_path):
 
 
 def test_ctrl_c_within_a_solve_ends_the_sweep_without_that_point(monkeypatch):
-    honest = sweep_point.solve_judged
+    honest = solve_judged
 
     def pressed(problem, **options):
         return replace(honest(problem, **options), interrupted=problem.horizon == 61)
 
-    monkeypatch.setattr(sweep_point, "solve_judged", pressed)
+    substitute(monkeypatch, "solving.solve_judged", pressed)
     found = lfo.sweep(SHORT, {"horizon": [60, 61, 62]})
     assert found.interrupted
     assert found.column("horizon") == [60]

@@ -10,13 +10,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.schemas import RESULT, faults, printed
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate import between_samples as module
-from lin_freq_ocp.certificate.between_samples import LARGEST_REACH, REACH, BetweenSamples, BoundPeak, between_samples
+from lin_freq_ocp.certificate import LARGEST_REACH, REACH
+from lin_freq_ocp.certificate.between_samples import between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
-from lin_freq_ocp.files.summary import certificate_summary, result_summary
-from lin_freq_ocp.pages.report.findings import finding_of
+from lin_freq_ocp.files import certificate_summary, result_summary
+from lin_freq_ocp.pages import finding_of
+from lin_freq_ocp.results import BetweenSamples, BoundPeak
 
 # Largest violation over half the width of the bounds, 2 digits: CONTINUOUS.md, section 2
 FREE = {"notch_width_hz": None}
@@ -287,9 +289,11 @@ def test_results_and_certificates_say_it():
 
 def use_degree(monkeypatch, degree):
     """Make the polynomials of another degree than 15, so that the rest of the series is above all rounding."""
-    monkeypatch.setattr(module, "DEGREE", degree)
+    substitute(monkeypatch, "certificate.DEGREE", degree)
     powers = range(degree + 1)
-    monkeypatch.setattr(module, "BERNSTEIN", np.array([[comb(k, j) / comb(degree, j) for j in powers] for k in powers]))
+    substitute(
+        monkeypatch, "certificate.BERNSTEIN", np.array([[comb(k, j) / comb(degree, j) for j in powers] for k in powers])
+    )
 
 
 def single_bound(A, B, step, x, u, lower=None, upper=None):
@@ -319,7 +323,7 @@ def test_the_proven_value_covers_errors_before_the_state_comes_to_rest(monkeypat
 
 def test_the_proven_value_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
     """The largest value of t exp(-t) lies within a cell, whose ends are below it."""
-    monkeypatch.setattr(module, "LATEST_HALVING", 0)
+    substitute(monkeypatch, "certificate.LATEST_HALVING", 0)
     bound = single_bound([[-1.0, 1.0], [0.0, -1.0]], np.zeros((2, 1)), 3.1, [0.0, 1.0], [0.0], upper=[0.1, np.inf])
     assert bound.violation < np.exp(-1) - 0.1 - 1e-4
     assert bound.at_most >= np.exp(-1) - 0.1

@@ -9,18 +9,25 @@ import pytest
 from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import examples
-from lin_freq_ocp.base.arrays import first_largest
-from lin_freq_ocp.certificate import bound as bound_module
-from lin_freq_ocp.certificate.bound import box_minimum
-from lin_freq_ocp.certificate.hamiltonian import diagonal_curvature, extremal_at
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import DATA_ROUNDING
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import RISES, is_semidefinite
-from lin_freq_ocp.program import linear_program
+from lin_freq_ocp.base import first_largest
+from lin_freq_ocp.certificate import (
+    DATA_ROUNDING,
+    box_minimum,
+    cost_is_never_negative,
+    diagonal_curvature,
+    extremal_at,
+    judge,
+    optimum_box,
+    prove_infeasible,
+    ray_bound,
+    trajectory_sizes,
+    unit_rounding,
+)
+from lin_freq_ocp.methods import solve_convex
+from lin_freq_ocp.problem import RISES, is_semidefinite
+from lin_freq_ocp.program import stop_band_rows
 from lin_freq_ocp.testing import STATED, reference_problem
 
 JUDGED = ["paper, constrained", "velocity bound", "slow sampling, constrained"]
@@ -178,13 +185,13 @@ class TestEachConditionFails:
 
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
         problem = solved(name).problem
-        honest = linear_program.stop_band_rows
+        honest = stop_band_rows
 
         def shifted(block, stop, *others):
             for rows in honest(block, np.roll(stop, -1, axis=0), *others):
                 yield replace(rows, targets=np.full(len(rows.targets), -1))
 
-        monkeypatch.setattr(linear_program, "stop_band_rows", shifted)
+        substitute(monkeypatch, "program.stop_band_rows", shifted)
         candidate = solve_convex(problem, "clarabel")
         certificate = judge(problem, candidate.trajectory, candidate.multipliers)
         assert failures(certificate, "C-vii")[0].time == problem.horizon // 2
@@ -367,8 +374,8 @@ def test_rounding_is_subtracted(solved, monkeypatch):
     """With a coarser arithmetic assumed, the bound falls by what it then cannot exclude."""
     result = solved("paper, constrained")
     before = result.certificate.bound
-    honest = bound_module.unit_rounding
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda lift: 1e4 * honest(lift))
+    honest = unit_rounding
+    substitute(monkeypatch, "certificate.unit_rounding", lambda lift: 1e4 * honest(lift))
     after = judge(result.problem, result.trajectory, result.multipliers).bound
     assert after.rounding > 1e3 * before.rounding
     assert after.value < before.value
@@ -398,7 +405,7 @@ def test_a_slope_that_rounding_hides_leaves_no_rigorous_bound():
 @pytest.mark.parametrize(("wrong_by", "lower", "upper"), [(-1e-3, -1.0, 10.0), (1e-3, -10.0, 1.0)])
 def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wrong_by, lower, upper):
     """J = r u - x_1 and x_1 = u: with a rounding of 1e-3, r = 1 is not told from 1 + wrong_by."""
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: abs(wrong_by))
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: abs(wrong_by))
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.0]], [[1.0]]),
         1,
@@ -416,7 +423,7 @@ def test_the_bound_holds_for_all_slopes_that_rounding_may_hide(monkeypatch, wron
 @pytest.mark.parametrize("kind", ["offset", "row"])
 def test_the_bound_holds_for_all_data_that_rounding_may_hide(monkeypatch, kind):
     """D = -1 is the offset times eta, or the limit of a row times its multiplier: with a rounding of 1e-3, -1.001."""
-    monkeypatch.setattr(bound_module, "unit_rounding", lambda problem: 1e-3)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: 1e-3)
     rows = [lfo.StageRows(None, [[1.0]], [1.0], name="row")] if kind == "row" else ()
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0 if kind == "offset" else 0.0]),
@@ -429,7 +436,7 @@ def test_the_bound_holds_for_all_data_that_rounding_may_hide(monkeypatch, kind):
     eta, stage = np.full((1, 1), 1.0 if kind == "offset" else 0.0), {"row": np.ones((1, 1))} if rows else {}
     at_rest = lfo.Trajectory(np.zeros((2, 1)), np.zeros((1, 1)))
     extremal = extremal_at(problem, at_rest, multipliers_of(problem, eta=eta, stage=stage))
-    assert bound_module.ray_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+    assert ray_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
 
 
 def test_the_rounding_of_rows_grows_with_their_terms():
@@ -437,7 +444,7 @@ def test_the_rounding_of_rows_grows_with_their_terms():
     T = 500
     total = lfo.spectrum.LinearConstraint(np.ones((T, 1, 1)), [1.0])
     plain = lfo.OptimalControlProblem(lfo.LinearDynamics([[1.0]], [[1.0]]), T, lfo.QuadraticCost(R=1.0))
-    assert bound_module.unit_rounding(replace(plain, control_spectrum=total)) >= T * np.finfo(np.longdouble).eps
+    assert unit_rounding(replace(plain, control_spectrum=total)) >= T * np.finfo(np.longdouble).eps
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -460,7 +467,7 @@ def test_a_cost_that_is_semidefinite_up_to_rounding_may_be_negative(part):
         problem = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(2), np.zeros((2, 1))), 1, cost)
         moved = lfo.simulate(problem, [[0.0]], [1.0, -1.0])
         assert (problem.value(moved.x, moved.u) >= 0) is never
-        assert bound_module.cost_is_never_negative(problem) is never
+        assert cost_is_never_negative(problem) is never
 
 
 def test_the_box_of_near_optima_holds_all_of_them():
@@ -468,7 +475,7 @@ def test_the_box_of_near_optima_holds_all_of_them():
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
     problem = problem.with_ends([0.0])
     extremal = extremal_at(problem, lfo.simulate(problem, [[0.0]]), multipliers_of(problem))
-    lower, upper = bound_module.optimum_box(extremal, 0.02).u
+    lower, upper = optimum_box(extremal, 0.02).u
     assert (lower[0, 0] <= -0.2, upper[0, 0] >= 0.2) == (True, True)
     assert upper[0, 0] < 1.0
 

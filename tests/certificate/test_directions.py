@@ -16,8 +16,7 @@ import lin_freq_ocp as lfo
 from helpers.random.convex import random_problem
 from helpers.random.mixed import Model, problem_of, random_model
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import descent_direction
-from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
+from lin_freq_ocp.certificate import CONDITION_TOLERANCE, descent_direction
 
 ALONE = (5, 11)
 """Seeds whose constraints leave a single trajectory, or nearly so: that of least control is the optimum, too."""

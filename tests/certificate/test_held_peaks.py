@@ -5,8 +5,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.peaks import proven_peak
-from lin_freq_ocp.problem.terms.semi_infinite import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
+from lin_freq_ocp.certificate import proven_peak
+from lin_freq_ocp.problem import ZeroOrderHoldMap, ZeroOrderHoldMask, limits_on, peaks_above
 
 ABOVE = 1e-9  # of the proven ratio over the largest value
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate import many
-from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
-from lin_freq_ocp.certificate.rays import infeasibility_certificate, prove_infeasible
-from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.problem.trajectory import Extremals
+from lin_freq_ocp.certificate import batch_judge_takes, infeasibility_certificate, judge, judge_batch, prove_infeasible
+from lin_freq_ocp.problem import Extremals
+from lin_freq_ocp.results import Certificate
 
 COST = lfo.QuadraticCost(Q=np.diag([1.0, 0.1]), R=0.5, S=[[0.1], [0.0]], P=2.0, q=[0.1, 0.0], x_ref=[0.1, 0.0])
 PROBLEMS = {
@@ -256,7 +255,7 @@ def test_states_that_residuals_and_other_starts_reach_count(side):
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_states_that_rounding_of_residuals_reaches_count(monkeypatch, side):
     """With a rounding of 1e-3, unstable dynamics may have an offset of 1e-3 of the largest state."""
-    monkeypatch.setattr(many, "RADIUS_MARGIN", 1 + 1e-3)
+    substitute(monkeypatch, "certificate.RADIUS_MARGIN", 1 + 1e-3)
     x = 10.0 ** np.arange(5)
     problem = replace(integrator(lfo.Box(0, 0), side, 10.0), dynamics=lfo.LinearDynamics([[10.0]], [[0.0]]))
     hidden = replace(problem, dynamics=lfo.LinearDynamics([[10.0]], [[0.0]], offset=[side * 1e-3 * x.max()]))
@@ -301,7 +300,7 @@ def test_the_bound_is_below_the_exact_one_where_its_terms_cancel(seed):
 
 def test_the_bound_holds_for_all_offsets_that_rounding_may_hide(monkeypatch):
     """D = -1 is the offset times eta: with a rounding of 1e-3, it may be -1.001."""
-    monkeypatch.setattr(many, "unit_rounding", lambda problem: 1e-3)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: 1e-3)
     plant, fixed = lfo.LinearDynamics([[0.0]], [[0.0]], offset=[1.0]), lfo.Box(0, 0)
     problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(), fixed, state_set=fixed, initial_state=[0.0])
     zero, one = np.zeros((1, 1, 1)), np.ones((1, 1, 1))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal.windows import chebwin
 
+from helpers.replacing import substitute
 from helpers.seeds import seeds
+from lin_freq_ocp.certificate import TERMS, Cells, certified_peak
 from lin_freq_ocp.certificate import peaks as cells
-from lin_freq_ocp.certificate.peaks import TERMS, Cells, certified_peak
-from lin_freq_ocp.problem.terms.semi_infinite import limits_on
+from lin_freq_ocp.problem import limits_on
 
 WHOLE = [(0.0, np.pi)]
 ABOVE = 3e-10  # RATIO, and as much for rounding at -100 dB
@@ -76,7 +77,7 @@ def test_it_is_a_bound_when_cells_are_not_halved_to_the_end(monkeypatch):
     samples = np.random.default_rng(1).standard_normal(50)
     limits = limits_on(WHOLE, np.zeros(1), np.ones(1))
     whole = certified_peak(samples, limits)
-    monkeypatch.setattr(cells, "HALVINGS", 1)
+    substitute(monkeypatch, "certificate.HALVINGS", 1)
     assert whole.ratio <= certified_peak(samples, limits).ratio < 2 * whole.ratio
 
 

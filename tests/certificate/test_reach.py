@@ -9,8 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp import certificate as judging
-from lin_freq_ocp.certificate.reach import reachable_bounds
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge, reachable_bounds
 from lin_freq_ocp.testing import reference_problem
 
 T = 30

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate import response_bound
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.response_curvature import BinCurvature, bin_curvature
+from helpers.replacing import substitute
+from lin_freq_ocp import Trajectory
+from lin_freq_ocp.certificate import extremal_at, farkas_bound, judge
+from lin_freq_ocp.transform import BinCurvature, bin_curvature
 
 T = 16
 LIMIT = 1.15  # of the output: some of its largest values reach it
@@ -209,7 +208,7 @@ def zero_multipliers(problem):
 def test_the_bound_holds_for_all_slopes_in_both_ends_of_a_period_that_rounding_may_hide(monkeypatch):
     """x_0 = x_2 = u_0 and the slopes of both ends cancel: with a rounding of 1e-3, all four terms may be wrong."""
     unit, reach = 1e-3, 1e-4
-    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: unit)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: unit)
 
     def problem(wrong_by):
         q, x_ref = (1.0 - wrong_by) * np.array([1.0, 0.0, 1.0]), (1.0 + wrong_by) * np.array([[1.0], [0.0], [1.0]])
@@ -251,7 +250,7 @@ def test_slopes_at_states_that_are_not_of_the_response_do_not_hide_those_of_the_
 def test_the_bound_holds_for_all_responses_that_rounding_may_hide(monkeypatch):
     """J = x_0 - u_0 and x_0 = u_0: with a rounding of 1e-3, both costs and the response may be wrong."""
     unit, reach = 1e-3, 1.0
-    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: unit)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: unit)
 
     def problem(wrong_by):
         q, r = (1 - wrong_by) * np.eye(2, 1), -(1 + wrong_by) * np.eye(2, 1)
@@ -268,14 +267,14 @@ def test_the_bound_holds_for_all_responses_that_rounding_may_hide(monkeypatch):
 
 def test_the_bound_holds_for_all_limits_that_rounding_may_hide(monkeypatch):
     """D = -1 is the upper bound of x_0 times its multiplier: with a rounding of 1e-3, it may be -1.001."""
-    monkeypatch.setattr(response_bound, "unit_rounding", lambda problem: 1e-3)
+    substitute(monkeypatch, "certificate.unit_rounding", lambda problem: 1e-3)
     still = lfo.Box(0.0, 0.0)
     problem = lfo.OptimalControlProblem(
         lfo.FrequencyResponse(np.ones(2)), 2, lfo.QuadraticCost(), still, state_set=lfo.Box(None, 1.0)
     )
     multipliers = replace(zero_multipliers(problem), mu=np.eye(3, 1))
     extremal = extremal_at(problem, lfo.simulate(problem, np.zeros((2, 1))), multipliers)
-    assert response_bound.farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
+    assert farkas_bound(extremal, (np.ones(1), np.ones(1))).value <= -1.001
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -12,20 +12,18 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
+from lin_freq_ocp import PiecewiseSmoothDynamics, certify
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate import hamiltonian, rays
-from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
+from lin_freq_ocp.certificate.hybrid import IntervalReach
 from lin_freq_ocp.methods.hybrid.search import branch_and_bound
 from lin_freq_ocp.methods.hybrid.search import multipliers as search_weights
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.hybrid import ModeArrays
 from lin_freq_ocp.program import units
-from lin_freq_ocp.solving.certify import certify
-from lin_freq_ocp.transform.hybrid import mode_reach
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.transform import stated_sizes
+from lin_freq_ocp.transform.hybrid import ModeReach, piecewise_affine
 
 library = lfo.library
 
@@ -93,7 +91,7 @@ def shrunk(images, by):
 @pytest.mark.parametrize("given", seeds([WALL, ROTATION, BUCK]))
 @pytest.mark.parametrize("by", [0.5, 0.1, 0.0])
 def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by):
-    monkeypatch.setattr(mode_reach.ModeReach, "images", shrunk(mode_reach.ModeReach.images, by))
+    monkeypatch.setattr(ModeReach, "images", shrunk(ModeReach.images, by))
     result = lfo.solve(made(given), throw=False)
     assert not wrongly_optimal(result, given["cost"])
     assert result.status != Status.INFEASIBLE
@@ -102,7 +100,7 @@ def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by)
 
 def test_that_search_would_have_been_wrong(monkeypatch):
     """The mutation above makes the search lose the optimum: without a judge of its own, this would be 'infeasible'."""
-    monkeypatch.setattr(mode_reach.ModeReach, "images", shrunk(mode_reach.ModeReach.images, 0.0))
+    monkeypatch.setattr(ModeReach, "images", shrunk(ModeReach.images, 0.0))
     results = [lfo.solve(made(given), throw=False) for given in (WALL, ROTATION, BUCK)]
     assert any(not result.tree_bound.covers for result in results)
 

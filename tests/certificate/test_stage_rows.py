@@ -21,7 +21,7 @@ from helpers.stage_rows import (
     scaled,
     solve,
 )
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
 
 
 def test_the_two_conditions_exist_only_with_rows(two_families):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.peaks import certified_vibration
-from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
+from lin_freq_ocp.certificate import certified_vibration
+from lin_freq_ocp.problem import VibrationLimit, VibrationMap
 
 ABOVE = 5e-8  # of the proven ratio over the largest value: 2e-8 of the chord
 

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.borders import changed
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
 
 T = 12
 STATIONARITY = "adjoint equation", "transversality at 0", "transversality at T", "Hamiltonian stationary in u"

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from lin_freq_ocp.methods.structured import can_compile
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*/*.py"))
 SAYS = {

@@ -11,11 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS
 from helpers.seeds import seeds
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
-from lin_freq_ocp.problem.terms.penalties import NormBall
-from lin_freq_ocp.problem.terms.penalty import Penalty
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem import AffineMap, FrequencyConstraint, NormBall, Penalty, StageMap, SumMap, Term
 from lin_freq_ocp.testing import check_terms
 
 LOW = lfo.low_pass(1.0)

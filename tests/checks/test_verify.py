@@ -12,7 +12,7 @@ from helpers.checks import alone, convex, explain, flips, frequencies, mixed, mo
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
 from helpers.seeds import seeds, whole_sample
-from lin_freq_ocp.certificate.hybrid.clarke import Flip
+from lin_freq_ocp.certificate.hybrid import Flip
 
 
 @pytest.mark.parametrize("seed", seeds(range(16)))

@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.replacing import substitute
 from helpers.seeds import turn
 from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
@@ -369,8 +370,8 @@ def test_where_nothing_can_be_written_nothing_is_solved(case, files, monkeypatch
     def solved(*given, **named):
         pytest.fail("solved before the path was looked at")
 
-    for name in ("cli.solve.solve", "api.compare.compare"):
-        monkeypatch.setattr(f"lin_freq_ocp.{name}", solved)
+    for name in ("solve", "compare"):
+        substitute(monkeypatch, name, solved)
     status, out, err = run(*UNWRITABLE[case][0])
     assert (status, out) == (BAD_INPUT, "")
     assert UNWRITABLE[case][1] in err
@@ -395,7 +396,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
     def exhausted(*given, **named):
         raise MemoryError("Unable to allocate 7.45 GiB")
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", exhausted)
+    substitute(monkeypatch, "solve", exhausted)
     status, out, err = run("solve", "pendulum")
     assert status in (BAD_INPUT, NOT_PROVEN)
     assert out == ""

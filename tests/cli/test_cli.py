@@ -17,6 +17,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require
 from helpers.command_line import COMMAND, once, parsed, run
 from helpers.compared_pages import blanks
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.cli import console
@@ -191,7 +192,7 @@ def test_an_optimum_of_zero_satisfies_the_principle(tmp_path, monkeypatch):
 
 
 def test_a_report_is_written_and_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw_figures", lambda _: blanks())
+    substitute(monkeypatch, "pages.draw_figures", lambda _: blanks())
     monkeypatch.chdir(tmp_path)
     status, out, err = run("compare", "pendulum", "--out", "some/report")
     page = Path("some/report/index.html")

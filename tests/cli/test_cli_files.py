@@ -12,6 +12,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.replacing import substitute
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -127,7 +128,7 @@ def test_the_library_saves_by_the_same_names(tmp_path):
 )
 def test_what_cannot_be_written_is_refused_before_solving(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", lambda *given, **named: pytest.fail("it was solved"))
+    substitute(monkeypatch, "solve", lambda *given, **named: pytest.fail("it was solved"))
     status, out, err = run("solve", "pendulum", *arguments)
     assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
     for word in words:

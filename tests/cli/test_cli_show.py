@@ -14,7 +14,7 @@ from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
 from helpers.seeds import seeds
 from lin_freq_ocp.cli.show import SCHEMAS, as_toml
-from lin_freq_ocp.files.problem_file import problem_text
+from lin_freq_ocp.files import problem_text
 
 
 def shown(*arguments):

@@ -14,11 +14,9 @@ import lin_freq_ocp as lfo
 from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
-from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.spectral.exchange import deadline
-from lin_freq_ocp.program.backends import clarabel_
-from lin_freq_ocp.program.backends.base import Claim, Solution
+from helpers.replacing import substitute
+from lin_freq_ocp.methods.spectral import deadline, recover
+from lin_freq_ocp.program import Claim, Solution, solve
 
 # --- interrupted ----------------------------------------------------------------------------------------------------
 
@@ -27,7 +25,7 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lin_freq_ocp.cli.solve.solve", interrupted)
+    substitute(monkeypatch, "solve", interrupted)
     status, out, err = run("solve", "pendulum", "--json")
     assert (status, out, err.strip()) == (130, "", "")
 
@@ -36,15 +34,15 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
 def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
     finished = []
-    monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
+    substitute(monkeypatch, "methods.ACCURATE_ANSWER", -1.0)
+    substitute(monkeypatch, "program.revised_scaling", lambda linear, scaling, z: scaling)
 
     def impatient(program, tolerance, time_limit):
-        answer = clarabel_.solve(program, tolerance, time_limit)
+        answer = solve(program, tolerance, time_limit)
         finished.append(answer)
         return answer if len(finished) <= passes else Solution(Claim.INTERRUPTED, answer.z, answer.y, "interrupted")
 
-    monkeypatch.setattr(convex, "backend", lambda name: impatient)
+    substitute(monkeypatch, "program.backend", lambda name: impatient)
     status, out, _ = run("solve", "pendulum", "--method", "convex", "--json")
     summary = parsed(out)
     require(summary, SOLVE)
@@ -58,7 +56,7 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
 @pytest.mark.parametrize("method", ["auto", "spectral"])
 def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, method):
     """Each round's point is kept, with the bound that it proves; no other method begins after it."""
-    optimum, last, bounds = 3199.18631986, solver.SpectralSolver(lfo.library.pendulum()).solve().rounds, []
+    optimum, last, bounds = 3199.18631986, lfo.SpectralSolver(lfo.library.pendulum()).solve().rounds, []
     for rounds in range(1, last):
         asked = press_ctrl_c(monkeypatch, rounds)
         status, out, err = run("solve", "pendulum", "--method", method, "--json")
@@ -79,13 +77,12 @@ def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, meth
 @pytest.mark.parametrize("method", ["auto", "spectral"])
 def test_ctrl_c_after_the_last_round_is_not_lost(monkeypatch, method):
     """The answer is complete, and said to be; who waits for the exit status is told of Ctrl-C all the same."""
-    recover = solver.recover
 
     def pressing(*found):
         signal.raise_signal(signal.SIGINT)
         return recover(*found)
 
-    monkeypatch.setattr(solver, "recover", pressing)
+    substitute(monkeypatch, "methods.spectral.recover", pressing)
     status, out, _ = run("solve", "pendulum", "--method", method, "--json")
     assert (status, parsed(out)["status"]) == (130, "optimal")
 
@@ -105,7 +102,7 @@ def press_ctrl_c(monkeypatch, rounds):
 
         return pressed
 
-    monkeypatch.setattr(solver, "deadline", pressing)
+    substitute(monkeypatch, "methods.spectral.deadline", pressing)
     return asked
 
 

@@ -9,8 +9,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, HARMLESS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require, require_words
 from helpers.command_line import once, parsed, run
-from lin_freq_ocp.methods.spectral import solver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from helpers.replacing import substitute
+from lin_freq_ocp.methods.structured import can_compile
 
 UNBOUNDED = UNCLOCKED.replace("R = 1.0\nP = 1.0", "r = [1.0]")
 ADRIFT = UNBOUNDED.replace("horizon = 6", "horizon = 60")
@@ -82,16 +82,16 @@ def test_a_method_that_cannot_take_the_problem_says_why(files, monkeypatch):
 
 def test_an_answer_that_the_judge_rejects_is_not_proven(monkeypatch):
     """The default goes on to the sparse program; who asks for this method alone is told."""
-    honest = solver.SpectralSolver.solve
+    honest = lfo.SpectralSolver.solve
 
     def spoiled(self, *given, **named):
         answer = honest(self, *given, **named)
         x, u = answer.trajectory.x, answer.trajectory.u
         return replace(answer, trajectory=lfo.Trajectory(x * (1 + 1e-3), u))
 
-    monkeypatch.setattr(solver.SpectralSolver, "solve", spoiled)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
+    monkeypatch.setattr(lfo.SpectralSolver, "solve", spoiled)
+    substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
+    substitute(monkeypatch, "methods.corrections", lambda *given: ())
     for method, expected in (("auto", (0, "convex", "satisfied")), ("spectral", (3, "spectral", "violated"))):
         status, out, _ = run("solve", "pendulum", "--method", method, "--json")
         summary = parsed(out)

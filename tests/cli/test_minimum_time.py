@@ -9,8 +9,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
+from helpers.replacing import substitute
 from helpers.schemas import MINIMUM_TIME, RESULT, faults
 from lin_freq_ocp.proof import lfo_check
+from lin_freq_ocp.solving import solve_judged
 
 MOVER = ("double_integrator", "--set", 'cutoff_hz="none"', "--set", "sampling_time=0.1")
 
@@ -43,10 +45,10 @@ def test_exit_statuses(words, expected, text):
 
 def test_an_undecided_horizon_has_a_status_of_its_own(monkeypatch):
     def stopped(problem, *options, **more):
-        found = lfo.solve(problem, throw=False)
+        found = solve_judged(problem)
         return replace(found, status=lfo.results.Status.LIMIT, certificate=None)
 
-    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
+    substitute(monkeypatch, "solving.solve_judged", stopped)
     status, out, _ = run("minimum-time", *MOVER, "--horizons", "40", "42")
     assert status == 3
     assert "nothing is proven of 40 to 42" in out
@@ -56,9 +58,9 @@ def test_ctrl_c_prints_what_is_decided(monkeypatch):
     def stopped(problem, *options, **more):
         if problem.horizon < 60:
             raise KeyboardInterrupt
-        return lfo.solve(problem)
+        return solve_judged(problem)
 
-    monkeypatch.setattr("lin_freq_ocp.batch.minimum_time.solve_judged", stopped)
+    substitute(monkeypatch, "solving.solve_judged", stopped)
     status, out, _ = run("minimum-time", *MOVER, "--horizons", "20", "60", "--json")
     assert status == 130
     assert (parsed(out)["horizon"], parsed(out)["proven"], parsed(out)["interrupted"]) == (60, False, True)

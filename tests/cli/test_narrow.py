@@ -11,7 +11,7 @@ from rich.table import Table
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from lin_freq_ocp.cli.console import fit_table, out, print_terms
-from lin_freq_ocp.pages.report.tables import certificate_table, comparison_table
+from lin_freq_ocp.pages import certificate_table, comparison_table
 
 
 def printed(renderable, width):

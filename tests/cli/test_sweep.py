@@ -11,10 +11,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
+from helpers.replacing import substitute
 from helpers.schemas import SWEEP, faults
 from helpers.sweeps import SHORT, assert_same, broken_builder
-from lin_freq_ocp.batch import sweep as sweep_point
-from lin_freq_ocp.files.batch_files import sweep_summary
+from lin_freq_ocp.files import sweep_summary
+from lin_freq_ocp.solving import solve_judged
 
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 
@@ -60,8 +61,8 @@ def test_exit_status_of_the_command(arguments, status, words):
 
 
 def test_the_command_says_which_points_are_not_proven(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
+    substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
+    substitute(monkeypatch, "methods.corrections", lambda *given: ())
     status, out, _ = run(
         "sweep", "pendulum", "--grid", "control_bound=[5.0]", "--tolerance", "10", "--method", "spectral"
     )
@@ -70,7 +71,7 @@ def test_the_command_says_which_points_are_not_proven(monkeypatch):
 
 
 def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
-    honest, pressed = sweep_point.solve_judged, threading.Event()
+    honest, pressed = solve_judged, threading.Event()
 
     def interrupted(*given, **named):
         if pressed.is_set():
@@ -78,7 +79,7 @@ def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
         pressed.set()
         return honest(*given, **named)
 
-    monkeypatch.setattr(sweep_point, "solve_judged", interrupted)
+    substitute(monkeypatch, "solving.solve_judged", interrupted)
     arguments = ("sweep", *WORDS, "--grid", "horizon=60:80:3", "--out", str(tmp_path), "--json")
     status, out, _ = run(*arguments)
     summary = parsed(out)

@@ -8,15 +8,14 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
+from helpers.replacing import substitute
 from helpers.seeds import turn
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.comparison import moves as moves_of
 from lin_freq_ocp.comparison.moves import shortest_moves, vibration, why_not_shaped
-from lin_freq_ocp.pages.figures.continua import ringing_of
-from lin_freq_ocp.pages.report.page import draw_figures, render_page
-from lin_freq_ocp.pages.report.tables import moves_rows, moves_sentence
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.pages import draw_figures, moves_rows, moves_sentence, render_page, ringing_of
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.solving import solve_judged
 
 CALM = lfo.ResidualVibration(frequency=(18.0, 22.0), damping=(0.02, 0.1), limit=0.5)
 
@@ -178,7 +177,7 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
 @turn(2)
 def test_the_command_prints_both_tables(monkeypatch):
     made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
-    monkeypatch.setattr("lin_freq_ocp.api.compare.compare", lambda *given: made)
+    substitute(monkeypatch, "compare", lambda *given: made)
     given = ["compare", "printer_move", "--set", "uncertainty=0.05", "--filters", "ZVD"]
     status, out, _ = run(*given)
     assert status == 0

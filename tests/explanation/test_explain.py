@@ -12,12 +12,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.explanation import explanation as explanation_module
+from helpers.replacing import substitute
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.explanation.explanation import least_cure
-from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.transform.limits import constraints, drop_limits
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.solving import solve_judged
+from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2
@@ -240,7 +239,7 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
         result = solve_judged(problem, *given, **options)
         return replace(result, interrupted=True) if len(solved) == 3 else result
 
-    monkeypatch.setattr(explanation_module, "solve_judged", interrupted)
+    substitute(monkeypatch, "solving.solve_judged", interrupted)
     explanation = lfo.explain(carriage())
     assert len(solved) == 3
     assert not explanation.irreducible

@@ -12,9 +12,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.transform.limits import constraints, drop_limits
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
 
 H, T = 0.1, 20
 NEEDED = 1.0 / (H * T / 2) ** 2

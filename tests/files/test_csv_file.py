@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.solution_files import save_csv
+from lin_freq_ocp import LinearDynamics, OptimalControlProblem, QuadraticCost, Trajectory
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.files import save_csv
 from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
 
 
 def test_the_csv_has_names_units_and_every_digit(tmp_path):

@@ -9,15 +9,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.files.conversions import to_cvxpy
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, low_pass, stop_band, to_cvxpy
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
-from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp.program import real_rows
 
 
 def labelled(program: cp.Problem) -> dict[str, cp.Constraint]:

@@ -9,9 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
 from helpers.seeds import seeds
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem import HalfSpaces, SpectrumMap, StandardCone, Term
 
 
 def labelled(program: cp.Problem) -> dict[str, cp.Constraint]:

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.every_table import GOOD
 from helpers.formula_costs import PUBLISHED
-from lin_freq_ocp.files.problem_tables import problem_from_tables
+from lin_freq_ocp.files import problem_from_tables
 
 
 def require_equal(one, other):

@@ -18,13 +18,10 @@ from scipy.io import savemat
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
+from helpers.replacing import substitute
 from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
-from lin_freq_ocp.files import reading as files
-from lin_freq_ocp.files import run_file
-from lin_freq_ocp.files.batch_files import BEGINNING, sweep_summary
-from lin_freq_ocp.files.reading import MOST_ENTRIES
-from lin_freq_ocp.files.summary import to_json
-from lin_freq_ocp.pages.report.tables import sweep_table
+from lin_freq_ocp.files import BEGINNING, LARGE, MOST_ENTRIES, sweep_summary, to_json
+from lin_freq_ocp.pages import sweep_table
 
 SMOOTH = {
     **{"schema": 1, "horizon": 4, "cost": {"R": 1.0}, "initial_state": [0.0, 0.0], "control_set": {"upper": 1.0}},
@@ -346,8 +343,8 @@ def unpacked(monkeypatch):
 
 def test_bombs_are_not_unpacked(tmp_path, unpacked, monkeypatch):
     """The sizes that the archive itself declares are enough: here of a sixteenth of what is large otherwise."""
-    monkeypatch.setattr(files, "LARGE", files.LARGE // 16)
-    path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], files.LARGE)
+    substitute(monkeypatch, "files.LARGE", LARGE // 16)
+    path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], LARGE // 16)
     for read in (lfo.load, lfo.load_run):
         with pytest.raises(lfo.errors.ProblemError, match=r"bytes that unpack to 3\d+ or more"):
             read(path)
@@ -383,7 +380,7 @@ def test_what_is_no_array_is_not_taken_for_one(tmp_path):
 
 
 def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "LARGE", 2**24)  # an archive above shows the limit itself
+    substitute(monkeypatch, "files.LARGE", 2**24)  # an archive above shows the limit itself
     savemat(tmp_path / "bomb.mat", {"x": np.zeros((2**18, 9)), "u": np.zeros((8, 1))}, do_compression=True)
     with pytest.raises(lfo.errors.ProblemError, match="bytes that unpack to"):
         lfo.read_mat(tmp_path / "bomb.mat", cart.problem)
@@ -391,9 +388,8 @@ def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path, monkeypatch):
 
 def test_a_large_answer_of_zeros_is_no_bomb(cart, tmp_path, monkeypatch):
     """What is dumped can be read again: it is stored as it is where it would be taken for a bomb."""
-    monkeypatch.setattr(files, "LARGE", 10_000)
-    monkeypatch.setattr(run_file, "LARGE", 10_000)
-    monkeypatch.setattr(files, "MOST_COMPRESSED", 2)
+    substitute(monkeypatch, "files.LARGE", 10_000)
+    substitute(monkeypatch, "files.MOST_COMPRESSED", 2)
     cart.dump(tmp_path / "run.zip")
     assert lfo.load_run(tmp_path / "run.zip").summary["status"] == "optimal"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from helpers.checks import names
-from lin_freq_ocp.methods.native_code import compiler
+from lin_freq_ocp.methods import compiler
 
 CHEAP = "TOML", "JSON", "CSV"  # with 200 names
 PROBLEMS = [names.hostile_problem(seed) for seed in range(25)]

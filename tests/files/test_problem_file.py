@@ -16,18 +16,23 @@ from hypothesis.extra.numpy import arrays
 import lin_freq_ocp as lfo
 from helpers.problem_files import assert_same, bands, everything_at_once
 from helpers.seeds import examples
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.problem_file import INLINE_LIMIT, init_problem_file, read_problem, template, write_problem
-from lin_freq_ocp.files.problem_tables import NORM_COSTS, SETS, SPECTRUM
-from lin_freq_ocp.files.solution_files import save_solution
+from lin_freq_ocp import (
+    Box,
+    LinearDynamics,
+    OptimalControlProblem,
+    QuadraticCost,
+    StageRows,
+    Trajectory,
+    low_pass,
+    read_problem,
+    stop_band,
+    write_problem,
+)
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.files import INLINE_LIMIT, NORM_COSTS, SETS, SPECTRUM, init_problem_file, save_solution, template
 from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, Everything, Point
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.bands import band_pass, high_pass, low_pass, notch, stop_band
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.sets import Everything, Point
+from lin_freq_ocp.spectrum import band_pass, high_pass, notch
 
 GOOD = """
 schema = 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError
 
 FILE = """
 schema = 1

@@ -13,10 +13,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
 from helpers.random.mixed import FEATURES, problem_of, random_model
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.costs import L1Cost, LInfCost
-from lin_freq_ocp.files import problem_file as toml_file
-from lin_freq_ocp.files.problem_file import INLINE_LIMIT
+from lin_freq_ocp.files import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
 
 T, N, M = 12, 3, 2
@@ -255,7 +255,7 @@ def test_modes_survive_the_round_trip(tmp_path, name):
 
 
 def test_large_arrays_of_modes_leave_the_text(tmp_path, monkeypatch):
-    monkeypatch.setattr(toml_file, "INLINE_LIMIT", 20)
+    substitute(monkeypatch, "files.INLINE_LIMIT", 20)
     steps = 21
     edge = RNG.normal(size=(steps, 1))
     plant = np.array([[0.5]]), np.array([[1.0]])

@@ -17,12 +17,11 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
+from helpers.replacing import substitute
 from lin_freq_ocp.api.runs import SAME_COST, Rerun
-from lin_freq_ocp.base.clock import use_clock
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.cli import app as cli
-from lin_freq_ocp.files.run_file import dump_run
-from lin_freq_ocp.files.summary import result_summary
-from lin_freq_ocp.methods.convex import sparse_program as convex
+from lin_freq_ocp.files import dump_run, result_summary
 
 CART = lfo.OptimalControlProblem(
     dynamics=lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -115,8 +114,8 @@ def ticking():
     ],
 )
 def test_the_result_of_an_error_can_be_dumped(tmp_path, ticking, monkeypatch, problem, options, error, status):
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.repair_trajectory", lambda *given: None)
-    monkeypatch.setattr("lin_freq_ocp.solving.judging.corrections", lambda *given: ())
+    substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
+    substitute(monkeypatch, "methods.corrections", lambda *given: ())
     with pytest.raises(error) as caught:
         lfo.solve(problem, **options)
     caught.value.result.dump(tmp_path / "run.zip")
@@ -146,7 +145,7 @@ def test_a_dump_says_nothing_of_who_and_where(tmp_path, monkeypatch):
     def failing(*given):
         open("/home/somebody/data.npz")
 
-    monkeypatch.setattr(convex, "backend", failing)
+    substitute(monkeypatch, "program.backend", failing)
     with pytest.raises(FileNotFoundError):
         cli.cli.main(["solve", "pendulum", "--method", "convex", "--dump", "run.zip"], standalone_mode=False)
     with zipfile.ZipFile("run.zip") as archive:
@@ -226,7 +225,7 @@ def test_a_run_that_breaks_down_is_dumped(folder, monkeypatch):
     def broken(*given):
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr(convex, "backend", broken)
+    substitute(monkeypatch, "program.backend", broken)
     assert run("solve", "cart.toml", "--method", "convex", "--dump", "run.zip")[0] == 70
     assert lfo.load_run("run.zip").error["places"][-1].endswith("broken")
     status, out, _ = run("rerun", "run.zip")

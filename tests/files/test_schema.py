@@ -21,16 +21,19 @@ from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, is_valid, printed
 from helpers.seeds import seeds
 from lin_freq_ocp.api.solve import ERRORS
-from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.rays import Conflict
+from lin_freq_ocp.certificate import Condition, Conflict
 from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.files import (
+    SETS,
+    TableRecord,
+    comparison_summary,
+    failed_comparison_summary,
+    result_summary,
+    template,
+)
 from lin_freq_ocp.files import problem_tables as dynamics
 from lin_freq_ocp.files import problem_tables as tables
-from lin_freq_ocp.files.codec import TableRecord
-from lin_freq_ocp.files.problem_file import template
-from lin_freq_ocp.files.problem_tables import SETS
-from lin_freq_ocp.files.summary import comparison_summary, failed_comparison_summary, result_summary
-from lin_freq_ocp.problem.measures import Measures
+from lin_freq_ocp.problem import Measures
 
 PARTS = PROBLEM["$defs"]
 PAGE = Path(__file__).parents[2] / "docs" / "problem_file.md"

@@ -13,7 +13,7 @@ from scipy.io import loadmat, savemat
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from lin_freq_ocp.files.solution_files import save_csv, save_mat
+from lin_freq_ocp.files import save_csv, save_mat
 
 T = 20
 PROBLEM = lfo.OptimalControlProblem(

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.files.solution_files import load_solution, save_solution
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp import Trajectory
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.files import load_solution, save_solution
+from lin_freq_ocp.results import Multipliers
 
 
 def some_solution(T: int = 6, n: int = 3, m: int = 2) -> tuple[Trajectory, Multipliers]:

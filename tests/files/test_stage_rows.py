@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.stage_rows import cart
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
 
 
 def test_problem_and_solution_survive_their_files(tmp_path, two_families):

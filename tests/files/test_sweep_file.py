@@ -10,16 +10,17 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.sweeps import GRID, SHORT, assert_same
-from lin_freq_ocp.batch import sweep as sweep_point
+from lin_freq_ocp.solving import solve_judged
 
 
 @pytest.fixture
 def counted(monkeypatch):
     """Count what is solved in this process."""
     solved = []
-    honest = sweep_point.solve_judged
-    monkeypatch.setattr(sweep_point, "solve_judged", lambda *a, **b: solved.append(1) or honest(*a, **b))
+    honest = solve_judged
+    substitute(monkeypatch, "solving.solve_judged", lambda *a, **b: solved.append(1) or honest(*a, **b))
     return solved
 
 
@@ -58,7 +59,7 @@ def test_nothing_is_solved_twice_and_a_grid_may_grow(written, counted):
 
 def test_points_with_errors_are_tried_again(tmp_path, monkeypatch):
     path = tmp_path / "sweep.jsonl"
-    monkeypatch.setattr(sweep_point, "solve_judged", lambda *a, **b: 1 / 0)
+    substitute(monkeypatch, "solving.solve_judged", lambda *a, **b: 1 / 0)
     assert lfo.sweep(SHORT, {"horizon": [60]}, path=path).column("status") == ["error"]
     monkeypatch.undo()
     assert lfo.sweep(SHORT, {"horizon": [60]}, path=path).column("status") == ["optimal"]

@@ -15,11 +15,12 @@ import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
-from lin_freq_ocp.batch.grid import fingerprint
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.batch import fingerprint
+from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.dynamics import SmoothMode
+from lin_freq_ocp.formulas import Formula
 from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
+from lin_freq_ocp.formulas.nodes import nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text
 
 X, U = lfo.signals(2, 1)

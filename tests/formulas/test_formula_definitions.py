@@ -15,7 +15,7 @@ from helpers.schemas import PROBLEM
 from helpers.seeds import seeds
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import nodes_in_order
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 SCHEMA = Draft202012Validator(PROBLEM)
 POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
@@ -112,7 +112,7 @@ def test_short_formulas_stand_as_they_are(tmp_path):
 
 def dynamics_with(**table):
     head = {"schema": 1, "horizon": 2, "cost": {}}
-    from lin_freq_ocp.files.problem_tables import problem_from_tables
+    from lin_freq_ocp.files import problem_from_tables
 
     return piecewise_smooth(problem_from_tables({**head, "dynamics": {"control_dim": 1, **table}}))
 

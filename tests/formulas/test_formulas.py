@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from helpers.seeds import examples, seeds
+from lin_freq_ocp.formulas import Formula
 from lin_freq_ocp.formulas.jets import jets, values_of
-from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order, text_of
+from lin_freq_ocp.formulas.nodes import nodes_in_order, text_of
 from lin_freq_ocp.formulas.text import MOST_LEVELS, formula_from_text
 
 N, M = 2, 1

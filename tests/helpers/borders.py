@@ -6,7 +6,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers import kinks
-from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
+from lin_freq_ocp.methods.hybrid import multipliers_with_weights
 
 
 def changed(multipliers, **fields):

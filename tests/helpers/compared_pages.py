@@ -8,13 +8,10 @@ from functools import cache
 from matplotlib.figure import Figure
 
 from helpers.pages import double_integrator, parsed
-from lin_freq_ocp.api.compare import Comparison, compare
+from lin_freq_ocp import Box, OptimalControlProblem, compare, low_pass, stop_band
 from lin_freq_ocp.library import pendulum, printer_move
-from lin_freq_ocp.pages.figures.figures import comparison_data, price_figure
-from lin_freq_ocp.pages.report.page import Drawing, draw_figures, render_page
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
+from lin_freq_ocp.pages import Drawing, comparison_data, draw_figures, price_figure, render_page
+from lin_freq_ocp.results import Comparison
 
 CASES: dict[str, Callable[[], OptimalControlProblem]] = {
     "pendulum": pendulum,

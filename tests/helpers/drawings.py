@@ -6,7 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from lin_freq_ocp.pages.report.page import Drawing
+from helpers.replacing import substitute
+from lin_freq_ocp.pages import Drawing
 
 DRAWN = Drawing.png
 BLANK = b"\x89PNG\r\n\x1a\n"  # the beginning of an image, without the image
@@ -26,7 +27,7 @@ def blank(monkeypatch: pytest.MonkeyPatch) -> None:
     def undrawn(name: str, title: str, caption: str, figure: Figure) -> Drawing:
         return Drawing(name, title, caption, "<svg></svg>", figure)
 
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.drawing_of", undrawn)
+    substitute(monkeypatch, "pages.drawing_of", undrawn)
 
 
 @pytest.fixture

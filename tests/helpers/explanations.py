@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 
-from lin_freq_ocp.batch.grid import fingerprint
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.outcome import Explanation
+from lin_freq_ocp import OptimalControlProblem
+from lin_freq_ocp.batch import fingerprint
+from lin_freq_ocp.results import Explanation
 
 Explain = Callable[..., Explanation]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.transform.hybrid.priced import cost_as_state
+from lin_freq_ocp.transform.hybrid import cost_as_state
 
 
 def dtoc1l(points: int, controls: int = 2, states: int = 4) -> lfo.OptimalControlProblem:

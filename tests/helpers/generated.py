@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.methods.native_code import compiler
+from lin_freq_ocp.methods import compiler
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover")

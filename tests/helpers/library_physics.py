@@ -6,7 +6,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp import OptimalControlProblem
 
 
 def solved(problem: OptimalControlProblem) -> tuple[float, np.ndarray, np.ndarray]:

@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp import LinearDynamics, OptimalControlProblem, QuadraticCost
 
 T, N, M = 5, 3, 2  # horizon, states, controls: all different, so that an exchanged axis is an error
 

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from scipy.optimize import lsq_linear
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base import Array, Indices
 
 TOLERANCE = 1e-10  # asked of Clarabel
 AGREEMENT = 1e-6  # difference of the two costs, relative to the sum of the absolute terms

@@ -6,11 +6,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.bands import Band
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost
+from lin_freq_ocp.problem import Band
 
 STATES = ["position <p> [m]", "speed & co [m/s]"]
 

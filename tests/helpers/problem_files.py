@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box, Everything
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.bands import Band, band_pass, high_pass, low_pass, stop_band
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, StageRows, low_pass, stop_band
+from lin_freq_ocp.problem import Band
+from lin_freq_ocp.sets import Everything
+from lin_freq_ocp.spectrum import band_pass, high_pass
 
 
 def bands(given) -> list[Band]:

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
-from lin_freq_ocp.program.backends.base import Claim, Solution, backend
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.methods import SOLVED_TOLERANCE
+from lin_freq_ocp.program import Claim, Program, Solution, backend
 
 OWN = ["clarabel", "osqp"]
 INF = np.inf

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 Map = Callable[[Any, Any], Sequence[Any]]
 

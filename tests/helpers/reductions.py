@@ -13,19 +13,21 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
-from lin_freq_ocp.methods.spectral.reductions import SoftBounds, priced_bounds, row_form, soft_bins
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces
-from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.methods import absorb_cost
+from lin_freq_ocp.methods.spectral import SoftBounds, priced_bounds, row_form, soft_bins
+from lin_freq_ocp.problem import HARD, FrequencyConstraint, HalfSpaces, StageMap, SumMap, Term
 from lin_freq_ocp.sets import Polyhedron, Soft
 from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
-from lin_freq_ocp.transform.hybrid.priced import cost_as_state
-from lin_freq_ocp.transform.level_rows import few_between_levels
-from lin_freq_ocp.transform.reductions import Reduction
-from lin_freq_ocp.transform.reformulations import RATE_LIMIT, rate_limit, sampled_masks, translated_by, translation_of
+from lin_freq_ocp.transform import (
+    RATE_LIMIT,
+    Reduction,
+    few_between_levels,
+    rate_limit,
+    sampled_masks,
+    translated_by,
+    translation_of,
+)
+from lin_freq_ocp.transform.hybrid import cost_as_state
 
 Problem = lfo.OptimalControlProblem
 T, SEEDS = 16, seeds(range(3))
@@ -190,7 +192,7 @@ REDUCTIONS = {
         },
     ),
     "absorbed cost": Entry(
-        absorbed_cost,
+        absorb_cost,
         {
             "periodic": partial(averaging, closed=True),
             "zero-padded": partial(averaging, closed=False),

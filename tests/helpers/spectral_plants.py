@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.problem.measures import one_step_residual
-from lin_freq_ocp.solving.solver_cache import solve_spectral
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.methods import SolveOptions
+from lin_freq_ocp.problem import one_step_residual
+from lin_freq_ocp.solving import solve_spectral
 
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
 B = np.array([[0.5, 0.0], [0.2, 0.6], [0.3, -0.4]])

@@ -6,7 +6,7 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.stages import Stages
+from lin_freq_ocp.methods.structured import Stages
 
 
 def stage_operator(stages: Stages) -> tuple[list[np.ndarray], list[np.ndarray]]:

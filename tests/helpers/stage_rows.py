@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.results import Certificate
 
 T, N, M = 16, 3, 2
 KINDS = ("x", "u", "xu")

@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.bands import low_pass, stop_band
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, StageRows, low_pass, stop_band
 
 N, M = 3, 2
 

@@ -13,14 +13,11 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import lin_freq_ocp as lfo
 from lin_freq_ocp.api import result as results
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.solving import certify as certifying
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.certificate import GAP_TOLERANCE, RIGOROUS, Condition
+from lin_freq_ocp.results import Certificate, Status
+from lin_freq_ocp.solving import Outcome
 
 TESTS = str(Path(__file__).parents[1])
 CLOSEST = "closest verdict"  # the property of a test's report
@@ -84,7 +81,7 @@ class Record:
                 self.add(record.certificate)
             return present_as(cls, record)
 
-        replacements = {present_as: present, certifying.certify: self._recording(certifying.certify)}
+        replacements = {present_as: present, lfo.certify: self._recording(lfo.certify)}
         for module in [one for name, one in sys.modules.items() if name.startswith("lin_freq_ocp")]:
             for name, value in list(vars(module).items()):
                 if callable(value) and value in replacements:

@@ -8,8 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from helpers.library_physics import bins_around, energy, frequencies, removed, solved
-from lin_freq_ocp import library
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import library, simulate
 
 # --- crane
 

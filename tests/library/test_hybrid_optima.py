@@ -13,9 +13,9 @@ import lin_freq_ocp as lfo
 from helpers.hybrid_equations import STEPS, random_points, single_step, successors
 from helpers.seeds import seeds
 from lin_freq_ocp import library
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.library.power_electronics import buck_error
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods import solve_convex
 
 # --- known optima, by enumeration
 

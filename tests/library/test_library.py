@@ -8,7 +8,7 @@ import pytest
 from helpers.library_physics import solved
 from helpers.seeds import seeds
 from lin_freq_ocp import library
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError
 
 OPTIMA = {  # cost with and without the frequency constraint
     "pendulum": (3199.18631986, 2852.70530277),  # both from two methods that share nothing

@@ -9,9 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.library_physics import bins_around, energy, frequencies, removed, solved
-from lin_freq_ocp import library
-from lin_freq_ocp.problem.spectrum.bands import stop_band
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import library, simulate, stop_band
 
 # --- two masses and a spring
 

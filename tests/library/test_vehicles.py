@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.library_physics import solved
-from lin_freq_ocp import library
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import library, simulate
 
 # --- quadcopter
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.library.waveforms import coefficients_at
 
 POWERS = [(None, 140.007195), (2000.0, 98.11269), (1000.0, 58.75533)]  # W

@@ -9,9 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.loop import controller
-from lin_freq_ocp.solving.resolver import PlannedStart, proven_in_batch
+from lin_freq_ocp.solving import PlannedStart, proven_in_batch
 
 
 @pytest.mark.parametrize("name", seeds(LOOPS))
@@ -113,7 +113,7 @@ def test_plans_with_soft_and_joint_rows_are_judged_as_a_batch(name, monkeypatch)
         loop = lfo.RecedingHorizon(problem, certify="later", soft=soft)
         for start in (*0.5 * states(problem, 5), *[np.array([0.9, 0.3, 1.5, 1.5])] * 3):
             loop.step(start)
-        monkeypatch.setattr(controller, "proven_in_batch", (lambda _: {}) if alone else never_alone(monkeypatch))
+        substitute(monkeypatch, "solving.proven_in_batch", (lambda _: {}) if alone else never_alone(monkeypatch))
         logs.append(loop.certify())
         monkeypatch.undo()
     batch, single = logs

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.native_code import compiler
+from lin_freq_ocp.methods import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 

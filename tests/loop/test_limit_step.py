@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving import Outcome, Request
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 START = np.array([1.0, 0.0])

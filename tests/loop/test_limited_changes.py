@@ -10,10 +10,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.loops import LOOPS, pendulum, states
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.condensed.dense import DenseKernel
-from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver
-from lin_freq_ocp.methods.condensed.tables import LIMIT, SOLVED
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import LIMIT, SOLVED, Budget, CondensedSolver, DenseKernel
 
 QUEUE = 4  # rows that the C kernel counts as tried after the last change
 SOFT = {"state_set": 1e3}

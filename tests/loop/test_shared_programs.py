@@ -9,9 +9,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import with_past
-from lin_freq_ocp.methods.convex.sparse_program import MOST_PROGRAMS, ProgramCache
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.transform.reductions import add_disturbance
+from lin_freq_ocp.methods import MOST_PROGRAMS, ProgramCache
+from lin_freq_ocp.program import LinearProgram
+from lin_freq_ocp.transform import Change
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 HOP, LENGTH = 4, 12
@@ -120,16 +120,16 @@ def test_equal_dynamics_with_another_offset_share_matrices():
 def test_previewed_disturbances_keep_the_matrices():
     """Of windows, whose program is the sparse one, and of the condensed method, which solves a plain problem."""
     expected = 1e-2 * np.random.default_rng(1).standard_normal((30, 2))
-    first, other = LinearProgram(windowed()), LinearProgram(add_disturbance(windowed(), expected))
+    first, other = LinearProgram(windowed()), LinearProgram(Change(disturbance=expected).apply(windowed()))
     assert other.share_matrices(first)
-    exact = LinearProgram(add_disturbance(windowed(), expected)).sparse
+    exact = LinearProgram(Change(disturbance=expected).apply(windowed())).sparse
     for part in ("lower", "upper", "q", "constant"):
         np.testing.assert_array_equal(getattr(other.sparse, part), getattr(exact, part))
     plain = windowed(control_spectrum=None)
     loop, x = lfo.RecedingHorizon(plain), np.array([1.0, 0.0])
     for k in range(6):
         u = loop.step(x, disturbance=expected if k % 2 else None)
-        alone = add_disturbance(plain, expected) if k % 2 else plain
+        alone = Change(disturbance=expected).apply(plain) if k % 2 else plain
         np.testing.assert_allclose(u, lfo.solve(alone.with_ends(x)).control[0], atol=1e-8)
         x = DYNAMICS.A @ x + DYNAMICS.B @ u
     assert {step.method for step in loop.log.steps} == {"condensed"}
@@ -143,5 +143,5 @@ def test_previewed_disturbances_move_the_rows_of_a_polyhedron_at_the_end():
     loop, expected = lfo.RecedingHorizon(problem), np.array([0.0, 0.02])
     for k in range(4):
         u = loop.step([1.0, 0.0], disturbance=expected if k % 2 else None)
-        alone = add_disturbance(problem, expected) if k % 2 else problem
+        alone = Change(disturbance=expected).apply(problem) if k % 2 else problem
         np.testing.assert_allclose(u, lfo.solve(alone).control[0], atol=1e-7)

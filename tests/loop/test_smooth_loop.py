@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.solving.hybrid import smooth
+from helpers.replacing import substitute
 
 HORIZON = 3
 
@@ -20,7 +20,7 @@ def test_a_step_asks_for_no_bound(problem, monkeypatch):
     def fail(*arguments, **keywords):
         raise AssertionError("a bound was asked for")
 
-    monkeypatch.setattr(smooth, "value_bounds", fail)
+    substitute(monkeypatch, "certificate.hybrid.value_bounds", fail)
     controller = lfo.RecedingHorizon(problem)
     u = controller.step([0.5])
     assert controller.log.statuses == ("locally_optimal",)

@@ -11,8 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.loops import pendulum
 from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import soften
-from lin_freq_ocp.methods.structured.solver import solve_structured
-from lin_freq_ocp.solving import solver_cache
+from lin_freq_ocp.methods.structured import solve_structured
 
 PENALTIES = 1e2, 1e3, 1e5
 
@@ -60,7 +59,7 @@ def test_the_structured_method_takes_few_steps_whatever_a_price_is(penalty):
 def test_a_step_without_a_solution_is_proven_by_the_rows_that_stopped_the_plan(monkeypatch):
     """No other method is asked for a proof: the ray of the condensed method is one."""
     fail = lambda *given, **options: pytest.fail("solved again")  # noqa: E731
-    monkeypatch.setattr(solver_cache.SpectralSolver, "solve", fail)
+    monkeypatch.setattr(lfo.SpectralSolver, "solve", fail)
     problem = pendulum(60)
     loop = lfo.RecedingHorizon(problem, soft={"state_set": 1e3})
     for state in ([0.0, 0.0, 0.3, 0.0], [0.9, 0.3, 1.5, 1.5], [0.0, 0.0, 0.3, 0.0]):

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
 from lin_freq_ocp.loop.step_problem import free_first_state
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
+from lin_freq_ocp.methods.hybrid import TreeSearch
 
 
 def wall(horizon=10):

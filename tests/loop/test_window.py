@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.loop.step_problem import depends_on_past, free_first_state, with_past
-from lin_freq_ocp.transform.reductions import add_disturbance
+from lin_freq_ocp.transform import Change
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 COST = lfo.QuadraticCost(Q=1.0, R=0.1)
@@ -103,10 +103,10 @@ def test_rows_of_the_state_alone_are_left_out_at_the_first_time():
 
 
 def test_a_disturbance_is_added_to_the_offset():
-    now = add_disturbance(problem(), [0.1, 0.2])
+    now = Change(disturbance=[0.1, 0.2]).apply(problem())
     assert now.linear.offset.tolist() == [0.1, 0.2]
     with pytest.raises(lfo.errors.ProblemError) as caught:
-        add_disturbance(problem(), [1.0])
+        Change(disturbance=[1.0]).apply(problem())
     assert caught.value.field == "disturbance"
     with pytest.raises(lfo.errors.UnsupportedError, match="a preview needs linear dynamics; these are Piecewise"):
         lfo.RecedingHorizon(lfo.library.pendulum_with_wall(horizon=5)).step(np.zeros(2), disturbance=[0.0, 0.1])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.convex.attempts import ScaledSolver
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.units import scaled_program
+from lin_freq_ocp.methods import ScaledSolver
+from lin_freq_ocp.program import Claim, Solution, scaled_program
 
 
 @pytest.mark.parametrize("claim", [Claim.SOLVED, Claim.LIMIT, Claim.INFEASIBLE])

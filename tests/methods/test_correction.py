@@ -7,11 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.candidate import zero_multipliers
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.correction import corrections
-from lin_freq_ocp.program.active_rows import solve_active
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.methods import corrections, solve_convex, zero_multipliers
+from lin_freq_ocp.program import Program, solve_active
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from lin_freq_ocp.methods import native_code
-from lin_freq_ocp.methods.native_code import DAY, compiled_library, compiler
+from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 
 PURPOSE = "the answer in C could not be compiled, Python computes it"
 COMPILE = f'exec {compiler()} "$@"'

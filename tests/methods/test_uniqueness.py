@@ -15,10 +15,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods import fitted_multipliers as multipliers_module
-from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, abnormal_multipliers, uniqueness
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.methods import Uniqueness, abnormal_multipliers, uniqueness
 
 T = 12
 CART = lfo.LinearDynamics([[1, 0.2], [0, 1]], [[0.02], [0.2]])
@@ -229,7 +229,7 @@ def test_without_a_trajectory_there_is_nothing_to_say():
 
 def test_a_dense_rank_is_not_tried_for_too_many_gradients(monkeypatch):
     result = lfo.solve(cart())
-    monkeypatch.setattr(multipliers_module, "MOST_GRADIENTS", 20)
+    substitute(monkeypatch, "methods.MOST_GRADIENTS", 20)
     with pytest.raises(lfo.errors.UnsupportedError, match="29 active gradients; their rank is computed for up to 20"):
         _ = result.uniqueness
 

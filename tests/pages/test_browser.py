@@ -10,8 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
 from helpers.patience import PATIENCE
-from lin_freq_ocp.pages.explorer.server import ExploreServer, static_page
-from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.pages import ExploreServer, Session, static_page
 
 
 def new_session():

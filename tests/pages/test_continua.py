@@ -7,12 +7,18 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.pages.figures.continua import held_panels, panels_figure, vibration_panels
-from lin_freq_ocp.pages.figures.figures import comparison_data, result_data
-from lin_freq_ocp.pages.figures.plot_data import joint_rows
-from lin_freq_ocp.pages.report.page import draw_figures, render_page
-from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit
-from lin_freq_ocp.transform.reformulations import semi_infinite_terms
+from lin_freq_ocp.pages import (
+    comparison_data,
+    draw_figures,
+    held_panels,
+    joint_rows,
+    panels_figure,
+    render_page,
+    result_data,
+    vibration_panels,
+)
+from lin_freq_ocp.problem import VibrationLimit
+from lin_freq_ocp.transform import semi_infinite_terms
 
 FREE = lfo.library.double_integrator(horizon=60, sampling_time=0.04, cutoff_hz=None, speed_bound=None)
 HELD = lfo.MagnitudeBound([[3, 1.0], [20, 0.5]], band=lfo.low_pass(cutoff_hz=3.0), every_frequency=True, hold=True)

@@ -12,26 +12,23 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
 from helpers.seeds import seeds
-from lin_freq_ocp.api.compare import compare
-from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.base.errors import SolveError
-from lin_freq_ocp.pages.figures.figures import (
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, compare, solve
+from lin_freq_ocp.errors import SolveError
+from lin_freq_ocp.pages import (
+    MOST_DRAWN,
+    STYLES,
     comparison_data,
     comparison_figure,
+    finding_of,
     gap_figure,
+    parts_of_the_gap,
     phase_pairs,
     result_figure,
     states_figure,
+    thin_out,
+    view,
 )
-from lin_freq_ocp.pages.figures.look import MOST_DRAWN, STYLES, thin_out
-from lin_freq_ocp.pages.figures.plot_data import view
-from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.measures import padded_spectrum
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem import padded_spectrum, problem_facts
 
 
 def test_every_control_has_its_panels():
@@ -100,7 +97,7 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
     assert (trace.label, trace.detail) == ("filtered", "moving average")
     assert trace.trajectory is comparison.filtered[3].replay.trajectory
     nothing = replace(comparison, filtered=())
-    assert findings.finding_of(nothing).filtering == ""
+    assert finding_of(nothing).filtering == ""
     assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 
@@ -157,7 +154,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     assert len(lower_edge.get_ydata()) == len(gaps) - len(points.get_ydata())
     unbounded = replace(result.certificate, bound=None)
     assert gap_figure(comparison_data(comparison), unbounded) is None
-    assert proof.parts_of_the_gap(unbounded) == ""
+    assert parts_of_the_gap(unbounded) == ""
 
 
 def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):

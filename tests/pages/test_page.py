@@ -16,23 +16,33 @@ from matplotlib.figure import Figure
 
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import NOTHING, number
-from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.pages.figures.figures import comparison_data, comparison_figure
-from lin_freq_ocp.pages.figures.look import STYLES
-from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import draw_figures, drawing_of, render_page, save_report, tiles
-from lin_freq_ocp.pages.report.tables import NOT_MEANINGFUL, comparison_rows
-from lin_freq_ocp.problem.spectrum.bands import stop_band
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp import Trajectory, compare, stop_band
+from lin_freq_ocp.base import NOTHING, number
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.pages import (
+    NOT_MEANINGFUL,
+    STYLES,
+    comparison_data,
+    comparison_figure,
+    comparison_rows,
+    draw_figures,
+    drawing_of,
+    finding_of,
+    render_page,
+    save_report,
+    stop_band_meaning,
+    tiles,
+    verdict,
+)
+from lin_freq_ocp.results import Certificate, Comparison
 
 
 def quietly(name: str) -> list[float]:
     """Return all numbers of the headline."""
-    return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(findings.finding_of(case(name))))]
+    return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(finding_of(case(name))))]
 
 
 @pytest.mark.parametrize("name", seeds(CASES))
@@ -57,7 +67,7 @@ def test_page_names_everything(name: str):
     problem, shown = case(name).problem, text(name)
     for component in (*problem.state_names, *problem.control_names):
         assert component in shown
-    assert str(findings.finding_of(case(name))).split(": ", 1)[1].split(". ")[0][1:] in shown
+    assert str(finding_of(case(name))).split(": ", 1)[1].split(". ")[0][1:] in shown
     certificate = case(name).constrained.certificate
     if certificate is not None:
         for condition in certificate.conditions:
@@ -93,9 +103,7 @@ def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(images, monkey
 
 
 def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "lin_freq_ocp.pages.report.page.draw_figures", lambda _: drawings("state band")
-    )  # they are drawn only once
+    substitute(monkeypatch, "pages.draw_figures", lambda _: drawings("state band"))  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
     assert path == tmp_path / "new" / "folder" / "index.html"
     assert path.read_text(encoding="utf-8") == page("state band")
@@ -111,7 +119,7 @@ def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
 
 
 def test_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.pages.report.page.draw_figures", lambda _: blanks())
+    substitute(monkeypatch, "pages.draw_figures", lambda _: blanks())
     (tmp_path / "taken").write_text("")
     with pytest.raises(ProblemError, match="taken: got File exists"):
         save_report(case("no band"), tmp_path / "taken")
@@ -146,7 +154,7 @@ def test_stop_band_is_explained_with_its_peaks():
     assert "97 to 120 of force" in shown
     assert comparison.constrained_measures is not None
     for measures in (comparison.constrained_measures, comparison.classical_measures):
-        assert number(measures.stopband_peak, 3) in findings.stop_band_meaning(comparison)[1]
+        assert number(measures.stopband_peak, 3) in stop_band_meaning(comparison)[1]
 
 
 def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
@@ -190,7 +198,7 @@ def test_without_a_meaningful_replay_no_states_are_claimed():
 
 def test_without_a_stop_band_there_is_nothing_to_filter():
     comparison = case("no band")
-    assert findings.finding_of(comparison).filtering == ""
+    assert finding_of(comparison).filtering == ""
     assert "nothing to filter" in text("no band")
     assert comparison_rows(comparison).columns == ("optimal",)
     assert "The filters" not in text("no band")
@@ -241,23 +249,23 @@ def test_failing_conditions_are_named():
     certificate = violated(comparison)
     failing = certificate.failed
     assert failing
-    sentences = proof.verdict(certificate)
+    sentences = verdict(certificate)
     assert "violated" in sentences[0]
     assert all(row.label in sentences[0] for row in failing)
     spoiled = replace(
         comparison, constrained=replace(comparison.constrained, certificate=certificate, message="out of time")
     )
-    assert "not every constraint holds (out of time)" in str(findings.finding_of(spoiled))
+    assert "not every constraint holds (out of time)" in str(finding_of(spoiled))
     assert "✗ fails" in parsed(render_page(spoiled, blanks())).text
-    assert "was not checked" in proof.verdict(replace(certificate, applicable=False))[0]
-    assert "no global lower bound" in proof.verdict(replace(certificate, bound=None))[1]
+    assert "was not checked" in verdict(replace(certificate, applicable=False))[0]
+    assert "no global lower bound" in verdict(replace(certificate, bound=None))[1]
 
 
 def test_a_solve_without_an_answer_has_a_page():
     comparison = case("pendulum")
     result = replace(comparison.constrained, status="limit", message="time is up", trajectory=None, certificate=None)
     stopped = replace(comparison, constrained=result)
-    assert "no point found (time is up)" in str(findings.finding_of(stopped))
+    assert "no point found (time is up)" in str(finding_of(stopped))
     assert ("with the constraint", "limit", "") in tiles(stopped)
     shown = parsed(render_page(stopped, blanks())).text
     assert "limit: time is up" in shown
@@ -268,9 +276,9 @@ def test_a_solve_without_an_answer_has_a_page():
 def test_a_harmless_filter_is_not_blamed():
     problem = double_integrator(control_spectrum=stop_band(bins=[7]), terminal_state=None)
     comparison = compare(problem, filters=["brickwall"])
-    assert findings.finding_of(comparison).filtering == "breaks no constraint"
+    assert finding_of(comparison).filtering == "breaks no constraint"
     dear = case("state band")
-    assert "leaves an energy of" in findings.finding_of(dear).filtering
+    assert "leaves an energy of" in finding_of(dear).filtering
 
 
 def test_extra_cost_reads_well():
@@ -280,7 +288,7 @@ def test_extra_cost_reads_well():
         assert certificate is not None
         changed = replace(comparison.constrained, certificate=replace(certificate, cost=after))
         classical = replace(comparison.classical, certificate=replace(certificate, cost=before))
-        return findings.finding_of(replace(comparison, constrained=changed, classical=classical)).solution
+        return finding_of(replace(comparison, constrained=changed, classical=classical)).solution
 
     assert "for 12.5 % more cost" in said(80.0, 90.0)
     assert "for 0.25 % more cost" in said(80.0, 80.2)

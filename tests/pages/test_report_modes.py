@@ -19,26 +19,40 @@ from helpers.compared_pages import blanks
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
 from helpers.seeds import seeds
-from lin_freq_ocp import library
-from lin_freq_ocp.api.compare import Comparison, compare
-from lin_freq_ocp.api.result import Result
-from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.certificate.hybrid.smooth import kinks
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp import OptimalControlProblem, Trajectory, compare, library, solve
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.certificate.hybrid import kinks
 from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
-from lin_freq_ocp.pages.figures.figures import comparison_data, result_data, result_figure, states_figure
-from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS, TINTS
-from lin_freq_ocp.pages.figures.modes import adjoint_figure, shade_modes, strip_rows, strips_figure
-from lin_freq_ocp.pages.figures.plot_data import Span, spans
-from lin_freq_ocp.pages.report import findings
-from lin_freq_ocp.pages.report.page import draw_figures, render_page, tiles
-from lin_freq_ocp.pages.report.proof import adjoint_caption, modes_caption, search_sentences, switching_sentences
-from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, worst_location
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.pages import (
+    THEMED,
+    THEMED_TINTS,
+    TINTS,
+    Span,
+    adjoint_caption,
+    adjoint_figure,
+    certificate_table,
+    comparison_data,
+    comparison_rows,
+    draw_figures,
+    finding_of,
+    modes_caption,
+    render_page,
+    result_data,
+    result_figure,
+    search_sentences,
+    shade_modes,
+    spans,
+    states_figure,
+    strip_rows,
+    strips_figure,
+    switching_sentences,
+    tiles,
+    worst_location,
+)
+from lin_freq_ocp.problem import problem_facts
+from lin_freq_ocp.results import Comparison, Multipliers, Result
 from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
 def vanishing_norm() -> OptimalControlProblem:
@@ -411,7 +425,7 @@ def test_a_replay_that_leaves_all_regions_is_said_to():
     rows = dict(strip_rows(comparison))
     assert rows["brickwall"] is None
     assert list(rows["constrained"]) == list(comparison.constrained.sequence)
-    assert "its states leave the regions of all modes, so that" in str(findings.finding_of(comparison))
+    assert "its states leave the regions of all modes, so that" in str(finding_of(comparison))
     notes = [note.text for note in comparison_data(comparison).notes(comparison_data(comparison).states[:1])]
     assert not first.between_levels
     assert notes == ["filtered: not simulated; its states leave the regions of all modes"]
@@ -437,7 +451,7 @@ def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     (filtered,) = comparison.filtered
     assert filtered.replay.between_levels
     assert not comparison.classical_solution.between_levels
-    words = findings.finding_of(comparison).filtering
+    words = finding_of(comparison).filtering
     assert words == "its controls lie between the levels, so that they cannot be simulated to the end"
     data = comparison_data(comparison)
     assert [note.text for note in data.notes(data.states[:1])] == [

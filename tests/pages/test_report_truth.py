@@ -12,11 +12,18 @@ from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.filters import apply_filter, filter_limits, filter_stop
-from lin_freq_ocp.pages.figures.figures import comparison_data, spectra_figure, states_figure
-from lin_freq_ocp.pages.figures.look import REFERENCE
-from lin_freq_ocp.pages.report import findings, proof
-from lin_freq_ocp.pages.report.page import tiles
-from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows
+from lin_freq_ocp.pages import (
+    REFERENCE,
+    certificate_table,
+    comparison_data,
+    comparison_rows,
+    finding_of,
+    parts_of_the_gap,
+    spectra_figure,
+    states_figure,
+    tiles,
+    verdict,
+)
 
 T = 24
 
@@ -51,13 +58,9 @@ def with_status(comparison: lfo.results.Comparison, status: str, kind: str = "ri
 def everything_said(comparison: lfo.results.Comparison) -> str:
     certificate = comparison.constrained.certificate
     assert certificate is not None
-    parts = [
-        str(findings.finding_of(comparison)),
-        str(tiles(comparison)),
-        *proof.verdict(certificate, comparison.problem),
-    ]
+    parts = [str(finding_of(comparison)), str(tiles(comparison)), *verdict(certificate, comparison.problem)]
     table = certificate_table(comparison.problem, certificate).title
-    return " ".join([*parts, str(table), proof.parts_of_the_gap(certificate)]).lower()
+    return " ".join([*parts, str(table), parts_of_the_gap(certificate)]).lower()
 
 
 # --- headlines ------------------------------------------------------------------------------------------------------
@@ -67,7 +70,7 @@ def test_a_higher_peak_between_the_bins_is_in_the_headline():
     comparison = worse_between_the_bins()
     free, own = comparison.classical_measures.stopband_peak, comparison.constrained_measures.stopband_peak
     assert own > 1.1 * free
-    said = findings.finding_of(comparison).solution
+    said = finding_of(comparison).solution
     assert "all constraints hold" not in said
     assert f"peaks at {own:.3g} between the bins" in said
     assert f"above the {free:.3g} without" in said
@@ -133,14 +136,14 @@ OUTPUT = lfo.spectrum.OutputSpectrum(C=[[1, 1]], constraints=lfo.MagnitudeBound(
 )
 def test_the_page_says_what_filters_do_not_act_on(fields: dict[str, Any], said: str):
     comparison = lfo.compare(problem(terminal_state=None, **fields), filters=["brickwall"])
-    assert said in findings.finding_of(comparison).filtering
-    assert findings.finding_of(comparison).setting == "With the constraint in the problem"
+    assert said in finding_of(comparison).filtering
+    assert finding_of(comparison).setting == "With the constraint in the problem"
     labels = [entry.label for entry in comparison.trajectories]
     if filter_stop(comparison.problem).any():
         assert labels == ["classical", "brickwall", "constrained"]
     else:
         assert labels == ["classical", "constrained"]
-        assert findings.finding_of(comparison).filtering.startswith("does not apply")
+        assert finding_of(comparison).filtering.startswith("does not apply")
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

@@ -11,9 +11,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.patience import PATIENCE, wait_until
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.pages.explorer.server import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler
-from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.pages import MOST_BYTES, MOST_CONNECTIONS, ExploreServer, Handler, Session
 
 
 @pytest.fixture(scope="module")

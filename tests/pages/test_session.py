@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.pages.explorer.server import points
-from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.pages import Session, points
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.pages.explorer.session import GROUPS, HORIZON, Session, sliders_of
-from lin_freq_ocp.transform.limits import changed_fields
+from lin_freq_ocp.pages import GROUPS, HORIZON, Session, sliders_of
+from lin_freq_ocp.transform import changed_fields
 
 PLANT = lfo.LinearDynamics(
     [[1.0, 0.1], [0.0, 1.0]],

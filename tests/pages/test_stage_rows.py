@@ -10,12 +10,9 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.compared_pages import blanks
 from helpers.stage_rows import cart
-from lin_freq_ocp.files.summary import comparison_summary
-from lin_freq_ocp.pages.report.findings import finding_of
-from lin_freq_ocp.pages.report.page import render_page
-from lin_freq_ocp.pages.report.tables import comparison_rows
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.measures import measure
+from lin_freq_ocp.files import comparison_summary
+from lin_freq_ocp.pages import comparison_rows, finding_of, render_page
+from lin_freq_ocp.problem import measure, problem_facts
 
 
 def test_violations_are_measured_and_shown():

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from helpers.compared_pages import CASES, case
 from helpers.seeds import seeds
-from lin_freq_ocp.base.phrases import NOTHING, split_unit
-from lin_freq_ocp.pages.report.tables import certificate_table, comparison_rows, comparison_table, worst_location
+from lin_freq_ocp.base import NOTHING, split_unit
+from lin_freq_ocp.pages import certificate_table, comparison_rows, comparison_table, worst_location
 
 
 def test_comparison_rows_are_the_measures():

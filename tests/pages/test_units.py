@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.pages import double_integrator
-from lin_freq_ocp.base.phrases import NOTHING, join_words, number, runs_in_words, split_unit
-from lin_freq_ocp.pages.units import align, frequency_scale, quantity, rough, time_scale
-from lin_freq_ocp.problem.spectrum.bands import notch
+from lin_freq_ocp.base import NOTHING, join_words, number, runs_in_words, split_unit
+from lin_freq_ocp.pages import align, frequency_scale, quantity, rough, time_scale
+from lin_freq_ocp.spectrum import notch
 
 
 def test_axes_have_readable_units():

@@ -7,8 +7,10 @@ import pytest
 from scipy.optimize import linprog
 
 from helpers.linear_problems import generator
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.sets.box import Box, Everything, Point, end_within
+from lin_freq_ocp import Box
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem import end_within
+from lin_freq_ocp.sets import Everything, Point
 
 # ------------------------------------------------------------------------------------------------------------ sets
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from helpers.compared_pages import case
 from helpers.pages import STATES
+from lin_freq_ocp import Box, QuadraticCost
 from lin_freq_ocp.library import pendulum
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem import problem_facts
 
 
 def test_problem_is_described():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.errors import ProblemError, UnsupportedError
 
 MODES = ["periodic", "zero-padded"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.seeds import seeds
-from lin_freq_ocp.problem.terms.penalties import LargestExcess
+from lin_freq_ocp.problem import LargestExcess
 
 
 def sample(seed: int) -> tuple[LargestExcess, np.ndarray, np.ndarray]:

@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from helpers.linear_problems import VARYING, M, N, T, at_time, dynamics_data, generator
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp import LinearDynamics
+from lin_freq_ocp.errors import ProblemError
 
 
 @pytest.mark.parametrize("varying", VARYING)

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import turn
 
 PERIOD = 0.1
@@ -204,7 +205,7 @@ def test_curvature_is_no_kink(smooth, point):
 def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     """The time constant 1e-5 s is over at once: after 0.1 s the fast state is at 2 u, and nothing else matters."""
     system = control.nlsys(lambda t, x, u, params: (2 * u - x) / 1e-5, None, states=1, inputs=1, dt=0)
-    monkeypatch.setattr("lin_freq_ocp.problem.dynamics.linearisation.MOST_EVALUATIONS", 100)
+    substitute(monkeypatch, "problem.MOST_EVALUATIONS", 100)
     with pytest.raises(lfo.errors.ProblemError, match="integrator='Radau'") as caught:
         lfo.LinearDynamics.linearised(system, [1.0], [0.5], PERIOD)
     monkeypatch.undo()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.terms.penalties import Within
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem import Within
 
 LinkedEnds = lfo.sets.LinkedEnds
 

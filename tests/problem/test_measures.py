@@ -12,15 +12,10 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.linear_problems import generator, problem
 from helpers.seeds import examples
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, Trajectory, simulate
+from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.simulation import simulate
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.transform import stated_sizes
 
 
 @settings(max_examples=examples(15), derandomize=True, deadline=None)

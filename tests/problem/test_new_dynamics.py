@@ -11,11 +11,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.base.arrays import assign
-from lin_freq_ocp.pages.report.page import draw_figures, render_page
-from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
-from lin_freq_ocp.solving.families import FAMILIES, Family, Shorthand
-from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
+from lin_freq_ocp.base import assign
+from lin_freq_ocp.pages import draw_figures, render_page
+from lin_freq_ocp.problem import Dynamics, signal_labels
+from lin_freq_ocp.solvers import Nonsmooth
+from lin_freq_ocp.solving import FAMILIES, Family, Shorthand
 
 
 @dataclass(frozen=True, eq=False, init=False)

@@ -9,9 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.problem.sets.base import ConvexSet, Part
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, StandardCone
-from lin_freq_ocp.problem.terms.penalty import HARD
+from lin_freq_ocp.problem import HARD, ConvexSet, HalfSpaces, Part, StandardCone
 from lin_freq_ocp.testing import check_terms
 
 

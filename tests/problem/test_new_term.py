@@ -9,10 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalty import ConicForm, Penalty
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem import ConicForm, NonsmoothCost, Penalty, StageMap, Term, TermKind
 from lin_freq_ocp.testing import check_terms
 
 

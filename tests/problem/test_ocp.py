@@ -11,12 +11,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.linear_problems import problem
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.sets.box import Box, Point
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import Box, LinearDynamics, QuadraticCost, Trajectory, simulate
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.results import Multipliers
+from lin_freq_ocp.sets import Point
 
 
 @pytest.mark.parametrize(

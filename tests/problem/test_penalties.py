@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.seeds import examples
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
-from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem import HalfSpaces, NormBall, Penalty, StandardCone
 
 GROUPS, DIM = 7, 4
 SEEDS = st.integers(0, 2**32 - 1)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.description import LONGEST_FACT, problem_facts
-from lin_freq_ocp.problem.spectrum.bands import Band
+from lin_freq_ocp.problem import LONGEST_FACT, Band, problem_facts
 
 T = 20
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from helpers.linear_problems import M, N, T, at_time, generator
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp import QuadraticCost
+from lin_freq_ocp.errors import ProblemError
 
 # ------------------------------------------------------------------------------------------------------------ costs
 

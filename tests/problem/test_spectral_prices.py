@@ -13,7 +13,7 @@ import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
-from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.transform import translation_of
 
 T, CUTOFF, PRICE, LIMIT = 7, 1.2, 0.6, 0.3
 LOW = lfo.low_pass(CUTOFF)

@@ -11,20 +11,10 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.seeds import examples
-from lin_freq_ocp.base.errors import BandWarning, ProblemError
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.bands import (
-    Band,
-    band_pass,
-    high_pass,
-    low_pass,
-    notch,
-    stop_band,
-    stopped_bins,
-    time_signal,
-)
+from lin_freq_ocp import LinearDynamics, OptimalControlProblem, QuadraticCost, low_pass, stop_band
+from lin_freq_ocp.errors import BandWarning, ProblemError
+from lin_freq_ocp.problem import Band, stopped_bins, time_signal
+from lin_freq_ocp.spectrum import band_pass, high_pass, notch
 
 LENGTHS = [1, 2, 3, 8, 9, 240, 241]
 

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.stage_rows import M, N, T, changed, problem_of, replace_limits, solve
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
 
 
 def test_values_and_slack_are_the_sums_they_stand_for():

@@ -9,11 +9,19 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.seeds import examples
-from lin_freq_ocp.problem.terms.maps import AffineMap, StageMap, SumMap
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces
-from lin_freq_ocp.problem.terms.semi_infinite import VibrationMap, ZeroOrderHoldMap
-from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem import (
+    AffineMap,
+    FrequencyMap,
+    HalfSpaces,
+    SpectrogramMap,
+    SpectrumMap,
+    StageMap,
+    SumMap,
+    Term,
+    TermKind,
+    VibrationMap,
+    ZeroOrderHoldMap,
+)
 
 N, M = 3, 2
 DIM = 4

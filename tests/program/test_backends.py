@@ -17,18 +17,11 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.programs import INF, INFEASIBLE, OWN, SOLVABLE, UNBOUNDED, ask, is_accepted, long_program, program
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
-from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.program.backends import base
-from lin_freq_ocp.program.backends.base import Claim, Solution, SolverEntry, backend
-from lin_freq_ocp.program.backends.qpsolvers_ import SETTINGS
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.methods import SOLVED_TOLERANCE, solve_convex
+from lin_freq_ocp.program import REGISTER, SETTINGS, Claim, Program, Solution, SolverEntry, backend
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]
 EXACT = {"clarabel", "osqp", "qpsolvers:clarabel", "qpsolvers:piqp", "qpsolvers:highs"}
@@ -299,8 +292,7 @@ def least_squares(program, tolerance, time_limit):
 
 
 def test_a_new_solver_is_one_registration(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.program.backends.base.REGISTER", dict(base.REGISTER))
-    base.REGISTER["toy"] = SolverEntry(lambda member: least_squares)
+    monkeypatch.setitem(REGISTER, "toy", SolverEntry(lambda member: least_squares))
     problem = OptimalControlProblem(
         dynamics=LinearDynamics(A=[[1.0, 0.1], [0.0, 1.0]], B=[[0.0], [0.1]]),
         horizon=10,

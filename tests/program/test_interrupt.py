@@ -14,15 +14,11 @@ import pytest
 
 from helpers.patience import PATIENCE
 from helpers.programs import SOLVABLE, ask, is_accepted, long_program
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.interrupts import interrupts_noted
-from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.program import Program
+from helpers.replacing import substitute
+from lin_freq_ocp import LinearDynamics, OptimalControlProblem, QuadraticCost
+from lin_freq_ocp.base import interrupts_noted, use_clock
+from lin_freq_ocp.methods import solve_convex
+from lin_freq_ocp.program import Claim, Program, Solution
 
 posix = pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
 
@@ -73,9 +69,9 @@ def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
         calls.append(claim)
         return replace(answer, claim=claim)
 
-    monkeypatch.setattr(convex, "backend", lambda name: interrupted_later)
-    monkeypatch.setattr(convex, "ACCURATE_ANSWER", -1.0)
-    monkeypatch.setattr(convex, "revised_scaling", lambda linear, scaling, z: scaling)
+    substitute(monkeypatch, "program.backend", lambda name: interrupted_later)
+    substitute(monkeypatch, "methods.ACCURATE_ANSWER", -1.0)
+    substitute(monkeypatch, "program.revised_scaling", lambda linear, scaling, z: scaling)
     candidate = solve_convex(problem, "clarabel")
     assert calls[-1] is Claim.INTERRUPTED
     assert candidate.interrupted

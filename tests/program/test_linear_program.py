@@ -9,18 +9,9 @@ import pytest
 
 from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
-from lin_freq_ocp.problem.terms.penalties import Within
-from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.backends.base import Claim, backend
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, Trajectory
+from lin_freq_ocp.problem import StageMap, SumMap, Term, TermKind, Within
+from lin_freq_ocp.program import Block, Claim, LinearProgram, backend, real_rows
 
 
 def random_trajectory(problem: OptimalControlProblem, seed: int) -> Trajectory:

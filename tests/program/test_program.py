@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program import Program
 
 
 def hand_program() -> tuple[Program, np.ndarray, np.ndarray]:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from helpers.linear_kinds import KINDS, T
-from lin_freq_ocp.problem.spectrum.bands import stop_band, time_signal
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.program_rows import bin_multipliers, real_rows
+from lin_freq_ocp import stop_band
+from lin_freq_ocp.problem import time_signal
+from lin_freq_ocp.program import Block, LinearProgram, bin_multipliers, real_rows
 
 
 def masks(length: int) -> list[np.ndarray]:

@@ -9,20 +9,21 @@ import pytest
 
 from helpers.seeds import seeds
 from helpers.transcribed import each_problem, small_problem
-from lin_freq_ocp import library
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.convex import Ball
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
-from lin_freq_ocp.program.backends.base import backend
-from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Block, Scaling
-from lin_freq_ocp.program.units import is_revision, natural_scaling, point_units, scaled_program, stated_scaling
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, StageRows, library, stop_band
+from lin_freq_ocp.methods import Candidate, solve_convex
+from lin_freq_ocp.problem import Band
+from lin_freq_ocp.program import (
+    Block,
+    LinearProgram,
+    Scaling,
+    backend,
+    is_revision,
+    natural_scaling,
+    point_units,
+    scaled_program,
+    stated_scaling,
+)
+from lin_freq_ocp.sets import Ball
 
 
 @each_problem

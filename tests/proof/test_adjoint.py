@@ -3,7 +3,7 @@
 import numpy as np
 from flint import arb, ctx
 
-from lin_freq_ocp.proof.dual import steer_adjoint
+from lin_freq_ocp.proof import steer_adjoint
 
 
 def given_adjoint(A, slopes):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lin_freq_ocp.proof.dual import growth, precision
+from lin_freq_ocp.proof import growth, precision
 
 
 def test_powers_of_one_matrix_and_products_grow_alike():

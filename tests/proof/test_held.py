@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.point import add_feedback, needs_feedback
+from lin_freq_ocp.proof import add_feedback, needs_feedback
 
 
 def exact_end(problem, u):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.point import interior_trajectory, interpolate, least_distance, share_of_way, tighten
+from lin_freq_ocp.proof import interior_trajectory, interpolate, least_distance, share_of_way, tighten
 
 
 def problem_with_rows(limits):

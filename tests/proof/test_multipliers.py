@@ -5,8 +5,8 @@ from fractions import Fraction
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
-from lin_freq_ocp.proof.dual import project_on_bounds, shrink
+from lin_freq_ocp.problem import HalfSpaces, NormBall, StandardCone
+from lin_freq_ocp.proof import project_on_bounds, shrink
 
 
 def exact_square(vector):

@@ -7,8 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.proof import lfo_check
-from lin_freq_ocp.proof.proof import proof_of
+from lin_freq_ocp.proof import lfo_check, proof_of
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
 
 

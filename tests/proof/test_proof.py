@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.api import result as api
 from lin_freq_ocp.proof import enclosure as extra
-from lin_freq_ocp.proof import lfo_check
-from lin_freq_ocp.proof import proof as writer
-from lin_freq_ocp.proof.proof import proof_of
+from lin_freq_ocp.proof import lfo_check, proof_of
 
 
 def confirmed(path):
@@ -141,8 +139,8 @@ def test_without_the_extra_the_message_names_it(monkeypatch):
 
 
 def test_a_long_proof_is_written_without_a_check_and_passes_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(api, "LONGEST_CHECK", 100)
-    monkeypatch.setattr(writer, "checked_enclosure", None)
+    substitute(monkeypatch, "proof.LONGEST_CHECK", 100)
+    substitute(monkeypatch, "proof.checked_enclosure", None)
     path = tmp_path / "run.proof"
     result = lfo.solve(lfo.library.double_integrator())
     result.write_proof(path)

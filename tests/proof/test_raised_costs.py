@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from helpers.seeds import seeds
-from lin_freq_ocp.api import result as api
-from lin_freq_ocp.certificate.reach import Region
-from lin_freq_ocp.problem.costs.quadratic import is_semidefinite
-from lin_freq_ocp.proof.lfo_check import check
-from lin_freq_ocp.proof.proof import convex_problem, raised_by
+from lin_freq_ocp.certificate import Region
+from lin_freq_ocp.problem import is_semidefinite
+from lin_freq_ocp.proof import check, convex_problem, raised_by
 
 
 def problem_of(Q):
@@ -79,7 +78,7 @@ def test_no_bound_is_rigorous_where_rounding_lets_the_cost_fall_for_ever():
 @pytest.mark.parametrize("horizon_of_checks", [20_000, 1])
 def test_the_claim_is_not_raised_to_what_the_checker_does_not_prove(horizon_of_checks, monkeypatch, tmp_path):
     """The cost is never negative, but neither bounds nor the rounded Hessian limit the states of the raised problem."""
-    monkeypatch.setattr(api, "LONGEST_CHECK", horizon_of_checks)
+    substitute(monkeypatch, "proof.LONGEST_CHECK", horizon_of_checks)
     rng, ends = np.random.default_rng(1), {"initial_state": [1, 0.3], "terminal_state": [0.2, 0.1]}
     c = rng.standard_normal((2, 1))
     dynamics = lfo.LinearDynamics(rng.standard_normal((2, 2)), rng.standard_normal((2, 2)))

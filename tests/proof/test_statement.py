@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.proof.statement import exact, problem_lines, vector
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.proof import exact, problem_lines, vector
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
 def stated(problem):

@@ -7,9 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.proof import lfo_check
-from lin_freq_ocp.proof.proof import proof_of
-from lin_freq_ocp.proof.tree import written_nodes
+from lin_freq_ocp.proof import lfo_check, proof_of, written_nodes
 from lin_freq_ocp.testing import PIECEWISE_AFFINE
 
 GAP = 1e-6  # relative, of the search

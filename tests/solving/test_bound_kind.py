@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.batch.minimum_time import Search
-from lin_freq_ocp.files.summary import result_summary
-from lin_freq_ocp.pages.explorer.session import answer_data
+from lin_freq_ocp.batch import Search
+from lin_freq_ocp.files import result_summary
+from lin_freq_ocp.pages import answer_data
 
 H = 0.1
 DOUBLE = lfo.LinearDynamics([[1.0, H], [0.0, 1.0]], [[H * H / 2], [H]], sampling_time=H)

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks.alone import any_problem
-from lin_freq_ocp.certificate.conditions import Condition
+from lin_freq_ocp.certificate import Condition
 
 
 class TestCertify:

@@ -1,7 +1,6 @@
 """Which method solves a problem, and what follows where one of them fails."""
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -10,10 +9,11 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.random.linear import random_linear
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.methods.spectral import SpectralSolver
+from helpers.replacing import substitute
+from lin_freq_ocp import SpectralSolver
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import convex_candidates
+from lin_freq_ocp.results import Status
 from lin_freq_ocp.testing import reference_problem
 
 DOUBLE = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]])
@@ -132,9 +132,8 @@ class TestChoiceOfMethod:
 
     def test_a_point_that_cannot_be_corrected_is_no_optimum(self, monkeypatch):
         """No certificate says more than its own multipliers do where repair and correction fail."""
-        judging = import_module("lin_freq_ocp.solving.judging")
-        monkeypatch.setattr(judging, "repair_trajectory", lambda *given: None)
-        monkeypatch.setattr(judging, "corrections", lambda *given: ())
+        substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
+        substitute(monkeypatch, "methods.corrections", lambda *given: ())
         result = lfo.solve(lfo.library.pendulum(), method="spectral", throw=False)
         assert result.status == "locally_optimal"
         assert "no trajectory that satisfies every constraint is known to cost" in result.message
@@ -176,10 +175,10 @@ class TestChoiceOfMethod:
 
         def noting(problem, backend, options, programs):
             given.append(options.time_limit)
-            return convex.convex_candidates(problem, backend, options, programs)
+            return convex_candidates(problem, backend, options, programs)
 
         monkeypatch.setattr(SpectralSolver, "solve", claiming(slow))
-        monkeypatch.setattr(import_module("lin_freq_ocp.solving.linear"), "convex_candidates", noting)
+        substitute(monkeypatch, "methods.convex_candidates", noting)
         with use_clock(clock):
             lfo.solve(lfo.library.pendulum(), time_limit=limit, throw=False)
         assert given == [left]

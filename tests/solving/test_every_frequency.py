@@ -10,13 +10,13 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import seeds, turn, whole_sample
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.status import Status
+from lin_freq_ocp import Trajectory
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.comparison.trajectories import ProblemSignal, measured_solution
-from lin_freq_ocp.files.summary import result_summary
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.linear import LinearAuto
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.files import result_summary
+from lin_freq_ocp.results import Multipliers, Status
+from lin_freq_ocp.solving import LinearAuto
 
 MASK = lfo.MagnitudeBound
 PEAK_OF_CLASSICAL = 29.343  # of the double integrator's bang-off-bang control, at frequency 0

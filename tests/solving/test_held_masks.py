@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.errors import ProblemError
 
 H, LIMIT, FROM = 0.04, 1.0, 3.0  # s, and Hz; Nyquist is 12.5 Hz
 FREE = lfo.library.double_integrator(horizon=100, sampling_time=H, cutoff_hz=None)

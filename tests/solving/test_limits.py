@@ -13,20 +13,16 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.base import resources
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
-from lin_freq_ocp.methods.hybrid.search.common import SearchLimits
-from lin_freq_ocp.methods.spectral.kkt import LARGEST_BORDERED
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, interior_point
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.program.backends.clarabel_ import solve as clarabel_solve
-from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
-from lin_freq_ocp.solving.hybrid import modes
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import TreeBound, tree_bound
+from lin_freq_ocp.methods import SolveOptions, solve_convex
+from lin_freq_ocp.methods.hybrid import SearchLimits, TreeSearch
+from lin_freq_ocp.methods.spectral import LARGEST_BORDERED, BorderedQp, interior_point
+from lin_freq_ocp.problem.hybrid import ModeTree
+from lin_freq_ocp.program import LinearProgram, dense_rows
+from lin_freq_ocp.program import solve as clarabel_solve
 
 LOOK = 0.01
 """Seconds that a look at the clock takes here: it runs by how often a method looks at it, on every machine the same."""
@@ -75,7 +71,7 @@ def test_the_deadline_and_not_the_limit_reaches_the_solver(monkeypatch: pytest.M
         limits.append(time_limit)
         return clarabel_solve(program, tolerance, time_limit)
 
-    monkeypatch.setattr("lin_freq_ocp.methods.convex.sparse_program.backend", lambda name: recorded)
+    substitute(monkeypatch, "program.backend", lambda name: recorded)
     solve_convex(balls(60), "clarabel", SolveOptions(time_limit=1000.0))
     assert limits
     assert all(limit is not None and 0 < limit < 1000.0 for limit in limits)
@@ -126,7 +122,7 @@ def test_the_deadline_reaches_the_proof_of_leaves_that_were_solved_again(monkeyp
         ends.append(end)
         return TreeBound(-np.inf, True, np.full(len(tree.nodes), -np.inf))
 
-    monkeypatch.setattr(modes, "tree_bound", weak)
+    substitute(monkeypatch, "certificate.hybrid.tree_bound", weak)
     lfo.solve(lfo.library.pendulum_with_wall(horizon=4), time_limit=1000.0, throw=False)
     assert len(ends) == 3
     assert np.isfinite(ends).all()
@@ -161,15 +157,15 @@ def test_a_limit_error_without_a_result_has_none_of_them() -> None:
 
 
 def small_memory(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
-    monkeypatch.setattr(resources, "memory_limit", lambda: size)
-    monkeypatch.setattr(resources, "ALWAYS_THERE", 0.0)
+    substitute(monkeypatch, "base.memory_limit", lambda: size)
+    substitute(monkeypatch, "base.ALWAYS_THERE", 0.0)
 
 
 def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")
 
-    monkeypatch.setattr("lin_freq_ocp.program.linear_program.stop_band_rows", never)
+    substitute(monkeypatch, "program.stop_band_rows", never)
     problem = lfo.library.pendulum(horizon=5000)
     small_memory(monkeypatch, 1e8)
     with pytest.raises(lfo.errors.UnsupportedError, match=r"memory: .*dense rows.* GiB.*spectral"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -11,12 +10,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import linear
 from helpers.random.linear import random_linear
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.polish import zero_rounding
-from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex
+from lin_freq_ocp.methods import SolveOptions, convex_candidates, solve_convex, zero_rounding
+from lin_freq_ocp.results import Status
 
 BRAKING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1),
@@ -89,11 +87,10 @@ def test_the_first_answer_that_is_proven_counts_and_no_more_are_asked_for(monkey
 
         return all_of_them
 
-    module = import_module("lin_freq_ocp.solving.linear")
-    monkeypatch.setattr(module, "convex_candidates", given(wrong, wrong, exact, wrong))
+    substitute(monkeypatch, "methods.convex_candidates", given(wrong, wrong, exact, wrong))
     assert lfo.solve(BRAKING, method="convex").status == "optimal"
     assert len(asked) == 3
-    monkeypatch.setattr(module, "convex_candidates", given(wrong, replace(wrong, interrupted=True), exact))
+    substitute(monkeypatch, "methods.convex_candidates", given(wrong, replace(wrong, interrupted=True), exact))
     assert lfo.solve(BRAKING, method="convex", throw=False).interrupted
 
 
@@ -198,7 +195,7 @@ def test_unbounded_needs_a_verified_direction(monkeypatch):
         lfo.LinearDynamics([[1.0]], [[1.0]]), 3, lfo.QuadraticCost(r=[1.0]), initial_state=[0.0]
     )
     assert lfo.solve(free, method="convex", throw=False).status == "unbounded"
-    monkeypatch.setattr(import_module("lin_freq_ocp.solving.judging"), "unbounded_direction", lambda *given: None)
+    substitute(monkeypatch, "certificate.unbounded_direction", lambda *given: None)
     refused = lfo.solve(free, method="convex", throw=False)
     assert refused.status == "numerical_error"
     assert not refused.dual
@@ -218,7 +215,7 @@ def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again(monkeypa
     wrong = replace(right, multipliers=replace(right.multipliers, eta=right.multipliers.eta * (1 + 1e-5)))
     outcomes = []
     for candidates in ([wrong], [wrong, right]):
-        monkeypatch.setattr("lin_freq_ocp.solving.linear.convex_candidates", lambda *given, each=candidates: iter(each))
+        substitute(monkeypatch, "methods.convex_candidates", lambda *given, each=candidates: iter(each))
         result = lfo.solve(problem, method="convex")
         outcomes.append((result.status, result.certificate.pmp))
     assert outcomes == [("optimal", "violated"), ("optimal", "satisfied")]

@@ -10,8 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.linear import random_linear
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge, prove_infeasible
 
 T = 20
 BRAKES = 0.4

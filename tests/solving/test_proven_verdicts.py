@@ -11,12 +11,10 @@ import lin_freq_ocp as lfo
 from helpers.checks import rays
 from helpers.seeds import seeds, turn
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.certificate.rays import prove_infeasible, unbounded_direction
-from lin_freq_ocp.certificate.reach import implied_bounds, reachable_bounds
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.polish import steepest_recession
-from lin_freq_ocp.solving.judging import judge_candidate, verified_direction
-from lin_freq_ocp.transform.reformulations import translated_by
+from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
+from lin_freq_ocp.methods import Candidate, steepest_recession
+from lin_freq_ocp.solving import judge_candidate, verified_direction
+from lin_freq_ocp.transform import translated_by
 
 H = 0.1
 DOUBLE = lfo.LinearDynamics([[1.0, H], [0.0, 1.0]], [[H * H / 2], [H]], sampling_time=H)

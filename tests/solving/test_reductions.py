@@ -13,11 +13,10 @@ import lin_freq_ocp
 import lin_freq_ocp as lfo
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.solving.judging import candidate_of, judge_candidate
-from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.transform.reductions import Reduced, reduce_problem
+from lin_freq_ocp.methods import Candidate
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.solving import candidate_of, judge_candidate, solve_judged
+from lin_freq_ocp.transform import Reduced, reduce_problem
 
 CASES = [(name, case) for name, entry in REDUCTIONS.items() for case in entry.problems]
 

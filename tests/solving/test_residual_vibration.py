@@ -10,8 +10,8 @@ import scipy.linalg
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.results import Multipliers
 
 H = 0.04
 LIMIT = 0.02

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.methods.structured import assembly
-from lin_freq_ocp.solving.resolver import Resolver
-from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp.methods.structured import assemble_stages
+from lin_freq_ocp.solving import Resolver
+from lin_freq_ocp.transform import Change
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 SHORT = lfo.library.double_integrator(horizon=30, sampling_time=0.1, cutoff_hz=2.0, speed_bound=0.5)
@@ -98,10 +99,8 @@ def test_infeasible_states_do_not_spoil_the_next():
 
 
 def test_the_structured_method_assembles_once(monkeypatch):
-    count, honest = [], assembly.assemble_stages
-    monkeypatch.setattr(
-        "lin_freq_ocp.methods.structured.solver.assemble_stages", lambda problem: count.append(1) or honest(problem)
-    )
+    count, honest = [], assemble_stages
+    substitute(monkeypatch, "methods.structured.assemble_stages", lambda problem: count.append(1) or honest(problem))
     solver = lfo.Solver(VARYING, "structured")
     for move in (0.0, 0.01, 0.02):
         solver.solve(initial_state=VARYING.initial_state.lower + move)

@@ -8,13 +8,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.convex import sparse_program as convex
-from lin_freq_ocp.program.backends import clarabel_
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.program import Block
-from lin_freq_ocp.program.units import scaled_program
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.program import Block, Claim, Solution, scaled_program, solve
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 METHODS = pytest.mark.parametrize("method", ["auto", "convex"])
@@ -124,10 +121,10 @@ class TestEndings:
 
     def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
-            honest = clarabel_.solve(program, tolerance, time_limit)
+            honest = solve(program, tolerance, time_limit)
             return Solution(Claim.SOLVED, 1e3 + honest.z[::-1], 1e3 + honest.y[::-1], "Solved")
 
-        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        substitute(monkeypatch, "program.backend", lambda name: liar)
         with pytest.raises(lfo.errors.NumericalError, match="residuals are too large"):
             lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
 
@@ -135,7 +132,7 @@ class TestEndings:
         def liar(program, tolerance, time_limit):
             return Solution(Claim.INFEASIBLE, None, np.ones(len(program.lower)), "PrimalInfeasible")
 
-        monkeypatch.setattr(convex, "backend", lambda name: liar)
+        substitute(monkeypatch, "program.backend", lambda name: liar)
         with pytest.raises(lfo.errors.InfeasibleError, match=r"without a proof .*its ray proves nothing") as caught:
             lfo.solve(lfo.library.pendulum(horizon=60), method="convex")
         assert not caught.value.proven
@@ -249,7 +246,7 @@ def test_the_price_of_a_bin(k, component, solved):
         shift[program.rows[Block.CONTROL_SPECTRUM].start + row] = unit * move
         shift *= scaling.rows
         moved = replace(program, lower=program.lower + shift, upper=program.upper + shift)
-        trajectory = linear.trajectory(scaling.primal(clarabel_.solve(moved, 1e-12, None).z))
+        trajectory = linear.trajectory(scaling.primal(solve(moved, 1e-12, None).z))
         assert np.fft.rfft(trajectory.u[:, 0])[k] == pytest.approx(move * (1j if component else 1), abs=1e-9)
         return problem.cost.value(trajectory.x, trajectory.u)
 

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.solving.families import FAMILIES, choose_method
+from lin_freq_ocp.solving import FAMILIES, choose_method
 
 PROBLEMS = {
     "linear": lfo.library.double_integrator(),

@@ -22,8 +22,8 @@ from helpers.stage_rows import (
     replace_limits,
     solve,
 )
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.fitted_multipliers import fit_multipliers
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods import fit_multipliers
 
 # ----------------------------------------------------------------------------------------------------------- solution
 

@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.unbounded import random_unbounded, with_cost_times
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import unbounded_direction
+from lin_freq_ocp.certificate import unbounded_direction
 
 T = 10
 ONE = lfo.LinearDynamics([[1.0]], [[1.0]])

@@ -15,7 +15,7 @@ from helpers.checks import units
 from helpers.random.units import CLASSES, drawn
 from helpers.seeds import seeds
 from helpers.sweeps import SHORT
-from lin_freq_ocp.certificate.sizes import cost_scale, trajectory_sizes
+from lin_freq_ocp.certificate import cost_scale, trajectory_sizes
 
 
 @pytest.mark.parametrize(("change", "seed"), seeds((change, seed) for change in units.CHANGES for seed in (3, 4, 8)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.problem import time_signal
 
 
 def test_the_adjoint_equation_has_the_jacobian():

@@ -9,13 +9,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint
-from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
-from lin_freq_ocp.problem.terms.penalties import NormBall
-from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem import HARD, FrequencyConstraint, NormBall, StageMap, SumMap, Term
 from lin_freq_ocp.testing import check_terms
-from lin_freq_ocp.transform.limits import changed_fields, constraints, limits, numbers
+from lin_freq_ocp.transform import changed_fields, constraints, numbers
+from lin_freq_ocp.transform.limits import limits
 
 T = 12
 PLANT = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]], state_names=["position [m]", "speed [m/s]"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.transform.response_curvature import bin_curvature
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.transform import bin_curvature
 
 
 def power_problem(G, **named):

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.linear_problems import VARYING, M, N, T, at_time, dynamics_data, generator, problem
-from lin_freq_ocp.base.errors import NumericalError, ProblemError
+from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, simulate
+from lin_freq_ocp.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem import measures
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.transform.simulation import simulate
 
 
 @pytest.mark.parametrize("varying", VARYING)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.transform.reformulations import far_origin, translated_by, translation_of
+from lin_freq_ocp.transform import far_origin, translated_by, translation_of
 
 ORIGIN = np.array([5.0, -3.0])
 SETS = {

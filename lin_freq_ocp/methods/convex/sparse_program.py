@@ -15,7 +15,7 @@ import numpy as np
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
+from lin_freq_ocp.methods.absorbed_cost import absorb_cost
 from lin_freq_ocp.methods.candidate import (
     DEFAULTS,
     SOLVED_TOLERANCE,
@@ -43,7 +43,7 @@ from lin_freq_ocp.program.units import (
 from lin_freq_ocp.transform.reductions import reduce_problem
 from lin_freq_ocp.transform.simulation import simulate
 
-REDUCTIONS = (absorbed_cost,)  # applied to a problem before it becomes a program
+REDUCTIONS = (absorb_cost,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
 LARGEST_ERROR = 1e-3  # relative residuals up to which a point is rounded
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point

@@ -14,7 +14,14 @@ In reading order:
 ``solver``      SpectralSolver, which puts these together; ``tolerances`` are those of all files
 """
 
-from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
-from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
+from lin_freq_ocp.base import lazy_exports
 
-__all__ = ["REDUCTIONS", "SpectralSolution", "SpectralSolver"]
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "exchange": "Exchange deadline first_working_set", "kkt": "LARGEST_BORDERED", "recovery": "recover",
+    "model": "Lti LtiUnits lti_problem natural_units", "reductions": "SoftBounds priced_bounds row_form soft_bins",
+    "qp": "BorderedQp PIVOTING_STEPS STEPS_OF_ALL block_pivoting bounded_qp interior_point predictor_corrector",
+    "rows": "MOST_VALUES NEIGHBOURHOOD_HORIZON Rows Violations WholeHorizon WorkingSet",
+    "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Structure data_of verified_ray",
+})
+# fmt: on

@@ -13,7 +13,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.methods.absorbed_cost import absorbed_cost
+from lin_freq_ocp.methods.absorbed_cost import absorb_cost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
@@ -301,5 +301,5 @@ def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:
     return bool(plain) and not term.penalty.sizes().any()
 
 
-REDUCTIONS = soft_bins, row_form, absorbed_cost
+REDUCTIONS = soft_bins, row_form, absorb_cost
 """Applied to a problem before the Fourier-domain method; soft sets become priced bounds in its model."""

@@ -1,7 +1,15 @@
 """What is made of a problem with modes or formulas: its standard forms, smooth modes of costs, the reach of modes."""
 
+from lin_freq_ocp.base import lazy_exports
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.forms import FORMS
 from lin_freq_ocp.transform.hybrid.priced import form_with_modes
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "convex_cost": "with_convex_terms", "forms": "linear_along piecewise_affine piecewise_smooth",
+    "mode_reach": "ModeReach", "priced": "cost_as_state",
+})
+# fmt: on
 
 FORMS[Dynamics] = form_with_modes

@@ -10,11 +10,9 @@ import lin_freq_ocp as lfo
 from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.random.kinks import KINDS, random_map
-from lin_freq_ocp.certificate.bound import Bound
-from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
-from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
+from lin_freq_ocp.certificate import Bound, judge, trajectory_sizes
+from lin_freq_ocp.methods.hybrid import multipliers_with_weights
+from lin_freq_ocp.problem.hybrid import REGION
 
 
 def failures(certificate, label, name=""):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.errors import NumericalError
 
 SIDES = {"left": [[1.0, 0.0]], "right": [[-1.0, 0.0]], "below": [[0.0, 1.0]], "above": [[0.0, -1.0]]}
 

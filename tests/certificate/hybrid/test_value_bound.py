@@ -10,19 +10,24 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
-from lin_freq_ocp import library
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.certificate.hybrid.global_bound.bound import terminal_minorants, value_bounds
-from lin_freq_ocp.certificate.hybrid.global_bound.lattice import CostToGo, Lattice, Minima, QuadraticForm
-from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError, taylor_bounds
+from lin_freq_ocp import library, norm, signals
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import (
+    CostToGo,
+    Lattice,
+    Minima,
+    OutOfTimeError,
+    QuadraticForm,
+    taylor_bounds,
+    terminal_minorants,
+    value_bounds,
+)
+from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
 from lin_freq_ocp.formulas.jets import interval_jets, jets
-from lin_freq_ocp.formulas.nodes import norm, signals
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
-from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
+from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
 
 ROUNDING = 1e-9
 
@@ -430,7 +435,7 @@ class OneStart(LocalSearch):
 
 @turn(1)
 def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
-    monkeypatch.setattr(solve_smooth, "LocalSearch", OneStart)
+    substitute(monkeypatch, "methods.hybrid.LocalSearch", OneStart)
     assert lfo.solve(BUCK(4), method="nonsmooth").cost > 25
     told = []
     result = lfo.solve(BUCK(4), progress=told.append)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp import OptimalControlProblem
+from lin_freq_ocp.methods import Candidate, solve_convex
+from lin_freq_ocp.methods.hybrid import SolverClaim
 
 # Part of the cost by which a claim may differ: the solver meets rows of order 1 to 1e-6, and several add up
 CLAIMED = 1e-5

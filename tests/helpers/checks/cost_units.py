@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 CONSTANT = 1e6  # times the variation of the cost
 KINDS = ("linear", "formulas", "smooth dynamics", "hybrid")

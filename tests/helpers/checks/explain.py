@@ -13,8 +13,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.infeasible import random_infeasible
-from lin_freq_ocp.transform.limits import Limit, constraints, drop_limits
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.transform import Limit, constraints, drop_limits, stated_sizes
 
 LESS = 0.95  # part of a cure that must not help
 FARTHEST = 1e4  # sizes in the data up to which a trajectory counts

@@ -15,11 +15,11 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.kinks import random_problem
-from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, modes_along
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.certificate.hybrid import SwitchingFacts, modes_along
+from lin_freq_ocp.methods import uniqueness
+from lin_freq_ocp.methods.hybrid import multipliers_with_weights
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 VISIBLE = 1e-9  # relative change of a cost that solvers which stop at 1e-10 show
 MOST_STEPS = 20  # flips that are followed, one after the other

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 STEP = 1e-5  # of central differences of the cost, which are right to 1e-9 or so of it
 STATIONARY = 2e-5  # largest slope that is left, relative to the largest slope of the cost along the controls

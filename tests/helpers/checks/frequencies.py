@@ -11,8 +11,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal.windows import chebwin
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate.peaks import certified_peak
-from lin_freq_ocp.problem.terms.semi_infinite import Limits, MagnitudeMask, limits_on
+from lin_freq_ocp.certificate import certified_peak
+from lin_freq_ocp.problem import Limits, MagnitudeMask, limits_on
 
 GRID = 64  # points of CVXPY's masks for each sample
 DENSE = 1024  # points for each sample at which an upper bound is feasible

@@ -18,7 +18,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import Outcome, finding_of
 from helpers.generated import CompiledController
-from lin_freq_ocp.methods.native_code import compiler
+from lin_freq_ocp.methods import compiler
 
 Answer = tuple[str, np.ndarray | None]
 Step = Callable[[np.ndarray, np.ndarray], Answer]  # of a measured state and the control before

@@ -24,7 +24,7 @@ from helpers.oracle import (
     worth,
 )
 from helpers.random.linear import random_linear
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 ANSWERS = ("optimal", "locally_optimal")
 

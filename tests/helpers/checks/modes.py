@@ -11,7 +11,7 @@ from functools import cache
 
 import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
-from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
+from lin_freq_ocp.methods.hybrid import solve_miqp
 from lin_freq_ocp.testing import PIECEWISE_AFFINE as INSTANCES
 
 AGREEMENT = 1e-6  # relative difference of two costs, and relative gap

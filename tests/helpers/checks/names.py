@@ -21,13 +21,10 @@ import lin_freq_ocp as lfo
 from helpers.checks.outcome import finding_of
 from helpers.command_line import run
 from helpers.generated import STRICT
-from lin_freq_ocp.files.problem_file import problem_text
-from lin_freq_ocp.files.solution_files import header, save_csv
-from lin_freq_ocp.files.summary import head, to_json
+from lin_freq_ocp.files import head, header, problem_text, save_csv, to_json
 from lin_freq_ocp.loop.embedded import markdown
-from lin_freq_ocp.methods.native_code import compiler
-from lin_freq_ocp.pages.explorer.server import page
-from lin_freq_ocp.pages.explorer.session import Session
+from lin_freq_ocp.methods import compiler
+from lin_freq_ocp.pages import Session, page
 
 CODE = "*\\ int puts(const char *); __attribute__((constructor)) static void f(void) { puts(0); } /*"
 PARTS = [

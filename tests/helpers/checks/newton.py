@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonRun, NewtonSystem, iterate_from
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.methods.hybrid import NewtonRun, NewtonSystem, iterate_from
+from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 SAME_COST = 1e-8
 SMALL_NORMALS = 1e-2  # weight of multipliers of bounds in the fit of multipliers: the others come first

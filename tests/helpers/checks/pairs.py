@@ -23,10 +23,9 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import finding_of
-from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.kinds import register_all
+from lin_freq_ocp.base import Array, register_all
 from lin_freq_ocp.proof import lfo_check
-from lin_freq_ocp.solving.families import FAMILIES, family_of
+from lin_freq_ocp.solving import FAMILIES, family_of
 
 Fields = dict[str, Any]
 Problem = lfo.OptimalControlProblem

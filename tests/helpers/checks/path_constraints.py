@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 STEP = 1e-5  # of central differences of the Lagrangian
 STATIONARY = 5e-5  # largest slope of the Lagrangian that is left, relative to the largest slope of the cost

@@ -15,7 +15,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import Outcome
 from helpers.random.unbounded import random_unbounded
-from lin_freq_ocp.transform.reformulations import translated_by
+from lin_freq_ocp.transform import translated_by
 
 KINDS = "unstable", "compact", "unbounded"
 METHODS = "auto", "structured", "convex"

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from helpers.oracle import TOLERANCE, PlainProgram, plain_program
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 MOST_SEQUENCES = 260  # solved in a second
 AGREEMENT = 3e-6  # difference of two costs, relative to max(1, |J|): the gap that is asked, and the error of Clarabel

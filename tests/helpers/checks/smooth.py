@@ -16,7 +16,7 @@ from benchmark.ipopt import cost_of_signals, map_of, solved_by_ipopt
 
 import lin_freq_ocp as lfo
 from helpers.random.smooth import kind_of, random_problem
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch
+from lin_freq_ocp.methods.hybrid import LocalSearch
 
 SADDLE = 1e-6  # eigenvalue below zero, relative to the largest, at which a point is no minimum
 BETTER = 1e-6  # relative difference of costs

@@ -18,14 +18,10 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.lti import kind_of, with_witness
-from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.problem.measures import one_step_residual
-from lin_freq_ocp.transform.sizes import stated_sizes
+from lin_freq_ocp.certificate import GAP_TOLERANCE, extremal_at, judge, prove_infeasible
+from lin_freq_ocp.methods import Candidate, SolveOptions, solve_convex
+from lin_freq_ocp.problem import one_step_residual
+from lin_freq_ocp.transform import stated_sizes
 
 REFERENCE_TOLERANCE = 1e-11  # what is asked of both reference solvers
 # Statuses of answers: without any bound on a free end, no bound on the cost is rigorous

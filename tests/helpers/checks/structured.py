@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from unittest.mock import patch
 
 import numpy as np
+import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random import convex, infeasible, linear, lti, mixed
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.transform.sizes import stated_sizes
+from helpers.replacing import substitute
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods.structured import loops
+from lin_freq_ocp.transform import stated_sizes
 
 KINDS: dict[str, Callable[[int], lfo.OptimalControlProblem]] = {  # linear problems by seed, taken in turn
     "convex": lambda seed: convex.random_problem(seed)[1],
@@ -189,7 +189,8 @@ def _structured(compiled: bool | None) -> Callable[[lfo.OptimalControlProblem], 
 
     def solve_with(problem: lfo.OptimalControlProblem) -> Answer:
         chosen = loops(compiled)
-        with patch.object(solver, "loops", lambda *given, **options: chosen):
+        with pytest.MonkeyPatch.context() as patch:
+            substitute(patch, "methods.structured.loops", lambda *given, **options: chosen)
             return solve(problem)
 
     return solve_with

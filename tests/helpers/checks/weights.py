@@ -14,7 +14,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from helpers.checks.outcome import Outcome
 from helpers.exact.reduced import FormulaTrial, ReducedCost, Term
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 PLACES = ("component", "time", "control")
 FORMULAS = ("s**2/2", "-s**2", "s**4 - s**2", "cos(2*s)", "sqrt(1 + s**2)", "exp(s) + exp(-s)")

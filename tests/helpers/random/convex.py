@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.problem.spectrum.bands import Band
+from lin_freq_ocp.problem import Band
 
 
 def random_problem(seed: int) -> tuple[str, lfo.OptimalControlProblem]:

@@ -17,7 +17,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from helpers.random.lti import least_cost
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base import Array
 
 SPOILT = 0.06
 """Share of the problems with an end moved away; most of these are infeasible."""

@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base import Array, Indices
 from lin_freq_ocp.loop.step_problem import soften
-from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program import LinearProgram
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")
 # Share of the problems with an end moved away or with bounds made too tight; most of these are infeasible

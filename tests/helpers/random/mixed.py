@@ -13,8 +13,8 @@ import cvxpy as cp
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.arrays import ComplexArray
-from lin_freq_ocp.problem.costs.quadratic import Cost
+from lin_freq_ocp.base import ComplexArray
+from lin_freq_ocp.problem import Cost
 
 LONGEST = 40
 

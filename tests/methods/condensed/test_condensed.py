@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,18 +16,27 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods import native_code
-from lin_freq_ocp.methods.condensed import native, plans
-from lin_freq_ocp.methods.condensed.dense import DenseKernel
-from lin_freq_ocp.methods.condensed.native import NativeKernel
-from lin_freq_ocp.methods.condensed.plans import CondensedSolver, extremals_of
-from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, SOLVED, CondensedTables, condense
-from lin_freq_ocp.methods.spectral import SpectralSolver
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
-from lin_freq_ocp.transform.reductions import Change
+from lin_freq_ocp import SpectralSolver
+from lin_freq_ocp.certificate import judge, prove_infeasible
+from lin_freq_ocp.methods import (
+    INFEASIBLE,
+    SOLVED,
+    CondensedSolver,
+    CondensedTables,
+    DenseKernel,
+    NativeKernel,
+    compiled_library,
+    condense,
+    extremals_of,
+    library,
+    native_code,
+    unsettled_plan,
+)
+from lin_freq_ocp.methods.condensed import native
+from lin_freq_ocp.methods.spectral import lti_problem, natural_units
+from lin_freq_ocp.transform import Change
 
 FIELDS = ("eta", "mu", "nu", "rho_u")
 GAP, APART = 1e-8, 1e-8  # relative gap of a plan; difference of two kernels in units of order 1
@@ -43,7 +53,7 @@ def tables_of(problem: lfo.OptimalControlProblem) -> CondensedTables:
 
 @cache
 def compiled():
-    found = native.library()
+    found = library()
     if found is None:
         pytest.skip("no C compiler")
     return found
@@ -196,7 +206,7 @@ def test_contradictory_rows_are_a_ray_that_the_judge_proves(name, kind, monkeypa
     if kind == "native":
         compiled()
     else:
-        monkeypatch.setattr(plans, "library", lambda: None)
+        substitute(monkeypatch, "methods.library", lambda: None)
     spectral, solver = solver_of(problem)
     proven = 0
     for scale in (1.0, 4.0, 10.0, 30.0):
@@ -274,7 +284,7 @@ def test_the_worth_of_a_plan_is_its_cost_with_prices():
     problem = problem.with_references({"x_ref": [0.01, 0.0, 0.0, 0.0], "u_ref": [0.1]})
     spectral, tables = SpectralSolver(problem), tables_of(problem)
     start, v = states(problem, 1)[0], 0.1 * np.random.default_rng(0).standard_normal(20)
-    plan = plans.unsettled_plan(tables, spectral.units, start, v, 0)
+    plan = unsettled_plan(tables, spectral.units, start, v, 0)
     x, u = plan.trajectory.x, plan.trajectory.u
     cost = (tables.worth(start / spectral.units.x, v)[1] + spectral.lti.constant) * spectral.units.cost
     assert problem.value(x, u) > problem.quadratic.value(x, u)
@@ -338,8 +348,8 @@ def test_a_solver_can_be_copied_and_shared():
 def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    monkeypatch.setattr(native_code.shutil, "which", lambda name: compiler if name == compiler else None)
-    native_code.compiled_library.cache_clear()
+    monkeypatch.setattr(shutil, "which", lambda name: compiler if name == compiler else None)
+    compiled_library.cache_clear()
     try:
         if compiler:
             with pytest.warns(RuntimeWarning, match="could not be compiled"):
@@ -348,7 +358,7 @@ def test_without_a_compiler_numpy_computes_the_step(compiler, monkeypatch, tmp_p
             _, solver = solver_of(LOOPS["low pass"]())
         assert isinstance(solver.kernel, DenseKernel)
     finally:
-        native_code.compiled_library.cache_clear()
+        compiled_library.cache_clear()
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

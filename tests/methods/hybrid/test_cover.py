@@ -11,12 +11,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch, shifted_cover
-from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.methods.hybrid import CoverNode, TreeSearch, shifted_cover, solve_relaxation
+from lin_freq_ocp.problem.hybrid import ModeNode
+from lin_freq_ocp.program.hybrid import PathRelaxation
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 FIELDS = {
     "plain": {},

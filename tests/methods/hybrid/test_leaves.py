@@ -11,13 +11,13 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem, two_sides
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, tree_bound
-from lin_freq_ocp.methods.hybrid.search import common as search
-from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
+from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_path_relaxation, solve_relaxation
+from lin_freq_ocp.program.hybrid import PathRelaxation
+from lin_freq_ocp.transform.hybrid import ModeReach
 
 SEEDS = range(4)
 
@@ -64,7 +64,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert search.solve_path_relaxation(relaxation, reach, search.TOLERANCES, np.inf, None).bound == np.inf
+        assert solve_path_relaxation(relaxation, reach, TOLERANCES, np.inf, None).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]
@@ -74,7 +74,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
 @pytest.mark.parametrize("seed", [2, 7, 22])
 def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeypatch, seed):
     """Of every single sequence it claims the relaxed point without its dynamics."""
-    problem, honest = random_problem(seed, horizon=3, n=1), search.solve_path_relaxation
+    problem, honest = random_problem(seed, horizon=3, n=1), solve_path_relaxation
     best = brute_force(problem)[0]
 
     def claims(relaxation, reach, *given):
@@ -85,7 +85,7 @@ def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeyp
         x[1:] *= 0.5
         return replace(answer, bound=answer.bound - 1.0, trajectory=lfo.Trajectory(x, answer.trajectory.u))
 
-    monkeypatch.setattr(search, "solve_path_relaxation", claims)
+    substitute(monkeypatch, "methods.hybrid.solve_path_relaxation", claims)
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(best, rel=1e-6, abs=1e-7)

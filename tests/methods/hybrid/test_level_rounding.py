@@ -9,8 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.methods.hybrid.search.level_rounding import level_rounding, neighbouring_levels
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import simulate
+from lin_freq_ocp.methods.hybrid import level_rounding, neighbouring_levels
 
 PERIOD = 200
 

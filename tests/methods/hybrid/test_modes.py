@@ -10,14 +10,13 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem, two_sides
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.methods.hybrid.search import enumeration, parts
-from lin_freq_ocp.methods.hybrid.search.common import solve_relaxation
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
-from lin_freq_ocp.transform.hybrid.mode_reach import ModeReach
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.methods.hybrid import solve_relaxation
+from lin_freq_ocp.problem.hybrid import ModeTree
+from lin_freq_ocp.program.hybrid import ModeRelaxation
+from lin_freq_ocp.transform.hybrid import ModeReach, piecewise_affine
 
 library = lfo.library
 
@@ -302,7 +301,7 @@ class Here(Executor):
 
 @turn(0)
 def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
-    monkeypatch.setattr(parts, "PARTS", 6)
+    substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     for executor in (Here(), Here(lost=[0, 3])):
         result = lfo.solve(NOTCHED, executor=executor)
         assert executor.given >= 5
@@ -313,7 +312,7 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
 
 @pytest.mark.parametrize("executor", [None, Here()])
 def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor, notched):
-    monkeypatch.setattr(parts, "PARTS", 4)
+    substitute(monkeypatch, "methods.hybrid.PARTS", 4)
     problem, seen, cold = NOTCHED, [], notched
     warm = lfo.solve(problem, start=cold.sequence, progress=seen.append, executor=executor)
     assert seen[0].nodes <= 3 + problem.horizon  # the sequence, its flips, and the root
@@ -323,13 +322,13 @@ def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor, 
 
 
 def test_an_error_of_the_search_itself_is_raised(monkeypatch):
-    monkeypatch.setattr(parts, "PARTS", 6)
+    substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     with pytest.raises(ZeroDivisionError):
         lfo.solve(library.buck_affine(horizon=12), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
 def test_parts_on_two_processes(monkeypatch, notched):
-    monkeypatch.setattr(parts, "PARTS", 6)
+    substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     with ProcessPoolExecutor(2) as executor:
         result = lfo.solve(NOTCHED, executor=executor)
     assert result.cost == pytest.approx(notched.cost, rel=1e-9)
@@ -346,7 +345,7 @@ def test_what_is_refused(monkeypatch):
         lfo.solve(hybrid, method="branch_and_bound", backend="osqp")
     with pytest.raises(lfo.errors.UnsupportedError, match="executor"):
         lfo.solve(hybrid, method="enumerate", executor=Here())
-    monkeypatch.setattr(enumeration, "MOST_SEQUENCES", 100)
+    substitute(monkeypatch, "methods.hybrid.MOST_SEQUENCES", 100)
     with pytest.raises(lfo.errors.UnsupportedError, match="more than"):
         lfo.solve(library.buck_affine(horizon=12), method="enumerate")
     with pytest.raises(lfo.errors.UnsupportedError, match="no Box bounds it at t = 0"):

@@ -17,11 +17,10 @@ from helpers.known_optima import solved
 from helpers.schemas import RESULT
 from helpers.seeds import seeds, turn
 from lin_freq_ocp import library
-from lin_freq_ocp.certificate.hybrid.smooth import nearest_in_ball
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import zero_multipliers
-from lin_freq_ocp.methods.hybrid.smooth.newton import NewtonSystem, newton
-from lin_freq_ocp.methods.hybrid.smooth.sequential import local_optimum
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.certificate.hybrid import nearest_in_ball
+from lin_freq_ocp.methods import zero_multipliers
+from lin_freq_ocp.methods.hybrid import NewtonSystem, local_optimum, newton
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}

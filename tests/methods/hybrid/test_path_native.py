@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
-from lin_freq_ocp.methods import native_code
-from lin_freq_ocp.methods.hybrid.search import node, path_native
-from lin_freq_ocp.methods.hybrid.search.path_native import OPTIMAL, path_library, run_path
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from helpers.replacing import substitute
+from lin_freq_ocp.methods import compiled_library, native_code
+from lin_freq_ocp.methods.hybrid import OPTIMAL, path_library, run_path, solve_path_relaxation
+from lin_freq_ocp.methods.hybrid.search import path_native
+from lin_freq_ocp.program.hybrid import PathRelaxation
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
 @pytest.fixture
@@ -81,14 +83,14 @@ def test_the_proven_bound_of_rough_duals_is_that_of_numpy(library, seed, fields,
 
 def test_a_ray_counts_only_if_its_bound_proves_it(library, monkeypatch):
     relaxation, reach, _ = root_of(random_problem(3, horizon=4, kinks=2))
-    expected = node.solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None).bound
+    expected = solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None).bound
 
     def wrong_ray(*given):
         run = run_path(*given)
         return replace(run, end=path_native.INFEASIBLE, p=np.ones_like(run.p), bound=1.0)
 
-    monkeypatch.setattr(node, "run_path", wrong_ray)
-    answer = node.solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None)
+    substitute(monkeypatch, "methods.hybrid.run_path", wrong_ray)
+    answer = solve_path_relaxation(relaxation, reach, (1e-8,), np.inf, None)
     assert answer.bound == pytest.approx(expected, rel=1e-6)
 
 
@@ -109,8 +111,8 @@ def test_without_a_compiler_clarabel_solves_the_nodes(compiler, monkeypatch, tmp
     expected = lfo.solve(problem).cost
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("CC", compiler)
-    monkeypatch.setattr(native_code.shutil, "which", lambda name: compiler if name == compiler else None)
-    native_code.compiled_library.cache_clear()
+    monkeypatch.setattr(shutil, "which", lambda name: compiler if name == compiler else None)
+    compiled_library.cache_clear()
     path_library.cache_clear()
     try:
         if compiler:
@@ -121,5 +123,5 @@ def test_without_a_compiler_clarabel_solves_the_nodes(compiler, monkeypatch, tmp
         assert result.status == "optimal"
         assert result.cost == pytest.approx(expected, rel=1e-6)
     finally:
-        native_code.compiled_library.cache_clear()
+        compiled_library.cache_clear()
         path_library.cache_clear()

@@ -11,10 +11,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import exchange
-from lin_freq_ocp.methods.spectral.rows import WorkingSet
-from lin_freq_ocp.methods.spectral.structure import Structure, data_of, verified_ray
-from lin_freq_ocp.problem.spectrum.bands import time_signal
+from lin_freq_ocp.methods.spectral import Exchange, Structure, WorkingSet, data_of, verified_ray
+from lin_freq_ocp.problem import time_signal
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
 LTI = [name for name in STATED if name != "ltv200"]
@@ -296,7 +294,7 @@ def blas_threads() -> set[int]:
 
 def test_linear_algebra_runs_on_one_thread(monkeypatch):
     seen: dict[str, set[int]] = {}
-    run, prepare = exchange.Exchange.run, Structure.__init__
+    run, prepare = Exchange.run, Structure.__init__
 
     def noting(name: str, function: Any) -> Any:
         def noted(*args: Any, **kwargs: Any) -> Any:
@@ -305,7 +303,7 @@ def test_linear_algebra_runs_on_one_thread(monkeypatch):
 
         return noted
 
-    monkeypatch.setattr(exchange.Exchange, "run", noting("solve", run))
+    monkeypatch.setattr(Exchange, "run", noting("solve", run))
     monkeypatch.setattr(Structure, "__init__", noting("setup", prepare))
     with threadpool_limits(2, user_api="blas"):
         outside = blas_threads()

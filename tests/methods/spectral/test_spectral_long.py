@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
 from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import rows, structure
-from lin_freq_ocp.methods.spectral.exchange import first_working_set
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
+from lin_freq_ocp.methods.spectral import first_working_set, lti_problem, natural_units
 
 LONG = 640
 """A horizon from which a first working set is guessed from cheaper problems."""
@@ -99,10 +98,10 @@ def test_the_guess_is_near_what_is_active_in_the_end(horizon, sampling_time):
 
 def test_rows_near_working_rows_save_half_of_the_rounds(monkeypatch):
     """As on long horizons: without a model of all values, and with neighbourhoods or without."""
-    monkeypatch.setattr(structure, "MOST_VALUES", 0)
+    substitute(monkeypatch, "methods.spectral.MOST_VALUES", 0)
     rounds = []
     for horizon in (1, np.inf):
-        monkeypatch.setattr(rows, "NEIGHBOURHOOD_HORIZON", horizon)
+        substitute(monkeypatch, "methods.spectral.NEIGHBOURHOOD_HORIZON", horizon)
         problems = lfo.library.scanner(), lfo.library.crane(), lfo.library.mass_chain()
         rounds.append(sum(lfo.SpectralSolver(problem).solve().rounds for problem in problems))
     assert 2 * rounds[0] <= rounds[1]

@@ -7,10 +7,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.oscillator import oscillator
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces
+from lin_freq_ocp.methods import SolveOptions, solve_convex
+from lin_freq_ocp.methods.spectral import BinSpaces, lti_problem, natural_units
 
 DAMPING = (0.05, 0.3, 1.0, 0.0, -0.05)
 """Damping ratios; the last two are undamped and unstable."""

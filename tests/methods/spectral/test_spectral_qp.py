@@ -9,8 +9,15 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
-from lin_freq_ocp.methods.spectral import qp as qp_module
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, block_pivoting, bounded_qp, interior_point, predictor_corrector
+from helpers.replacing import substitute
+from lin_freq_ocp.methods.spectral import (
+    PIVOTING_STEPS,
+    BorderedQp,
+    block_pivoting,
+    bounded_qp,
+    interior_point,
+    predictor_corrector,
+)
 
 Qp = tuple[np.ndarray, np.ndarray]
 
@@ -154,7 +161,7 @@ def test_block_pivoting_leaves_a_cycle_by_the_worst_rows(seed, monkeypatch):
     lam = block_pivoting(*qp, np.zeros(60))
     assert max(errors(qp, lam)) < 1e-11
     assert block_pivoting(*qp, np.zeros(60), np.full(60, 1e9)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
-    monkeypatch.setattr(qp_module, "STEPS_OF_ALL", qp_module.PIVOTING_STEPS)
+    substitute(monkeypatch, "methods.spectral.STEPS_OF_ALL", PIVOTING_STEPS)
     assert block_pivoting(*qp, np.zeros(60)) is None
 
 

@@ -11,8 +11,7 @@ from helpers.checks import spectral
 from helpers.checks.spectral import Reference, Verdict
 from helpers.random.lti import with_witness
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.convex.sparse_program import solve_convex
+from lin_freq_ocp.methods import SolveOptions, solve_convex
 
 ACCURATE = SolveOptions(tolerance=1e-11)
 

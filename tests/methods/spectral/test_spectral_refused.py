@@ -13,9 +13,9 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, START, A, B, T, plant, problem_of, tube
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.problem.spectrum.bands import time_signal
-from lin_freq_ocp.program.program_rows import real_rows
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.problem import time_signal
+from lin_freq_ocp.program import real_rows
 
 FREE = lfo.sets.Everything()
 

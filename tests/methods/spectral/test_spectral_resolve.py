@@ -10,9 +10,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.spectral.rows import Rows
-from lin_freq_ocp.transform.reductions import add_disturbance
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods.spectral import Rows
+from lin_freq_ocp.transform import add_disturbance
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}
 

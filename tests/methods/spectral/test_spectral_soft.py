@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.spectral import structure
+from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.sets import Polyhedron, Soft
 
 T = 40
@@ -146,7 +146,7 @@ def test_rounds_without_the_model_of_all_values_find_the_same(name, monkeypatch)
     """As on long horizons, where each round looks for rays: a soft row that the ends decide is none."""
     given = problem(**CASES[name])
     expected = lfo.solve(given, method="spectral").cost
-    monkeypatch.setattr(structure, "MOST_VALUES", 0)
+    substitute(monkeypatch, "methods.spectral.MOST_VALUES", 0)
     result = lfo.solve(given, method="spectral")
     assert result.certificate.pmp == "satisfied"
     assert result.cost == pytest.approx(expected, rel=1e-9)

@@ -11,10 +11,9 @@ import pytest
 from scipy.linalg import block_diag, null_space
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods.spectral import spaces as spaces_module
-from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem
-from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
-from lin_freq_ocp.program.program_rows import real_rows
+from helpers.replacing import substitute
+from lin_freq_ocp.methods.spectral import BinSpaces, CirculantKernels, Lti, LtiUnits, lti_problem
+from lin_freq_ocp.program import real_rows
 
 BIN = 3
 """The bin on which undamped modes lie, at any horizon."""
@@ -245,7 +244,7 @@ ROWS = lfo.StageRows([[1.0, 0, 0, -1.0], [0, 0, 0, 0]], [[0.5, 0], [1.0, -2.0]],
 )
 def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, together):
     if not together:
-        monkeypatch.setattr(spaces_module, "SMALL_TABLE", 0)
+        substitute(monkeypatch, "methods.spectral.SMALL_TABLE", 0)
     lti = lti_of(plants(T)[kind], T, STOPS[stops], *COSTS[cost], stage_rows=ROWS)
     spaces = BinSpaces(lti)
     assert len(spaces.bordering_bin) == 0
@@ -264,7 +263,7 @@ def test_kernels_are_a_dense_projection(monkeypatch, kind, stops, cost, T, toget
 
 
 def test_a_kernel_does_not_depend_on_what_was_asked_before(monkeypatch):
-    monkeypatch.setattr(spaces_module, "SMALL_TABLE", 0)
+    substitute(monkeypatch, "methods.spectral.SMALL_TABLE", 0)
     lti = lti_of(plants(16)["stable"], 16, STOPS["different bands"], stage_rows=ROWS)
     spaces = BinSpaces(lti)
     asked, fresh = CirculantKernels(lti, spaces), CirculantKernels(lti, spaces)

@@ -7,9 +7,15 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import LARGE_BOX, START, T, problem_of
-from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
-from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WholeHorizon, WorkingSet
-from lin_freq_ocp.methods.spectral.structure import Structure
+from lin_freq_ocp.methods.spectral import (
+    Rows,
+    Structure,
+    Violations,
+    WholeHorizon,
+    WorkingSet,
+    lti_problem,
+    natural_units,
+)
 
 JOINT = lfo.StageRows([[1.0, 0, 0.5]], [[1.0, -1.0]], [1.0])
 COST = lfo.QuadraticCost(Q=0.3, R=np.diag([1.0, 2.0]), P=np.eye(3))

@@ -3,15 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.stages import (
-    Balls,
-    Coupling,
-    Equations,
-    Inequalities,
-    SparseRows,
-    SpectrumRows,
-    Stages,
-)
+from lin_freq_ocp.methods.structured import Balls, Coupling, Equations, Inequalities, SparseRows, SpectrumRows, Stages
 
 
 def spectrum(bins, samples, oversampling=1, scale=None):

@@ -3,16 +3,18 @@
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.system import Compliance, System, SystemSolution
-from lin_freq_ocp.methods.structured.stages import (
+from lin_freq_ocp.methods.structured import (
     Balls,
+    Compliance,
     Coupling,
     Equations,
     Inequalities,
     SparseRows,
     SpectrumRows,
     Stages,
+    System,
+    SystemSolution,
+    loops,
 )
 
 

@@ -6,22 +6,29 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.structured import active
-from lin_freq_ocp.methods.structured.active import RowResponses, solve_active
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
-from lin_freq_ocp.methods.structured.stages import Coupling, Equations, Inequalities
-from lin_freq_ocp.solving.linear import Structured
-from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.solver_cache import SolverCache
-from lin_freq_ocp.transform.reductions import Change
-from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import Candidate
+from lin_freq_ocp.methods.structured import (
+    Coupling,
+    Embedding,
+    End,
+    Equations,
+    Inequalities,
+    RowResponses,
+    StepSystem,
+    System,
+    Targets,
+    can_compile,
+    loops,
+    range_space_solver,
+    solve_active,
+)
+from lin_freq_ocp.results import Status
+from lin_freq_ocp.solvers import Structured
+from lin_freq_ocp.solving import Request, SolverCache
+from lin_freq_ocp.transform import Change, translation_of
 from tests.methods.structured.examples import spectrum, stages
 
 COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]
@@ -105,7 +112,7 @@ def test_no_answer_without_room_for_the_responses(monkeypatch):
     problem = stages(3, bound=0.8)
     near = np.full(problem.h.shape, 5.0)
     assert solve_active(System(problem, loops(False)), responses(problem), Targets(), near) is not None
-    monkeypatch.setattr(active, "MOST_NUMBERS", 100)
+    substitute(monkeypatch, "methods.structured.MOST_NUMBERS", 100)
     assert solve_active(System(problem, loops(False)), responses(problem), Targets(), near) is None
 
 
@@ -146,7 +153,7 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
         ends.append(solve_active(*given))
         return ends[-1]
 
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.solver.solve_active", recorded)
+    substitute(monkeypatch, "methods.structured.solve_active", recorded)
     kept = SolverCache(translation_of(problem))
     again(kept, Change())
     assert not ends  # nothing is near
@@ -191,7 +198,7 @@ def test_verdicts_are_those_from_scratch():
 def test_single_changes_suffice(monkeypatch):
     problem = stages(9, bound=0.8, coupling=coupled(9))
     expected, near = embedded(problem), np.zeros(problem.h.shape)
-    monkeypatch.setattr(active, "TRIES", 0)
+    substitute(monkeypatch, "methods.structured.TRIES", 0)
     found = solve_active(System(problem, loops(False)), responses(problem), Targets(), near)
     assert found is not None
     assert np.abs(found.y - expected.y).max() < 1e-5
@@ -202,8 +209,9 @@ def test_a_wrong_answer_is_repaired_to_a_proven_one_or_solved_from_scratch(monke
     kept = SolverCache(translation_of(problem))
     expected = again(kept, Change())
     wrong = replace(expected.trajectory, u=1.01 * expected.trajectory.u)
-    monkeypatch.setattr(
-        "lin_freq_ocp.solving.linear.solve_from_warm_start",
+    substitute(
+        monkeypatch,
+        "methods.structured.solve_from_warm_start",
         lambda *given: Candidate(Status.OPTIMAL, wrong, expected.multipliers),
     )
     found = again(kept, Change())

@@ -11,12 +11,9 @@ import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, A, B, T
 from helpers.seeds import seeds
 from helpers.stage_programs import solved_stages, stage_operator
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.assembly import assemble_stages
-from lin_freq_ocp.methods.structured.stages import SparseRows, SpectrumRows, Stages
-from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.terms.penalties import NormBall
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured import SparseRows, SpectrumRows, Stages, assemble_stages
+from lin_freq_ocp.problem import NormBall, Term, replace_fields
 
 
 def cost_of(stages: Stages, y: np.ndarray) -> float:

@@ -5,14 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured import choice
-from lin_freq_ocp.methods.structured.choice import Sizes, choose_kkt_solver, sizes_of
-from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, NullSpaceSolver, Slacks, sort_rows
-from lin_freq_ocp.methods.structured.kkt.range_space import RangeSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.stages import Coupling, Equations
+from helpers.replacing import substitute
+from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.structured import (
+    Coupling,
+    DenseReduced,
+    Equations,
+    NullSpace,
+    NullSpaceSolver,
+    RangeSpaceSolver,
+    Sizes,
+    Slacks,
+    choose_kkt_solver,
+    loops,
+    sizes_of,
+    sort_rows,
+)
 from methods.structured.examples import spectrum, stages
 
 
@@ -39,7 +47,7 @@ def test_sizes_are_those_of_the_space(k, free):
 def test_a_narrow_pass_band_is_solved_in_null_space_and_a_narrow_stop_band_in_range_space(monkeypatch):
     narrow = with_stop(400, np.arange(20, 201))
     assert isinstance(choose_kkt_solver(narrow, loops(False)), NullSpaceSolver)
-    monkeypatch.setattr(choice, "NullSpaceSolver", lambda stages, loops, reduced: reduced)
+    substitute(monkeypatch, "methods.structured.NullSpaceSolver", lambda stages, loops, reduced: reduced)
     assert choose_kkt_solver(narrow, loops(False)) is DenseReduced
     assert isinstance(choose_kkt_solver(with_stop(400, np.arange(1, 15)), loops(False)), RangeSpaceSolver)
 
@@ -52,6 +60,6 @@ def test_long_horizons_by_conjugate_gradients(T):
 
 def test_what_does_not_fit_is_said(monkeypatch):
     for limit in ("LARGEST_BYTES", "RANGE_SPACE_BYTES"):
-        monkeypatch.setattr(f"lin_freq_ocp.methods.structured.choice.{limit}", 1e4)
+        substitute(monkeypatch, f"methods.structured.{limit}", 1e4)
     with pytest.raises(UnsupportedError, match="rows that couple times"):
         choose_kkt_solver(with_stop(200, np.arange(20, 101)), loops(False))

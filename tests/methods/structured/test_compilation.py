@@ -7,13 +7,15 @@ from threading import Event, Thread
 import pytest
 
 from helpers.patience import PATIENCE
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from lin_freq_ocp.methods.structured import can_compile
 
 if not can_compile():
     pytest.skip("numba does not compile", allow_module_level=True)
 
-from lin_freq_ocp.methods.structured.kkt import compilation, kernels
-from lin_freq_ocp.methods.structured.kkt.compilation import Kernels, jit
+import numba
+
+from lin_freq_ocp.methods.structured import Kernels, jit
+from lin_freq_ocp.methods.structured.kkt import kernels
 
 
 class Kernel:
@@ -128,7 +130,7 @@ def test_functions_are_compiled_where_nothing_can_be_cached(monkeypatch):
             raise RuntimeError("cannot cache function: no locator available")
         return lambda function: function
 
-    monkeypatch.setattr(compilation.numba, "njit", njit)
+    monkeypatch.setattr(numba, "njit", njit)
     assert jit(len)([1, 2]) == 2
 
 

@@ -9,10 +9,9 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, infeasible
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
-from lin_freq_ocp.methods.structured.solver import solve_structured
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods import SolveOptions
+from lin_freq_ocp.methods.structured import can_compile, solve_structured
 
 
 @pytest.fixture(params=["compiled", "plain"])

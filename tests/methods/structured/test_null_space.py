@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.structured.kkt.null_space import (
+from lin_freq_ocp.methods.structured import (
     Coefficients,
+    Coupling,
+    DenseReduced,
+    Equations,
     NullSpaceSolver,
     Slacks,
     break_times,
+    can_compile,
+    loops,
+    range_space_solver,
     sort_rows,
     unit_scale,
 )
-from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
-from lin_freq_ocp.methods.structured.stages import Coupling, Equations
 from methods.structured.linear_systems import random_system, solved, stop_band
 
 GROWTHS = (0.0, 12.0, -5.0)

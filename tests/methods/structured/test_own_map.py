@@ -10,12 +10,9 @@ import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import COST, PLANT, T
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.structured.solver import solve_structured
-from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
-from lin_freq_ocp.problem.terms.maps import MatrixMap
-from lin_freq_ocp.problem.terms.penalties import NormBall
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.methods import SolveOptions
+from lin_freq_ocp.methods.structured import solve_structured
+from lin_freq_ocp.problem import MatrixMap, NonsmoothCost, NormBall, Term, TermKind
 
 
 @dataclass(frozen=True, eq=False)

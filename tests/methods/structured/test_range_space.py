@@ -2,8 +2,7 @@
 
 import pytest
 
-from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, RangeSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured import CouplingResponse, RangeSpaceSolver, loops
 
 from .linear_systems import random_system, solved
 

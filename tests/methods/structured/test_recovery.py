@@ -8,8 +8,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, PLANT, T, infeasible
 from helpers.stage_programs import solved_stages, stage_operator
-from lin_freq_ocp.certificate.rays import prove_infeasible
-from lin_freq_ocp.methods.structured.assembly import assemble_stages, choose_origin
+from lin_freq_ocp.certificate import prove_infeasible
+from lin_freq_ocp.methods.structured import assemble_stages, choose_origin
 
 
 def test_references_and_fixed_controls_are_the_origin():

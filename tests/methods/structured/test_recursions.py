@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
+from helpers.replacing import substitute
 from helpers.seeds import seeds
+from lin_freq_ocp.methods.structured import BandedLoops, CompiledLoops, OpenLoop, can_compile, loops
 from lin_freq_ocp.methods.structured.kkt import recursions
-from lin_freq_ocp.methods.structured.kkt.dense import OpenLoop
-from lin_freq_ocp.methods.structured.kkt.recursions import BandedLoops, can_compile, loops
 
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -264,11 +264,10 @@ def test_convexity_is_that_of_the_reduced_hessian(seed, compiled):
 def test_who_is_not_patient_does_not_wait_for_the_compiler(monkeypatch):
     if not can_compile():
         pytest.skip("numba does not compile")
-    from lin_freq_ocp.methods.structured.kkt import kernels
 
-    assert isinstance(loops(), kernels.CompiledLoops)
-    assert isinstance(loops(wait=False), kernels.CompiledLoops)  # compiled by now
-    monkeypatch.setattr(kernels, "KERNELS", SimpleNamespace(ready=False))
+    assert isinstance(loops(), CompiledLoops)
+    assert isinstance(loops(wait=False), CompiledLoops)  # compiled by now
+    substitute(monkeypatch, "methods.structured.KERNELS", SimpleNamespace(ready=False))
     assert isinstance(loops(wait=False), BandedLoops)
 
 

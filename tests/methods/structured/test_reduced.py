@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.reduced import CLIP, LEAST_REST, TwoLevel, clip
+from lin_freq_ocp.methods.structured import CLIP, LEAST_REST, NullSpaceSolver, TwoLevel, can_compile, clip, loops
 from methods.structured.linear_systems import random_system, solved
 
 GROWTHS = (0.0, 12.0, -5.0)

@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.linear_kinds import KINDS, T
-from lin_freq_ocp.methods.structured.assembly import assemble_stages
-from lin_freq_ocp.methods.structured.rows import assign_slots, stage_rows
-from lin_freq_ocp.methods.structured.stages import SpectrumRows
-from lin_freq_ocp.problem.terms.maps import StageMap
-from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall
-from lin_freq_ocp.problem.terms.penalty import HARD
-from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.methods.structured import SpectrumRows, assemble_stages, assign_slots, stage_rows
+from lin_freq_ocp.problem import HARD, HalfSpaces, NormBall, StageMap, Term, TermKind
+from lin_freq_ocp.program import LinearProgram
 
 
 def stage_rows_of(*parts):

@@ -6,21 +6,28 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from helpers.replacing import substitute
 from helpers.seeds import turn
-from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, LowRankSolver, RangeSpaceSolver, fine_rows
-from lin_freq_ocp.methods.structured.kkt.recursions import can_compile, loops
-from lin_freq_ocp.methods.structured.kkt.system import (
+from lin_freq_ocp.methods.structured import (
     BALLS,
     EQUATIONS,
     INEQUALITIES,
     STAGES,
+    CouplingResponse,
+    EmbeddedPoint,
+    Embedding,
+    End,
+    LowRankSolver,
+    RangeSpaceSolver,
     StepSystem,
     System,
+    Targets,
+    can_compile,
+    fine_rows,
     largest,
+    loops,
 )
-from lin_freq_ocp.program.backends.base import Claim, backend
-from lin_freq_ocp.program.program import Program
+from lin_freq_ocp.program import Claim, Program, backend
 
 from .examples import every_kind, stages
 
@@ -177,7 +184,7 @@ def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
         return sum(answer.steps for answer in answers)
 
     with_correctors = steps()
-    monkeypatch.setattr("lin_freq_ocp.methods.structured.embedding.CORRECTORS", 0)
+    substitute(monkeypatch, "methods.structured.CORRECTORS", 0)
     assert with_correctors < 0.9 * steps()
 
 

@@ -8,14 +8,21 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.linear_kinds import KINDS
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.candidate import SolveOptions
-from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.assembly import assemble_stages
-from lin_freq_ocp.methods.structured.choice import choose_kkt_solver, step_seconds
-from lin_freq_ocp.methods.structured.embedding import Embedding, End, Targets
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.methods.structured.kkt.system import StepSystem, System
+from helpers.replacing import substitute
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods import SolveOptions
+from lin_freq_ocp.methods.structured import (
+    Embedding,
+    End,
+    StepSystem,
+    System,
+    Targets,
+    assemble_stages,
+    choose_kkt_solver,
+    loops,
+    solve_structured,
+    step_seconds,
+)
 
 
 @pytest.mark.parametrize("limit", [4.0, 6.0, 9.0])
@@ -34,7 +41,7 @@ def test_no_step_is_begun_that_would_end_late(limit):
 
 def test_the_best_point_is_returned_with_what_it_reached():
     with use_clock(Clock(1.0)):
-        (candidate,) = solver.solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
+        (candidate,) = solve_structured(KINDS["mask"](), SolveOptions(time_limit=12.0, compiled=False))
     assert candidate.status == "limit"
     assert candidate.message.startswith("time limit after 4 steps: relative residuals of ")
     assert np.isfinite(candidate.trajectory.x).all()
@@ -44,9 +51,9 @@ def test_what_needs_longer_than_the_limit_is_not_begun(monkeypatch):
     def never(*given):
         raise AssertionError("it was begun")
 
-    monkeypatch.setattr(solver, "Embedding", never)
-    monkeypatch.setattr(solver, "step_seconds", lambda *given: 4.0)
-    (candidate,) = solver.solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
+    substitute(monkeypatch, "methods.structured.Embedding", never)
+    substitute(monkeypatch, "methods.structured.step_seconds", lambda *given: 4.0)
+    (candidate,) = solve_structured(KINDS["boxes"](), SolveOptions(time_limit=7.9))
     assert candidate.status == "limit"
     assert candidate.trajectory is None
     assert "time limit of 7.9 s; one step may need 8 s" in candidate.message

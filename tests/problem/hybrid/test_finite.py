@@ -9,8 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.errors import ProblemError
+from lin_freq_ocp.problem import problem_facts
 
 LINEAR = lfo.LinearDynamics([[1.0]], [[1.0]])
 

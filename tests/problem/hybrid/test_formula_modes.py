@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.problem.dynamics.base import unique_names
+from lin_freq_ocp.problem import unique_names
 
 FUNCTIONS = {"abs": abs, "max": max, "min": min, "sin": math.sin, "tanh": math.tanh}
 SIGNALS = ("x_0", "x_1", "u_0")

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.replacing import substitute
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.base.polyhedra import cell_of, irredundant, natural_sizes
-from lin_freq_ocp.problem.hybrid.formula_modes import SMALLEST_PIECE
+from lin_freq_ocp.base import cell_of, irredundant, natural_sizes
+from lin_freq_ocp.problem.hybrid import SMALLEST_PIECE
 
 SEEDS = st.integers(0, 2**32 - 1)
 from_formulas = lfo.PiecewiseAffineDynamics.from_formulas
@@ -206,7 +207,7 @@ def test_what_is_not_piecewise_affine_is_refused(make, field, words):
 
 
 def test_too_many_combinations_are_refused(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.formula_modes.MOST_PIECES", 8)
+    substitute(monkeypatch, "problem.hybrid.MOST_PIECES", 8)
     x, u = lfo.signals(4, 1)
     from_formulas([sum(abs(one) for one in x[:3]), *x[1:]], 4, 1)
     with pytest.raises(lfo.errors.ProblemError, match="more than 8 combinations"):

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.problem.hybrid.regions import CONTINUITY_TOLERANCE
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.problem.hybrid import CONTINUITY_TOLERANCE
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -280,7 +280,7 @@ def test_signals_from_elsewhere_become_trajectories(tmp_path):
 
 
 def test_a_run_that_ended_without_a_result_keeps_the_modes(tmp_path):
-    from lin_freq_ocp.files.run_file import dump_run
+    from lin_freq_ocp.files import dump_run
 
     problem = problem_of(rotation(), 3, initial_state=[1.0, 1.0], name="rotation")
     dump_run(tmp_path / "run.zip", problem, {"method": "auto"}, error=lfo.errors.UnsupportedError("no"))

@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
 from lin_freq_ocp.dynamics import SmoothMode
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 

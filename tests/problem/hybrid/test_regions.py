@@ -13,9 +13,9 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.kinked_maps import problem_of, random_kinks
+from helpers.replacing import substitute
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.base import polyhedra
-from lin_freq_ocp.base.polyhedra import SAME_FACET, THICKNESS, Cell
+from lin_freq_ocp.base import SAME_FACET, THICKNESS, Cell, irredundant, uncovered_point
 
 SEEDS = st.integers(0, 2**32 - 1)
 FACTOR = 10.0 ** np.arange(-9, 10, 6)
@@ -244,7 +244,7 @@ def test_rows_that_are_equations_leave_the_bounds():
 def test_regions_that_were_checked_are_not_checked_again(monkeypatch):
     problem = problem_of(lfo.PiecewiseAffineDynamics(WEDGE), 5, state_set=lfo.Box(-3, 0.5))
     assert problem.gap is None
-    monkeypatch.setattr("lin_freq_ocp.problem.hybrid.regions.uncovered_point", None)
+    substitute(monkeypatch, "base.uncovered_point", None)
     assert replace(problem, horizon=7).gap is None
     with pytest.raises(TypeError):
         _ = replace(problem, state_set=lfo.Box(-3, 0.4)).gap
@@ -277,7 +277,7 @@ def test_the_centre_of_a_rectangle_and_where_projections_do_not_help(monkeypatch
     assert point is not None
     assert point[1] == pytest.approx(0.25)
     assert square.inner_point(0.76) is None
-    monkeypatch.setattr(polyhedra, "PROJECTIONS", 0)
+    substitute(monkeypatch, "base.PROJECTIONS", 0)
     assert halves(0.0, state_set=lfo.Box(-1, 1), control_set=lfo.Box(-1, 1)).borders
     assert halves(0.0, 0.1).gap is not None
 
@@ -290,10 +290,10 @@ def test_coverage_against_random_points(seed):
     boxes = [(edges[0][[i, i + 1]], edges[1][[j, j + 1]]) for i in range(3) for j in range(3)]
     cells = [Cell(np.vstack([np.eye(2), -np.eye(2)]), np.array([a[1], b[1], -a[0], -b[0]])) for a, b in boxes]
     domain = Cell(np.vstack([np.eye(2), -np.eye(2)]), np.ones(4))
-    assert polyhedra.uncovered_point(domain, cells) is None
+    assert uncovered_point(domain, cells) is None
     for left_out in ({0}, {4}, {8}, {1, 7}, set(range(9))):
         kept = [cell for k, cell in enumerate(cells) if k not in left_out]
-        point = polyhedra.uncovered_point(domain, kept)
+        point = uncovered_point(domain, kept)
         assert point is not None
         assert all((cell.limits < cell.normals @ point).any() for cell in kept)
         assert (np.abs(point) <= 1).all()
@@ -301,7 +301,7 @@ def test_coverage_against_random_points(seed):
 
 def test_rows_that_others_imply_are_left_out():
     rows = Cell(np.array([[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.6, 0.8]]), np.array([1.0, 1, 1, 1, 1.5]))
-    kept = polyhedra.irredundant(rows, THICKNESS)
+    kept = irredundant(rows, THICKNESS)
     assert len(kept) == 3
     assert set(kept) & {0, 1}
     assert set(kept) >= {2, 3}

@@ -14,14 +14,13 @@ import lin_freq_ocp as lfo
 from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.hybrid.search import mixed
-from lin_freq_ocp.methods.hybrid.search.mixed import solve_miqp
-from lin_freq_ocp.program.backends.base import Claim, Solution
-from lin_freq_ocp.program.backends.base import backend as solver_named
-from lin_freq_ocp.program.hybrid.mixed_integer import big_m_bounds, big_m_program
-from lin_freq_ocp.program.program import Block, Program
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods.hybrid import solve_miqp
+from lin_freq_ocp.program import Block, Claim, Program, Solution
+from lin_freq_ocp.program import backend as solver_named
+from lin_freq_ocp.program.hybrid import big_m_bounds, big_m_program
 
 library = lfo.library
 BACKENDS = ["scip", "daqp"]
@@ -331,7 +330,11 @@ def test_what_cannot_be_taken_is_refused():
 def claiming(monkeypatch, change):
     """Let every mixed-integer backend return what ``change`` makes of DAQP's answer."""
     real = solver_named("daqp", binaries=True)
-    monkeypatch.setattr(mixed, "backend", lambda name, binaries: lambda *asked: change(real(*asked)))
+
+    def chosen(name, binaries=False):
+        return (lambda *asked: change(real(*asked))) if binaries else solver_named(name)
+
+    substitute(monkeypatch, "program.backend", chosen)
 
 
 def test_the_bound_of_daqp_is_one_in_spite_of_its_regularisation():
@@ -364,7 +367,7 @@ def test_a_point_with_shares_of_modes_is_no_answer(monkeypatch):
     def relaxed(name, binaries):
         return lambda program, *_: solver_named("clarabel")(replace(program, binaries=program.binaries[:0]), 1e-8, None)
 
-    monkeypatch.setattr(mixed, "backend", relaxed)
+    substitute(monkeypatch, "program.backend", relaxed)
     outcome = solve_miqp(library.buck_affine(horizon=6))
     assert outcome.status == "failed"
     assert "with binaries rounded its point violates a row of order 1 by" in outcome.message

@@ -8,15 +8,13 @@ from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.methods.hybrid.search import node as path_node
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
-from lin_freq_ocp.methods.hybrid.search.path_native import path_library
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.methods.hybrid import TOLERANCES, path_library, solve_relaxation
+from lin_freq_ocp.problem.hybrid import ModeNode, ModeTree
+from lin_freq_ocp.program.hybrid import ModeRelaxation, PathRelaxation
+from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
 TURNED = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -35,7 +33,7 @@ FIELDS = {
 def solver(request, monkeypatch):
     """Solve nodes by compiled code, or as if there were none."""
     if request.param == "by Clarabel":
-        monkeypatch.setattr(path_node, "path_library", lambda: None)
+        substitute(monkeypatch, "methods.hybrid.path_library", lambda: None)
     elif path_library() is None:
         pytest.skip("no C compiler")
 

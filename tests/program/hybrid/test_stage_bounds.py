@@ -8,9 +8,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.hybrid.search.common import TOLERANCES, solve_relaxation
-from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
-from lin_freq_ocp.program.hybrid.rows import Quadratic
+from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_relaxation
+from lin_freq_ocp.program.hybrid import ModeRelaxation, Quadratic
 
 FULL = lfo.QuadraticCost(Q=[[2, 1.5], [1.5, 2]], R=0.3, S=[[0.2], [0.1]], P=[[3, -1], [-1, 1]], x_ref=[0.3, -0.2])
 

@@ -13,17 +13,15 @@ from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.cli.app import cli
-from lin_freq_ocp.files.solution_files import save_solution
-from lin_freq_ocp.files.summary import certificate_summary
-from lin_freq_ocp.methods.fitted_multipliers import uniqueness
-from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
-from lin_freq_ocp.pages.report.proof import verdict
-from lin_freq_ocp.pages.report.tables import worst_location
-from lin_freq_ocp.problem.hybrid.piecewise_affine import REGION
-from lin_freq_ocp.transform.hybrid.forms import linear_along
-from lin_freq_ocp.transform.reductions import Reduced
+from lin_freq_ocp.files import certificate_summary, save_solution
+from lin_freq_ocp.methods import uniqueness
+from lin_freq_ocp.methods.hybrid import multipliers_with_weights
+from lin_freq_ocp.pages import verdict, worst_location
+from lin_freq_ocp.problem.hybrid import REGION
+from lin_freq_ocp.transform import Reduced
+from lin_freq_ocp.transform.hybrid import linear_along
 
 
 def best(problem):

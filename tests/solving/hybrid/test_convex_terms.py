@@ -5,7 +5,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
+from lin_freq_ocp.transform.hybrid import with_convex_terms
 
 A, B = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([[0.0], [0.4]])
 STAGES = {  # a formula, and the same convex function in NumPy

@@ -12,11 +12,11 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import seeds
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.certificate.hybrid.tree import tree_bound
-from lin_freq_ocp.problem.hybrid.levels import cost_unit
+from lin_freq_ocp import simulate
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.certificate.hybrid import tree_bound
+from lin_freq_ocp.problem.hybrid import cost_unit
 from lin_freq_ocp.transform.level_rows import level_rows
-from lin_freq_ocp.transform.simulation import simulate
 
 T = 6
 LEVELS, COSTS = [-1.0, 0.0, 1.0], [0.3, 0.1, 0.4]

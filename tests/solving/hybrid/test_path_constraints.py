@@ -10,8 +10,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass, way_around
 from helpers.seeds import turn
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.methods import zero_multipliers
 
 AROUND = {"initial_state": [-0.6, 0.77, 0.3, 0.9], "terminal_state": [0.6, 0.77, 0, 0]}
 BALL = "x_0**2 + x_1**2 - 0.99"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp import Trajectory
+from lin_freq_ocp.errors import ProblemError
 
 
 # Miller, Karamanakos and Geyer, arXiv 2512.08201: distortion of moment relaxations, and of polished points

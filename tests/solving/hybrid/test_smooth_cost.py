@@ -10,8 +10,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.certificate.hybrid.smooth import kinks
-from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.certificate.hybrid import kinks
 from lin_freq_ocp.comparison.trajectories import mode_sequence
 
 SmoothCost = lfo.costs.SmoothCost

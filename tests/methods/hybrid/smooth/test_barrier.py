@@ -8,15 +8,20 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
-from lin_freq_ocp import library
-from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.hybrid.smooth import interior_point
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import Barrier, End, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.methods.structured.kkt.recursions import loops
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp import OptimalControlProblem, library
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.methods.hybrid import (
+    Barrier,
+    BarrierPoint,
+    End,
+    LocalSearch,
+    SmoothModel,
+    SmoothProgress,
+    smooth_optimum,
+)
+from lin_freq_ocp.methods.structured import loops
 
 KNOWN = [
     (library.pendulum_swing_up, {}, 42.59133929494813),
@@ -88,7 +93,7 @@ def test_loops_that_are_not_compiled_lead_to_the_same_answer():
 def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
     problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
     expected = lfo.solve(problem, global_bound=False).control
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.interior_point.FEW_ROWS", -1)
+    substitute(monkeypatch, "methods.hybrid.FEW_ROWS", -1)
     np.testing.assert_allclose(lfo.solve(problem, global_bound=False).control, expected, atol=1e-8)
 
 
@@ -140,7 +145,7 @@ def test_a_time_limit_ends_the_iteration():
 
 def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
     problem, calls = pendulum(), []
-    best = interior_point.smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
+    best = smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
     derivatives = SmoothModel.derivatives
 
     def interrupted(self, y):
@@ -150,7 +155,7 @@ def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
         return derivatives(self, y)
 
     monkeypatch.setattr(SmoothModel, "derivatives", interrupted)
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.SMOOTH_STARTS", 5)
+    substitute(monkeypatch, "methods.hybrid.SMOOTH_STARTS", 5)
     result = lfo.solve(problem, global_bound=False, throw=False)
     assert len(calls) == 40
     assert (result.status, result.interrupted, result.message) == ("limit", True, "interrupted")
@@ -184,11 +189,9 @@ def test_functions_are_as_good_as_formulas(kind):
 
 
 def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
-    monkeypatch.setattr("lin_freq_ocp.methods.hybrid.smooth.local_search.LONGEST_REPLAY", 10)
+    substitute(monkeypatch, "methods.hybrid.LONGEST_REPLAY", 10)
     search, problem = LocalSearch(pendulum()), pendulum()
-    monkeypatch.setattr(
-        "lin_freq_ocp.methods.hybrid.smooth.local_search.simulate", lambda *given: pytest.fail("replayed")
-    )
+    substitute(monkeypatch, "simulate", lambda *given: pytest.fail("replayed"))
     found = search.run().best
     assert found is not None
     monkeypatch.undo()
@@ -265,7 +268,7 @@ def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start
 
 def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):
     """A map linearised far away may grow by 1e300 within the horizon; the last point is the answer."""
-    problem, honest, factored = qubit([0, 0, -1]), interior_point.BarrierPoint.factor, list[float]()
+    problem, honest, factored = qubit([0, 0, -1]), BarrierPoint.factor, list[float]()
 
     def factor(self, *given):
         factored.append(self.theta)
@@ -273,7 +276,7 @@ def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):
             raise np.linalg.LinAlgError("Singular matrix")
         return honest(self, *given)
 
-    monkeypatch.setattr(interior_point.BarrierPoint, "factor", factor)
+    monkeypatch.setattr(BarrierPoint, "factor", factor)
     optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0])
     assert ended is End.STALLED
     assert not optimum.converged

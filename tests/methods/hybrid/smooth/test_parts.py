@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lin_freq_ocp import library
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import Filter, Measure
-from lin_freq_ocp.methods.hybrid.smooth.model import SmoothModel
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp import library, simulate
+from lin_freq_ocp.methods.hybrid import Filter, Measure, SmoothModel
 
 
 def test_a_filter_takes_what_improves_either_and_remembers_where_it_was():

@@ -9,8 +9,8 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.certificate.verdict import judge
-from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.certificate import judge
+from lin_freq_ocp.methods import zero_multipliers
 from lin_freq_ocp.solving.hybrid import smooth
 
 
