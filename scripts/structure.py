@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_544,
-    "code lines": 41_704,
-    "code lines, linear part": 20_920,
-    "code lines, hybrid": 8_656,
+    "shipped lines": 44_499,
+    "code lines": 41_659,
+    "code lines, linear part": 20_914,
+    "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
     "files": 306,
     "folders": 42,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
-    "functions entered by a solve": 386,
-    "calls of a solve": 772,
+    "functions entered by a solve": 384,
+    "calls of a solve": 768,
     "modules that tests import": 80,
     "modules that tests import past a door": 52,
     "exceptions of doors, missing or unused": 0,
@@ -78,7 +78,7 @@ LIMITS: dict[str, float] = {
     "constants of several values": 3,
     "file stems used three times": 4,
     "names of a lone participle": 0,
-    "isinstance on dynamics": 3,
+    "isinstance on dynamics": 2,
     "isinstance on terms": 5,
     "Any": 22,
 }

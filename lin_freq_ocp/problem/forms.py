@@ -27,13 +27,13 @@ def form_of(dynamics: Dynamics, control_set: SetOrSets, cost: Cost, constrained:
     """
     m, has_formulas = dynamics.control_dim, cost.has_formulas or constrained
     if isinstance(control_set, ConvexSet) and control_set.points(m) is not None:
-        dynamics = entry_for(FORMS, dynamics)(dynamics, control_set, None)
+        dynamics = entry_for(FORMS, dynamics.standard_form)(dynamics, control_set, None)
     elif isinstance(control_set, ConvexSet) and _any_has_points(control_set.members, m):
         advice = "State other constraints as stage_rows, or take duty_cycles=True."
         raise ProblemError("control_set", "levels in an intersection", "a FiniteSet alone", advice)
     elif isinstance(control_set, Iterable) and _any_has_points(control_set, m):
         raise ProblemError("control_set", "levels at single times", "one FiniteSet for all times")
-    return entry_for(FORMS, dynamics)(dynamics, None, cost.formulas[0]) if has_formulas else dynamics
+    return entry_for(FORMS, dynamics.standard_form)(dynamics, None, cost.formulas[0]) if has_formulas else dynamics
 
 
 def _any_has_points(sets: Iterable[object], m: int) -> bool:

@@ -127,14 +127,7 @@ class OptimalControlProblem(ProblemData):
             output_spectrum=output_spectrum,
             name=name,
         )
-        _ = (
-            self.form,
-            self.ends,
-            self.control_tube,
-            self.control_stop,
-            self.state_stop,
-            self.terms,
-        )  # checked and cached
+        _ = self.form, self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked, cached
         if self.mode_names:
             self.form.require_sets(self.stage_sets)
 

@@ -23,6 +23,7 @@ from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.dynamics.response import Response
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 from lin_freq_ocp.problem.terms.term import Link
 
@@ -78,9 +79,14 @@ class Dynamics(ABC):
         return self.standard_form.mode_names
 
     @property
+    def levels(self) -> ConvexSet | None:
+        """Return the finite set of controls that has a mode for each point; None for other dynamics."""
+        return None
+
+    @property
     def choices(self) -> Array | None:
         """Return the control of each mode, (modes, m), where modes determine it."""
-        return None
+        return None if self.levels is None else self.levels.points(self.control_dim)
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the dynamics in words, as pairs (title, text); labels name states and controls."""

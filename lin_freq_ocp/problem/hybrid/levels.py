@@ -275,9 +275,9 @@ def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:
     The unit is the greatest common divisor of the costs of the levels as they are in double precision. The error is how
     much the envelope may lie below them.
     """
-    form = problem.form
+    levels = problem.form.levels
     alone = problem.quadratic.zero and all(term.hard or term.kind == TermKind.CONTROL_SET for term in problem.terms)
-    stated = form.control_set.costs_of(problem.control_dim) if isinstance(form, SwitchedDynamics) and alone else ()
+    stated = levels.costs_of(problem.control_dim) if levels is not None and alone else ()
     if not stated:
         return 0.0, 0.0
     costs = [Fraction(cost) for row in stated for cost in row.tolist()]
@@ -307,8 +307,13 @@ class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
         assign(self, dynamics=dynamics, control_set=control_set, points=points, **labels)
 
     @property
+    def levels(self) -> ConvexSet:
+        """Return the control set."""
+        return self.control_set
+
+    @property
     def choices(self) -> Array:
-        """Return the points of the set."""
+        """Return the points of the control set."""
         return self.points
 
     @property

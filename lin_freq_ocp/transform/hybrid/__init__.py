@@ -2,8 +2,10 @@
 
 from lin_freq_ocp.base import lazy_exports
 from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.forms import FORMS
-from lin_freq_ocp.transform.hybrid.priced import form_with_modes
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.transform.hybrid.priced import form_of_linear, form_of_others, form_of_smooth
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
@@ -12,4 +14,4 @@ __all__, __getattr__ = lazy_exports(__name__, {
 })
 # fmt: on
 
-FORMS[Dynamics] = form_with_modes
+FORMS.update({LinearDynamics: form_of_linear, PiecewiseSmoothDynamics: form_of_smooth, Dynamics: form_of_others})

@@ -17,7 +17,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.jets import jets
 from lin_freq_ocp.formulas.nodes import Formula, signals, with_states
 from lin_freq_ocp.problem.costs.quadratic import CostSum
-from lin_freq_ocp.problem.dynamics.base import Dynamics, unique_names
+from lin_freq_ocp.problem.dynamics.base import Dynamics, require_form, unique_names
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
@@ -35,22 +35,31 @@ class ModesWithCost(PiecewiseSmoothDynamics, words="dynamics with a cost or path
     """The form of dynamics with a cost by formulas: smooth modes, each with its formula of the cost."""
 
 
-def form_with_modes(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
-    """Return dynamics with a mode for each of the levels, or else as smooth modes with a stage cost."""
-    form = dynamics.standard_form
+def form_of_linear(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Return linear dynamics with a mode for each of the levels, or else as one smooth mode with a stage cost."""
+    linear = require_form(dynamics, LinearDynamics)
     if levels is not None:
-        if not isinstance(form, LinearDynamics):
-            advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
-            raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
-        return SwitchedDynamics(form, levels)
-    if isinstance(form, PiecewiseSmoothDynamics):
-        return _with_cost(form, form.modes, stage)
-    if not isinstance(form, LinearDynamics):
-        expected = "one of LinearDynamics, PiecewiseSmoothDynamics"
-        raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {expected}.")
-    times = max(form.A.shape[:-2], form.B.shape[:-2])
-    rows = np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (form.A, form.B)], axis=-1)
-    return _with_cost(form, [SmoothMode(affine_formulas(rows, form.offset, (form.state_dim, form.control_dim)))], stage)
+        return SwitchedDynamics(linear, levels)
+    times = max(linear.A.shape[:-2], linear.B.shape[:-2])
+    rows = np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (linear.A, linear.B)], axis=-1)
+    f = affine_formulas(rows, linear.offset, (linear.state_dim, linear.control_dim))
+    return _with_cost(linear, [SmoothMode(f)], stage)
+
+
+def form_of_smooth(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Return piecewise-smooth dynamics with a stage cost; levels are refused."""
+    if levels is not None:
+        return form_of_others(dynamics, levels, stage)
+    return _with_cost(dynamics, require_form(dynamics, PiecewiseSmoothDynamics).modes, stage)
+
+
+def form_of_others(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Refuse levels, and a cost or path constraints by formulas."""
+    if levels is not None:
+        advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
+        raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
+    expected = "one of LinearDynamics, PiecewiseSmoothDynamics"
+    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {expected}.")
 
 
 def _with_cost(dynamics: Dynamics, modes: Sequence[SmoothMode], stage: Formula | None) -> ModesWithCost:

@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.methods.spectral import Rows
-from lin_freq_ocp.transform import add_disturbance
+from lin_freq_ocp.transform import Change
 
 REFERENCE = {"x_ref": wave(T + 1, 3, 0.3, 1), "u_ref": wave(T, 2, 0.2, 2)}
 
@@ -68,7 +68,7 @@ def changed(problem: lfo.OptimalControlProblem, **arguments: Any) -> lfo.Optimal
     fields = {name: arguments[name] for name in ("initial_state", "terminal_state") if name in arguments}
     problem = replace(problem, **fields, **arguments.get("bounds", {}))
     problem = with_cost(problem, **arguments.get("references", {}))
-    return add_disturbance(problem, arguments["disturbance"]) if "disturbance" in arguments else problem
+    return Change(disturbance=arguments.get("disturbance")).apply(problem)
 
 
 @pytest.mark.parametrize("name", MOVED)

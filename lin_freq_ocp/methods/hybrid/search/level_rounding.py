@@ -26,10 +26,11 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
+from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 from lin_freq_ocp.transform.simulation import simulate
 
 MOST_RESPONSE_ENTRIES = 2e7  # of the response of x and u to u (160 MB): nothing is rounded if there are more
@@ -162,15 +163,15 @@ class Flips:
 
 
 class LevelRounding:
-    """The rounding of relaxed controls of a problem whose dynamics have a mode for each level."""
+    """The rounding of relaxed controls of a problem whose control set ``levels`` has the points ``choices``."""
 
-    def __init__(self, problem: OptimalControlProblem, form: SwitchedDynamics):
-        T, m, n, choices = problem.horizon, problem.control_dim, problem.state_dim, form.choices
+    def __init__(self, problem: OptimalControlProblem, levels: ConvexSet, choices: Array):
+        T, m, n = problem.horizon, problem.control_dim, problem.state_dim
         self._problem, self._choices, self._next = problem, choices, neighbouring_levels(choices)
         self._spans = np.ptp(choices, axis=0)
         self._improved: dict[tuple[bytes, bytes], tuple[Indices, float, float]] = {}
-        relaxed = problem.with_dynamics(form.dynamics)
-        self._linear = linear = LinearProgram(relaxed)
+        relaxed = problem.with_dynamics(piecewise_affine(problem).along(np.zeros(T, dtype=np.intp)))
+        self._linear = linear = LinearProgram(relaxed)  # all modes have the same map
         signals, dynamics = linear.signals, sp.csc_array(linear.dynamics)
         response = np.zeros((signals, T * m))  # from a given initial state
         response[linear.states :] = np.eye(T * m)
@@ -182,7 +183,7 @@ class LevelRounding:
         self._P, self._q, self._slopes = program.P[:signals, :signals], program.q[:signals], response.T
         self._hessian = np.asarray(response.T @ (self._P @ response))
         self._prices = np.zeros(len(choices))
-        for part in form.control_set.hull.parts(m):
+        for part in levels.hull.parts(m):
             self._prices += part.penalty.cost(part.values(choices))
 
     def sequence_near(self, u: Array, initial_state: Array, end: float) -> Indices:
@@ -247,12 +248,10 @@ class LevelRounding:
 
 def level_rounding(problem: OptimalControlProblem) -> LevelRounding | None:
     """Return the rounding of a problem with levels; None without levels, or if its response takes too much memory."""
-    T, m = problem.horizon, problem.control_dim
-    if not isinstance(problem.form, SwitchedDynamics):
+    levels, choices, T, m = problem.form.levels, problem.form.choices, problem.horizon, problem.control_dim
+    if levels is None or choices is None or ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
         return None
-    if ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
-        return None
-    return LevelRounding(problem, problem.form)
+    return LevelRounding(problem, levels, choices)
 
 
 def neighbouring_levels(choices: Array) -> Indices:

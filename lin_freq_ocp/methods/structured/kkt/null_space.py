@@ -8,7 +8,7 @@ contiguous memory.
 Slacks, on which only their own stage depends, are eliminated first. The unknowns v are z, free entries of x_0, and
 starts: as open loop diverges for unstable dynamics, the simulation starts anew at break times (multiple shooting). The
 rows E on v are, in this order, starts - ends of the simulations before them, x_T, and coupling rows other than stop
-bands. ``Reduced`` solves the remaining system:
+bands. ``ReducedSolver`` solves the remaining system:
 
     M v + E'nu = r,   E v - C nu = e,   M the Hessian of 1/2 y'Phi y in v
 """
@@ -30,7 +30,7 @@ from lin_freq_ocp.methods.structured.stages import CoupledRows, SpectrumRows, St
 GROWTH = 1e3  # of the states between breaks: three digits are lost at most
 
 
-class Reduced(Protocol):
+class ReducedSolver(Protocol):
     """A way to solve the reduced system."""
 
     def factor(self, Phi: Array, C: Array) -> bool:
@@ -47,7 +47,7 @@ class NullSpaceSolver:
 
     indefinite: ClassVar[bool] = True
 
-    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[NullSpace], Reduced]):
+    def __init__(self, stages: Stages, loops: Loops, reduced: Callable[[NullSpace], ReducedSolver]):
         self._stages, self._loops, self._solved_by = stages, loops, reduced
         bands, rest = sort_rows(stages)
         self._slacks = Slacks(stages, [band.entry for band in bands])
