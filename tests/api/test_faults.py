@@ -16,6 +16,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.replacing import substitute
+from helpers.seeds import turn
 from lin_freq_ocp.batch import process_pool
 from lin_freq_ocp.methods.spectral import Violations
 
@@ -259,6 +260,7 @@ def test_a_sweep_is_printed_even_if_its_table_cannot_be_saved(tmp_path, monkeypa
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no pipes of this kind")
+@turn(0)
 def test_a_reader_of_json_who_leaves_changes_no_status():
     command = [sys.executable, "-m", "lin_freq_ocp", "solve", *WORDS, "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

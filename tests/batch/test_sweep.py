@@ -16,6 +16,7 @@ from distributed import Client, LocalCluster
 import lin_freq_ocp as lfo
 from helpers.patience import wait_until
 from helpers.replacing import substitute
+from helpers.seeds import turn
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
 from lin_freq_ocp.batch import MEASURED, RESUBMISSIONS, fingerprint, process_pool
 from lin_freq_ocp.solving import solve_judged
@@ -162,6 +163,7 @@ def test_a_dask_cluster_gives_the_same(serial, client):
     )
 
 
+@turn(0)
 def test_a_worker_killed_on_the_way_loses_nothing(client, tmp_path):
     """Twenty points on two worker processes of a cluster; one is killed once six points are finished."""
     path, workers, killed = tmp_path / "twenty.jsonl", client.run(os.getpid), []
@@ -302,6 +304,7 @@ def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
     assert set(lfo.load_sweep("sweep.jsonl").column("status")) == {"optimal", "infeasible"}
 
 
+@turn(0)
 def test_numbers_of_limits_are_swept_by_their_keys():
     mask = lfo.MagnitudeBound(0.2, bins=[3])
     problem = replace(lfo.library.double_integrator(), control_set=lfo.Box(-2, 2), control_spectrum=mask)

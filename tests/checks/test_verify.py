@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import alone, convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
-from helpers.seeds import seeds, whole_sample
+from helpers.seeds import seeds, turn, whole_sample
 from lin_freq_ocp.certificate.hybrid import Flip
 
 
@@ -168,6 +168,7 @@ def test_small_random_problems_have_the_optimum_of_all_mode_sequences(seed):
     assert outcome.passed, outcome
 
 
+@turn(0)
 def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypatch):
     honest = cache(sequences.enumerated)
     for change, words in ((-0.1, "called optimal, above"), (0.1, "below"), (np.inf, "not infeasible")):

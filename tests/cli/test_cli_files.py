@@ -13,6 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.replacing import substitute
+from helpers.seeds import turn
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -135,6 +136,7 @@ def test_what_cannot_be_written_is_refused_before_solving(arguments, words, tmp_
         assert word in " ".join(err.split())
 
 
+@turn(1)
 def test_picture_and_table_of_an_answer(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, _, err = run("solve", "pendulum", "--plot", "a.png", "--csv", "a.txt", "--save", "a.npz", "--json")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from helpers.patience import PATIENCE, wait_until
+from helpers.seeds import turn
 from lin_freq_ocp.base import interrupts
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
@@ -80,6 +81,7 @@ def test_while_a_class_is_made_from_a_text(tmp_path):
     assert subprocess.run(command, cwd=tmp_path, check=False, timeout=PATIENCE).returncode == 130
 
 
+@turn(0)
 def test_while_workers_start():
     status, _, words = interrupted(SWEEP, working)
     assert (status, words) == (130, [])

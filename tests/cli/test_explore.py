@@ -15,6 +15,7 @@ from helpers.patience import PATIENCE
 from helpers.seeds import turn
 
 
+@turn(1)
 def test_ctrl_c_ends_the_server_with_its_status():
     command = [sys.executable, "-m", "lin_freq_ocp", "explore", "double_integrator", "--no-browser"]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

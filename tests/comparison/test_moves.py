@@ -25,6 +25,7 @@ def comparison():
     return moved()
 
 
+@turn(1)
 def test_no_shaper_is_shorter_and_every_move_is_calm(comparison):
     moves = comparison.moves
     assert [(move.name, move.samples) for move in moves.all] == [
@@ -53,6 +54,7 @@ def test_a_move_that_breaks_a_bound_is_none_of_a_shaper(comparison):
     assert not loud.keeps_everything
 
 
+@turn(1)
 def test_words_table_and_page(comparison):
     words = moves_sentence(comparison.moves)
     assert "ZV 45, ZVD 28 and EI 28" in words

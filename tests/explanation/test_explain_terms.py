@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
 
@@ -144,6 +144,7 @@ def test_an_end_gives_way_by_the_least_that_cures(name):
         assert feasible(replace(problem, terminal_state=end)) is cures
 
 
+@turn(2)
 def test_limits_are_told_as_they_were_given():
     _, _, energy = explained("an energy bound")
     words = {cure.block: cure.words for cure in energy.cures}["energy bound on u_0"]

@@ -273,6 +273,7 @@ def test_bad_functions_are_refused(make, words):
         make(lfo.DifferentiableFunction)
 
 
+@turn(1)
 def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     function = lfo.DifferentiableFunction(off, off_slopes)
     problem = buck(function, horizon=1, terminal_state=None)

@@ -199,6 +199,7 @@ def test_short_loops_have_no_windows_and_other_constraints_are_refused():
         noisy(oscillating_mass(), 3).spectra(control_spectrum=limit)
 
 
+@turn(1)
 def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp_path):
     log = noisy_and_soft()
     (found,) = log.spectra()

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, compare, solve
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.pages import (
@@ -157,6 +157,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     assert parts_of_the_gap(unbounded) == ""
 
 
+@turn(0)
 def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):
     """The other tests draw without the layout."""
     monkeypatch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", ConstrainedLayoutEngine)

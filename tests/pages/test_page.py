@@ -75,6 +75,7 @@ def test_page_names_everything(name: str):
     assert "lin-freq-ocp 0." in shown
 
 
+@turn(2)
 def test_names_are_escaped_and_dollars_are_no_formulas():
     assert "<b>two</b>" not in page("two controls")
     assert "&lt;b&gt;two&lt;/b&gt; &amp; $more$" in page("two controls")
@@ -102,6 +103,7 @@ def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(images, monkey
     assert len(drawn) == 1
 
 
+@turn(2)
 def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
     substitute(monkeypatch, "pages.draw_figures", lambda _: drawings("state band"))  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
@@ -171,6 +173,7 @@ def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
     assert {row.cells[-1].text for group in comparison_rows(comparison).groups for row in group.rows} == {NOTHING}
 
 
+@turn(2)
 def test_without_a_meaningful_replay_no_states_are_claimed():
     comparison = case("not simulated")
     assert not comparison.replay_is_meaningful

@@ -18,7 +18,7 @@ import lin_freq_ocp as lfo
 from helpers.compared_pages import blanks
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp import OptimalControlProblem, Trajectory, compare, library, solve
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import kinks
@@ -302,6 +302,7 @@ def test_pages_of_linear_problems_have_none_of_it():
     ]
 
 
+@turn(0)
 def test_pages_with_modes_have_strips_and_adjoint():
     for name in ("wall", "kink"):
         assert {"modes", "adjoint"} <= set(drawings(name))

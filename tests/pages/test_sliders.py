@@ -220,6 +220,7 @@ def test_sliders_say_what_they_move_in_which_unit():
     ]
 
 
+@turn(1)
 def test_notches_are_within_the_limits_and_easier_ones_do_cost_less():
     for name, (_, (key, notches), _) in CASES.items():
         session = session_of(name)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.proof import lfo_check, proof_of, written_nodes
 from lin_freq_ocp.testing import PIECEWISE_AFFINE
 
@@ -75,6 +75,7 @@ def test_modes_that_no_child_keeps_are_leaves_of_their_own():
             assert set(np.flatnonzero(node.stages.modes[times.pop()]).tolist()) <= set.union(*kept)
 
 
+@turn(2)
 def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():
     result = lfo.solve(lfo.library.cart_between_walls())
     tree = result.tree

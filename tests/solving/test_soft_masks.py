@@ -181,6 +181,7 @@ def test_points_windows_states_and_outputs(field):
     assert len(peaks) == (2 if field == "two masks" else 1)
 
 
+@turn(0)
 def test_files_words_and_the_report(tmp_path, cheap):
     lfo.io.write_problem(cheap.problem, tmp_path / "problem.toml")
     loaded = lfo.read_problem(tmp_path / "problem.toml")

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.program import Block, Claim, Solution, scaled_program, solve
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
@@ -119,6 +119,7 @@ class TestEndings:
         assert caught.value.result.trajectory is not None
         assert not caught.value.result.certificate.globally_optimal
 
+    @turn(0)
     def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
             honest = solve(program, tolerance, time_limit)

@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import units
 from helpers.random.units import CLASSES, drawn
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from helpers.sweeps import SHORT
 from lin_freq_ocp.certificate import cost_scale, trajectory_sizes
 
@@ -24,6 +24,7 @@ def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
     assert outcome.passed, outcome
 
 
+@turn(2)
 def test_global_bounds_do_not_compare_states_with_controls():
     """A fixed end priced by slopes of controls: in small units of the state, the bound takes twenty times longer."""
     outcome = units.check(417)

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.known_optima import solved
+from helpers.seeds import turn
 from lin_freq_ocp import library
 from lin_freq_ocp.formulas.jets import jets
 
@@ -120,6 +121,7 @@ def test_c_is_a_r_without_losses_only():
         assert (c == pytest.approx(A * POLE, rel=1e-12)) == (diode == 0)
 
 
+@turn(1)
 def test_the_last_adjoint_has_the_index_of_the_last_control():
     """Printed: eta_T = -mu_T; there is no eta_T, and eta_{T-1} = -mu_T (with a cost p i_T: -p - mu_T)."""
     result = buck_optimum("usual")

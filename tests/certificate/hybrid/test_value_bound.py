@@ -448,6 +448,7 @@ def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
     assert "bound 22.3" in str(told[-1])
 
 
+@turn(1)
 def test_comparisons_bound_the_constrained_answer_only():
     found = lfo.compare(BUCK(2, control_spectrum=[1], terminal_state=None), ["brickwall"])
     assert found.classical.certificate.bound is None
@@ -455,6 +456,7 @@ def test_comparisons_bound_the_constrained_answer_only():
     assert "no global bound was asked for" in found.classical.message
 
 
+@turn(2)
 def test_solve_adds_the_bound_and_says_what_is_left():
     result = lfo.solve(BUCK(3))
     assert (result.status, result.message) == ("optimal", "")

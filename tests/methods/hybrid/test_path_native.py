@@ -13,6 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.modes import random_problem
 from helpers.replacing import substitute
+from helpers.seeds import turn
 from lin_freq_ocp.methods import compiled_library, native_code
 from lin_freq_ocp.methods.hybrid import OPTIMAL, path_library, run_path, solve_path_relaxation
 from lin_freq_ocp.methods.hybrid.search import path_native
@@ -94,6 +95,7 @@ def test_a_ray_counts_only_if_its_bound_proves_it(library, monkeypatch):
     assert answer.bound == pytest.approx(expected, rel=1e-6)
 
 
+@turn(1)
 def test_the_source_is_strict_c99(tmp_path):
     compiler = native_code.compiler()
     if compiler is None:

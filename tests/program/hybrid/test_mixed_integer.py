@@ -15,7 +15,7 @@ from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import seeds, turn
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.hybrid import solve_miqp
 from lin_freq_ocp.program import Block, Claim, Program, Solution
@@ -279,6 +279,7 @@ def test_a_solver_whose_limit_is_over_before_it_begins_says_so(backend):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
+@turn(0)
 def test_ctrl_c_stops_scip_with_the_best_point_so_far():
     problem, before, stop = library.buck_affine(horizon=20), signal.getsignal(signal.SIGINT), threading.Event()
 

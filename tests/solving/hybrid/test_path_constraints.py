@@ -130,6 +130,7 @@ def test_a_fixed_end_that_violates_it_is_infeasible():
     assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
 
 
+@turn(0)
 def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
     slow = lfo.solve(mass("x_2**2 + x_3**2 - 1"), throw=False)  # 2 m in 1.2 s
     assert slow.status == "infeasible"

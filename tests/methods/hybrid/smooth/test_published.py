@@ -55,6 +55,7 @@ def test_an_optimum_at_the_rim_of_a_region_is_named(around):
     assert list(result.certificate.borders.gaps) == [t for t in range(20) if distance[t] <= 1 + 1e-6]
 
 
+@turn(2)
 def test_a_rim_that_is_passed_by_for_no_reason_is_not_optimal(around):
     problem, known = around.problem, around.trajectory
     u = known.u + 0.01 * (-1.0) ** np.arange(20)[:, None] * (np.arange(20)[:, None] >= 15)
