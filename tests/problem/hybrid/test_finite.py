@@ -11,6 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.problem import problem_facts
+from lin_freq_ocp.transform import Change
 
 LINEAR = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -103,6 +104,13 @@ def test_a_rate_limit_keeps_the_levels():
     given = lfo.rate_limited(problem(lfo.FiniteSet([0, 1, 2]), state_set=lfo.Box(-9, 9)), 1.0)
     assert len(given.mode_names) == 3
     assert given.state_dim == 2
+
+
+def test_levels_stay_within_the_bounds_of_a_change():
+    given = problem(lfo.FiniteSet([0, 1, 2]), state_set=lfo.Box(-9, 9))
+    changed = Change(bounds={"control_set": lfo.Box(0.5, 1.5)}).apply(given)
+    assert changed.mode_names == given.mode_names
+    assert changed.control_tube.upper.max() == 1.5
 
 
 def test_the_costs_of_levels_are_what_is_minimised():
