@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.transform import far_origin, translated_by, translation_of
+from lin_freq_ocp.transform import Change, far_origin, translated_by, translation_of
 
 ORIGIN = np.array([5.0, -3.0])
 SETS = {
@@ -162,3 +162,20 @@ def test_where_the_dynamics_move_a_state_by_themselves_it_counts_from_zero():
         np.testing.assert_array_equal(located(dynamics=dynamics, initial_state=[1e6, 0.0]), [0.0, 0.0])
     about = lfo.LinearDynamics(0.1 * np.eye(2), [[0.0], [1.0]], [0.9e6, 0.0])  # decay to 1e6
     np.testing.assert_array_equal(located(dynamics=about, initial_state=[1e6, 0.0]), [1e6, 0.0])
+
+
+def test_a_change_of_the_given_problem_is_one_of_the_translated_problem():
+    given, origin = lfo.library.double_integrator(horizon=5), np.array([1e6, 0.0])
+    change = Change(
+        initial_state=np.add(origin, [1.0, 0.0]),
+        terminal_state=np.add(origin, [2.0, 0.0]),
+        references={"x_ref": np.add(origin, [3.0, 0.5])},
+        bounds={"state_set": lfo.Box(origin - 4.0, origin + 4.0)},
+    )
+    given = replace(given, cost=lfo.QuadraticCost(Q=1.0, R=1.0))
+    translation, changed = translated_by(given, origin), change.apply(given)
+    moved = translation.change(change, changed).apply(translation.problem)
+    x, u = np.arange(12.0).reshape(6, 2), np.ones((5, 1))
+    assert moved.value(x, u) == pytest.approx(changed.value(x + origin, u))
+    for field in ("initial_box", "terminal_box", "state_boxes"):
+        assert (getattr(moved, field).lower + origin == getattr(changed, field).lower).all()
