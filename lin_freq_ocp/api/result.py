@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar, final
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
@@ -17,6 +18,7 @@ from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajector
 from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, uniqueness
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
 from lin_freq_ocp.solving.hybrid.modes import tree_of
@@ -48,6 +50,8 @@ def present_as(cls: type[Face], record: object) -> Face:
 class Result(Outcome):
     """The outcome of a solve: the fields of ``Outcome``, and methods to draw, save and prove it.
 
+    ``result["position"]`` is a signal by its name.
+
     Methods
     -------
     plot()
@@ -66,6 +70,8 @@ class Result(Outcome):
     >>> result = lfo.solve(lfo.library.double_integrator())
     >>> result.to_frame().shape
     (201, 3)
+    >>> result["acceleration"].shape
+    (200,)
     """
 
     @property
@@ -100,6 +106,22 @@ class Result(Outcome):
     def _repr_html_(self) -> str:
         head, *lines = str(self).splitlines()
         return html_table(head, term_rows(lines))
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a state or an output, (T+1,), or a control, (T,), by its name, with or without its unit.
+
+        Raises
+        ------
+        ProblemError
+            If no signal of the problem has this name, or several have it.
+        SolveError
+            If there is no trajectory.
+        """
+        trajectory, families = self._require_trajectory(), entries_of(self.problem.output_spectrum)
+        outputs = [(family.output_names, family.values(trajectory.x, trajectory.u)) for family in families]
+        named = (self.problem.state_names, trajectory.x), (self.problem.control_names, trajectory.u), *outputs
+        signals = [signal for _, values in named for signal in values.T]
+        return signals[index_of_name("result", name, [label for names, _ in named for label in names])]
 
     @property
     def times(self) -> Array:

@@ -26,6 +26,7 @@ def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Cal
 __all__, __getattr__ = lazy_exports(__name__, {
     "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "cones": "Cone",
     "interrupts": "interrupts_noted", "kinds": "register_all", "resources": "ALWAYS_THERE memory_limit",
+    "semidefinite": "RISES is_semidefinite",
     "phrases": "NOTHING join_words number runs_in_words split_unit",
     "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
     "uncovered_point",

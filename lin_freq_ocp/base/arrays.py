@@ -124,19 +124,6 @@ def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str,
     return dict(entries or {})
 
 
-def component_names(field: str, stated: Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:
-    """Require ``count`` different names; the default is ``x_0 ...``, with the given letter."""
-    if stated is None:
-        return tuple(f"{letter}_{i}" for i in range(count))
-    if isinstance(stated, str) or not isinstance(stated, Sequence):
-        raise ProblemError(field, brief(stated), f"a list of {count} names")
-    checked = tuple(printable(field, name, "") for name in stated)
-    if len(checked) != count or len(set(checked)) != count:
-        advice = 'One per component, such as "position [m]".'
-        raise ProblemError(field, brief(list(stated)), f"{count} different names", advice)
-    return checked
-
-
 def printable(field: str, name: object, empty: str | None = None) -> str:
     """Require a text of printable characters; it may not be ``empty``, if that is given."""
     if not isinstance(name, str) or not name.isprintable() or name.strip() == empty:

@@ -17,9 +17,10 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.semidefinite import least_rise
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost, least_rise
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.term import Term

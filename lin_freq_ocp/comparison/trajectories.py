@@ -222,10 +222,7 @@ class Output(ProblemSignal):
 
     def of(self, trajectory: Trajectory) -> Array:
         """Return its values over time."""
-        C, D = self._rows
-        x, u = trajectory.x, trajectory.u
-        parts = ([] if C is None else [x[: len(x) if D is None else len(u)] @ C]) + ([] if D is None else [u @ D])
-        return sum(parts, np.zeros(len(parts[0])))
+        return self.outputs.values(trajectory.x, trajectory.u)[:, self.index]
 
     @property
     def _rows(self) -> tuple[Array | None, Array | None]:

@@ -241,11 +241,14 @@ SETS.records |= {
     "soft": TableRecord(Soft, renamed={"soft_set": "set"}, soft_set=SETS),
 }
 SET_TABLES = Tables(SETS)
+SET_KEYS = {"kind", "lower", "upper"}  # one of them is in the table of a set
 
 
 def _read_end(location: str, given: FileValue) -> FileValue:
-    if isinstance(given, Mapping):
+    if isinstance(given, Mapping) and not SET_KEYS.isdisjoint(given):
         return SETS.read(location, given)
+    if isinstance(given, Mapping):  # the state by the names of its components
+        return given
     with at_location(location, "Point"):
         return Point(given)
 

@@ -18,8 +18,7 @@ from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, Form, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
-from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import SetOrSets, end_set
+from lin_freq_ocp.problem.sets.box import End, SetOrSets, at_names, end_set
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint, path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
@@ -43,9 +42,10 @@ class OptimalControlProblem(ProblemData):
     control_set, state_set : set, sequence of sets, or None
         One set (Box, Polyhedron, Ball, ...) for all times, or one per time (T for controls, T+1 for states). A
         control_set may be a FiniteSet.
-    initial_state, terminal_state : (n,), set, or None
-        A point (a number, for a single state), a set, or free. The state set of that time holds, too: the problem is
-        infeasible if they have no common point. A terminal_state may be Periodic(), x_T = x_0, or LinkedEnds.
+    initial_state, terminal_state : (n,), mapping, set, or None
+        A point (a number, for a single state; a mapping with the value of every state by its name), a set, or free.
+        The state set of that time holds, too: the problem is infeasible if they have no common point. A terminal_state
+        may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states (T with Periodic()).
     stage_rows : StageRows, PathConstraint, sequence of them, or None
@@ -92,8 +92,8 @@ class OptimalControlProblem(ProblemData):
         cost: Cost,
         control_set: SetOrSets = None,
         state_set: SetOrSets = None,
-        initial_state: ConvexSet | ArrayLike | None = None,
-        terminal_state: ConvexSet | ArrayLike | None = None,
+        initial_state: End = None,
+        terminal_state: End = None,
         control_spectrum: Constraints = None,
         state_spectrum: Constraints = None,
         stage_rows: StageRows | Sequence[StageRows] | None = None,
@@ -110,17 +110,18 @@ class OptimalControlProblem(ProblemData):
         n, m, T = dynamics.state_dim, dynamics.control_dim, positive_integer("horizon", horizon)
         dynamics.require_horizon(T)
         require_horizon(T, n, m)
-        cost = cost.at_dimensions(n, m, T)
+        states, controls = dynamics.state_names, dynamics.control_names
+        cost = cost.at_names(states, controls).at_dimensions(n, m, T)
         rows = row_families(stage_rows, n, m, T)
         assign(
             self,
             dynamics=dynamics,
             horizon=T,
             cost=cost,
-            control_set=control_set,
-            state_set=state_set,
-            initial_state=end_set("initial_state", initial_state, n),
-            terminal_state=end_set("terminal_state", terminal_state, n),
+            control_set=at_names(control_set, controls),
+            state_set=at_names(state_set, states),
+            initial_state=end_set("initial_state", initial_state, states),
+            terminal_state=end_set("terminal_state", terminal_state, states),
             control_spectrum=control_spectrum,
             state_spectrum=state_spectrum,
             stage_rows=rows,
@@ -131,9 +132,7 @@ class OptimalControlProblem(ProblemData):
         if self.mode_names:
             self.form.require_sets(self.stage_sets)
 
-    def with_ends(
-        self, initial_state: ConvexSet | ArrayLike | None = None, terminal_state: ConvexSet | ArrayLike | None = None
-    ) -> OptimalControlProblem:
+    def with_ends(self, initial_state: End = None, terminal_state: End = None) -> OptimalControlProblem:
         """Return the same problem with other ends; only these are checked.
 
         Parameters
@@ -147,7 +146,7 @@ class OptimalControlProblem(ProblemData):
             If an end does not fit the problem.
         """
         given = {"initial_state": initial_state, "terminal_state": terminal_state}
-        ends = {field: end_set(field, end, self.state_dim) for field, end in given.items() if end is not None}
+        ends = {field: end_set(field, end, self.state_names) for field, end in given.items() if end is not None}
         problem = replace_fields(self, **ends)
         ends_before = self.initial_state, self.terminal_state, problem.initial_state, problem.terminal_state
         boxes = not any(end.members for end in ends_before)
@@ -177,6 +176,7 @@ class OptimalControlProblem(ProblemData):
             raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
         quadratic = replace(self.quadratic, **replaced)
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic
+        cost = cost.at_names(self.state_names, self.control_names)
         return replace_fields(self, cost=cost.at_dimensions(self.state_dim, self.control_dim, self.horizon))
 
     def in_form(self, kind: type[Form], advice: str = "") -> Form:

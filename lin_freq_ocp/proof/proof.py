@@ -22,6 +22,7 @@ from flint import arb, ctx
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import SolveError
+from lin_freq_ocp.base.semidefinite import is_semidefinite
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
@@ -29,7 +30,7 @@ from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
 from lin_freq_ocp.certificate.reach import Region, stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE, RADIUS_MARGIN
-from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum, is_semidefinite
+from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory

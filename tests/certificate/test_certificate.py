@@ -11,7 +11,7 @@ from hypothesis import given, settings
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.seeds import examples
-from lin_freq_ocp.base import first_largest
+from lin_freq_ocp.base import RISES, first_largest, is_semidefinite
 from lin_freq_ocp.certificate import (
     DATA_ROUNDING,
     box_minimum,
@@ -26,7 +26,6 @@ from lin_freq_ocp.certificate import (
     unit_rounding,
 )
 from lin_freq_ocp.methods import solve_convex
-from lin_freq_ocp.problem import RISES, is_semidefinite
 from lin_freq_ocp.program import stop_band_rows
 from lin_freq_ocp.testing import STATED, reference_problem
 

@@ -228,7 +228,7 @@ BAD_MODES: dict[str, tuple[str, Any]] = {
     "offset beside modes": ("dynamics.offset", [0.0, 0.0]),
     "continuous beside modes": ("dynamics.continuous", False),
     "sampling time of modes zero": ("dynamics.sampling_time", 0.0),
-    "names of modes' states no list": ("dynamics.state_names", "position"),
+    "names of modes' states no list": ("dynamics.state_names", 1.0),
     "A of a mode a vector": ("dynamics.modes[0].A", [1.0]),
     "offset of a mode a number": ("dynamics.modes[0].offset", 1.0),
     "region without limits": ("dynamics.modes[0].h", ...),

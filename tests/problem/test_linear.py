@@ -191,7 +191,7 @@ def test_plants_that_say_too_little_or_contradict_are_refused(plant, sampling_ti
         (lambda: LinearDynamics([[1.0]], [[1.0]], sampling_time=[0.1, 0.2]), "dynamics.sampling_time"),
         (lambda: LinearDynamics([[1.0]], [[1.0]], state_names=["a", "b"]), "dynamics.state_names"),
         (lambda: LinearDynamics(np.eye(2), np.eye(2), control_names=["a", "a"]), "dynamics.control_names"),
-        (lambda: LinearDynamics([[1.0]], [[1.0]], state_names="a"), "dynamics.state_names"),
+        (lambda: LinearDynamics([[1.0]], [[1.0]], state_names="a, b"), "dynamics.state_names"),
         (lambda: LinearDynamics([[1.0]], [[1.0]], state_names=[" "]), "dynamics.state_names"),
         (lambda: LinearDynamics.from_continuous(np.eye(2), np.ones((3, 1)), 0.1), "dynamics.A, B"),
         (lambda: LinearDynamics.from_continuous([[1e6]], [[1.0]], 1.0), "dynamics.A[0][0]"),  # exp(1e6)

@@ -9,8 +9,8 @@ import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from helpers.seeds import seeds
+from lin_freq_ocp.base import is_semidefinite
 from lin_freq_ocp.certificate import Region
-from lin_freq_ocp.problem import is_semidefinite
 from lin_freq_ocp.proof import check, convex_problem, raised_by
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, real_array, to_shape, with_columns
+from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, to_shape, with_columns
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.names import ByName, arrays_or_names, fields_by_name
 from lin_freq_ocp.base.phrases import datum, join_words, span, vector
 from lin_freq_ocp.problem.costs.quadratic import NonsmoothCost
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -31,16 +33,17 @@ class _NormCost(NonsmoothCost):
 
     def __init__(
         self,
-        x: ArrayLike = 0.0,
-        u: ArrayLike = 0.0,
-        terminal: ArrayLike = 0.0,
-        x_ref: ArrayLike = 0.0,
-        u_ref: ArrayLike = 0.0,
+        x: ArrayLike | ByName = 0.0,
+        u: ArrayLike | ByName = 0.0,
+        terminal: ArrayLike | ByName = 0.0,
+        x_ref: ArrayLike | ByName = 0.0,
+        u_ref: ArrayLike | ByName = 0.0,
     ):
         values = {"x": x, "u": u, "terminal": terminal, "x_ref": x_ref, "u_ref": u_ref}
-        arrays = {field: real_array(f"{type(self).__name__}.{field}", value) for field, value in values.items()}
+        arrays = arrays_or_names(type(self).__name__, values)
         for field in ("x", "u", "terminal"):
-            if (arrays[field] < 0).any():
+            weights = arrays[field]
+            if not isinstance(weights, Mapping) and (weights < 0).any():
                 raise ProblemError(f"{type(self).__name__}.{field}", brief(values[field]), "weights of zero or above")
         assign(self, **arrays)
 
@@ -59,6 +62,11 @@ class _NormCost(NonsmoothCost):
         references = [datum(name, values, 1) for name, values in stated.items() if used[name] and values.any()]
         deviations = f" of deviations from {join_words(references)}" if references else ""
         return f"{self.kind}{deviations} at each time: {join_words(parts)}"
+
+    def at_names(self, states: Sequence[str], controls: Sequence[str]) -> Self:
+        names = {"x": states, "u": controls, "terminal": states, "x_ref": states, "u_ref": controls}
+        fields = {field: getattr(self, field) for field in names}
+        return type(self)(**fields | fields_by_name(type(self).__name__, self, names))
 
     def augmented(self, n: int, k: int) -> Self:
         x, terminal, x_ref = (
@@ -107,7 +115,7 @@ class L1Cost(_NormCost):
     Parameters
     ----------
     x : float, (n,) or (T, n); u : float, (m,) or (T, m); terminal : float or (n,)
-        Weights, zero or above; a number stands for all components.
+        Weights, zero or above; a number stands for all components, a mapping has weights by their names.
     x_ref : float, (n,) or (T+1, n); u_ref : float, (m,) or (T, m)
         References.
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,7 +22,6 @@ from lin_freq_ocp.base.arrays import (
     brief,
     first_largest,
     one_component,
-    real_array,
     seal,
     times_vectors,
     to_shape,
@@ -31,7 +29,9 @@ from lin_freq_ocp.base.arrays import (
     with_rows,
 )
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.names import ByName, arrays_or_names, fields_by_name
 from lin_freq_ocp.base.phrases import datum
+from lin_freq_ocp.base.semidefinite import least_rise
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -58,6 +58,11 @@ class Cost(ABC):
     @abstractmethod
     def norms(self) -> tuple[NonsmoothCost, ...]:
         """Return the nonsmooth parts."""
+
+    def at_names(self, states: Sequence[str], controls: Sequence[str]) -> Cost:
+        """Return the cost with weights and references by name as those of components of these names."""
+        norms = [norm.at_names(states, controls) for norm in self.norms]
+        return CostSum([self.quadratic.at_names(states, controls), *norms])
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> Cost:
         """Return the cost with all weights and references as arrays of the right shape, checked."""
@@ -120,6 +125,9 @@ class NonsmoothCost(Cost):
     def norms(self) -> tuple[NonsmoothCost, ...]:
         return (self,)
 
+    def at_names(self, states: Sequence[str], controls: Sequence[str]) -> NonsmoothCost:
+        return self
+
     def with_signals(self, n: int, m: int, horizon: int, field: str) -> NonsmoothCost:
         """Return the cost with its formulas, if it has any, as those of n states and m controls."""
         return self
@@ -162,6 +170,9 @@ class QuadraticCost(Cost):
     x_ref : (n,) or (T+1, n), u_ref : (m,) or (T, m)
         References; a number, for a single component.
 
+    Each but S may be a mapping from names of components to numbers, or to one number per time: of a matrix it states
+    the diagonal, and what it does not name is zero.
+
     Raises
     ------
     ProblemError
@@ -194,18 +205,18 @@ class QuadraticCost(Cost):
 
     def __init__(
         self,
-        Q: ArrayLike = 0.0,
-        R: ArrayLike = 0.0,
-        S: ArrayLike = 0.0,
-        q: ArrayLike = 0.0,
-        r: ArrayLike = 0.0,
-        P: ArrayLike = 0.0,
-        p: ArrayLike = 0.0,
-        x_ref: ArrayLike = 0.0,
-        u_ref: ArrayLike = 0.0,
+        Q: ArrayLike | ByName = 0.0,
+        R: ArrayLike | ByName = 0.0,
+        S: ArrayLike | ByName = 0.0,
+        q: ArrayLike | ByName = 0.0,
+        r: ArrayLike | ByName = 0.0,
+        P: ArrayLike | ByName = 0.0,
+        p: ArrayLike | ByName = 0.0,
+        x_ref: ArrayLike | ByName = 0.0,
+        u_ref: ArrayLike | ByName = 0.0,
     ):
         given = {"Q": Q, "R": R, "S": S, "q": q, "r": r, "P": P, "p": p, "x_ref": x_ref, "u_ref": u_ref}
-        assign(self, **{field: real_array(f"cost.{field}", value) for field, value in given.items()})
+        assign(self, **arrays_or_names("cost", given))
 
     @property
     def quadratic(self) -> QuadraticCost:
@@ -223,7 +234,7 @@ class QuadraticCost(Cost):
     @cached_property
     def _nonzero(self) -> frozenset[str]:
         """The names of the matrices and vectors that are not zero."""
-        return frozenset(name for name in WEIGHTS if getattr(self, name).any())
+        return frozenset(name for name in WEIGHTS if np.any(getattr(self, name)))
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if there are none."""
@@ -250,6 +261,14 @@ class QuadraticCost(Cost):
             for field in ("Q", "R", "S", "P", "q", "r", "p", "x_ref", "u_ref")
             if getattr(self, field).any() and used.get(field, True)
         ]
+
+    def at_names(self, states: Sequence[str], controls: Sequence[str]) -> QuadraticCost:
+        names = {field: states if axes[0] == "n" else controls for field, axes in AXES.items()}
+        named = fields_by_name("cost", self, names)
+        if "S" in named:
+            raise ProblemError("cost.S", "a mapping", "a matrix (n, m)")
+        diagonals = {field: named[field][..., None] * np.eye(len(names[field])) for field in named if field in "QRP"}
+        return replace(self, **named | diagonals) if named else self
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
         sizes, complete = {"n": n, "m": m}, dict[str, Array]()
@@ -472,52 +491,3 @@ def _eigenvalues(matrices: Array) -> Array:
     if np.count_nonzero(matrices) == np.count_nonzero(diagonals):
         return np.sort(diagonals)
     return np.asarray(np.linalg.eigvalsh(matrices), dtype=np.float64)
-
-
-RISES = (0.0, 2.0**-54, 2.0**-52, 2.0**-50, 2.0**-46)  # parts of a diagonal that a rounded product may lack
-MOST_ROWS = 100  # of a matrix whose elimination in whole numbers takes at most seconds
-
-
-def is_semidefinite(matrix: Array, rise: float = 0.0) -> bool:
-    """Whether the symmetric part of a matrix, its diagonal times 1 + rise, is positive semidefinite, without rounding.
-
-    A product c c' in floating point is rounded: its least eigenvalue may be -1e-17 instead of 0, and a cost with this
-    Hessian falls below zero far away. Floating point cannot distinguish the two. Bareiss's (1968) elimination in whole
-    numbers, which divides without remainder, can.
-    """
-    entries = [[Fraction(x) for x in row] for row in (matrix + 0.0).tolist()]
-    unit = max((x.denominator for row in entries for x in row), default=1) * Fraction(rise).denominator
-    rows = [
-        [int(unit * (x + entries[j][i] + (2 * Fraction(rise) * x if i == j else 0))) for j, x in enumerate(row)]
-        for i, row in enumerate(entries)
-    ]
-    before = 1
-    while rows:
-        (pivot, *rest), rows = rows[0], rows[1:]
-        if pivot < 0 or (pivot == 0 and any(rest)):
-            return False
-        if pivot == 0:
-            rows = [row[1:] for row in rows]
-            continue
-        rows = [[(pivot * x - row[0] * y) // before for x, y in zip(row[1:], rest, strict=True)] for row in rows]
-        before = pivot
-    return True
-
-
-def least_rise(matrix: Array) -> float:
-    """Return the least of RISES with which ``is_semidefinite``: 0 for a sum of squares; inf if there is none.
-
-    The cost v'H v / 2 is at least minus this part of sum_i H_ii v_i^2 / 2.
-    """
-    diagonal = np.diagonal(matrix)
-    if np.array_equal(matrix, np.diag(diagonal)):
-        return 0.0 if (diagonal >= 0).all() else np.inf
-    return _least_rise(np.ascontiguousarray(matrix, dtype=np.float64).tobytes(), len(matrix))
-
-
-@lru_cache(maxsize=4096)
-def _least_rise(content: bytes, size: int) -> float:
-    matrix = np.frombuffer(content).reshape(size, size)
-    if size > MOST_ROWS:
-        return np.inf
-    return next((rise for rise in RISES if is_semidefinite(matrix, rise)), np.inf)

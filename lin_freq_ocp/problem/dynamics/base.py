@@ -16,9 +16,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, component_names, positive_number, printable
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, positive_number, printable
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
+from lin_freq_ocp.base.names import component_names
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant

@@ -12,8 +12,9 @@ from itertools import product
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, brief, component_names
+from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.names import component_names
 from lin_freq_ocp.base.polyhedra import (
     SAME_FUNCTION,
     SMALLEST_PIECE,

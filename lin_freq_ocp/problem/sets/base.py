@@ -78,6 +78,10 @@ class ConvexSet(ABC):
         """Return its equations on both ends, as a terminal set."""
         return ()
 
+    def at_names(self, names: Sequence[str]) -> ConvexSet:
+        """Return the set with its bounds by name as those of components of these names."""
+        return self
+
     @property
     def hull(self) -> ConvexSet:
         """Return the convex hull."""
@@ -232,6 +236,9 @@ class Intersection(ConvexSet):
 
     def links(self, dimension: int, horizon: int) -> tuple[Link, ...]:
         return tuple(link for convex_set in self.sets for link in convex_set.links(dimension, horizon))
+
+    def at_names(self, names: Sequence[str]) -> Intersection:
+        return Intersection([convex_set.at_names(names) for convex_set in self.sets])
 
     def translated(self, origin: Array) -> Intersection:
         return Intersection([convex_set.translated(origin) for convex_set in self.sets])

@@ -6,18 +6,20 @@ Methods without a docstring are described by ``ConvexSet``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, freeze, one_component, real_array
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.names import ByName, stack_components, values_by_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 
+End = ConvexSet | ByName | ArrayLike | None  # of the horizon: a set, a point, or no constraint
 SetOrSets = ConvexSet | Sequence[ConvexSet] | None  # one set for all times, one per time, or no constraint
 
 END_TOLERANCE = 1e-9  # largest relative distance of an end from the set of its time that is rounding
@@ -29,10 +31,11 @@ class Box(ConvexSet):
 
     Parameters
     ----------
-    lower, upper : float, (n,) or (times, n)
+    lower, upper : float, (n,), (times, n), or mapping
         Bounds; None, the default, -inf and inf stand for no bound. A single number holds for every component. A bound
         of 1e20 or more in absolute value stands for none, and becomes infinite; two equal bounds are a point, however
-        large.
+        large. A mapping has the bounds by the names of components, with or without their units, one mapping alone both
+        of each: ``Box({"speed [m/s]": (-1, 1)})``. A problem then knows which components are meant.
 
     Raises
     ------
@@ -59,8 +62,14 @@ class Box(ConvexSet):
     lower: Array
     upper: Array
 
-    def __init__(self, lower: Bound = None, upper: Bound = None):
-        low, high = _bound("lower", lower, -np.inf), _bound("upper", upper, np.inf)
+    components: tuple[str, ...] = field(default=(), repr=False)  # names, if it is stated by name
+
+    def __init__(self, lower: Bound | ByName = None, upper: Bound | ByName = None):
+        if isinstance(lower, Mapping) or isinstance(upper, Mapping):
+            components, low, high = _bounds_by_name(lower, upper)
+            assign(self, components=components)
+        else:
+            low, high = _bound("lower", lower, -np.inf), _bound("upper", upper, np.inf)
         try:
             low, high = np.broadcast_arrays(low, high)
         except ValueError:
@@ -71,7 +80,7 @@ class Box(ConvexSet):
         wrong = low > high
         if wrong.any():
             i = tuple(int(k) for k in np.argwhere(wrong)[0])
-            entry = "".join(f"[{k}]" for k in i)
+            entry = f"[{self.components[i[-1]]!r}]" if self.components else "".join(f"[{k}]" for k in i)
             got = f"{low[i]:g} above upper{entry} = {high[i]:g}"
             raise ProblemError(f"Box.lower{entry}", got, "lower <= upper", "Exchange them?")
         if ((np.abs(low) >= NO_BOUND) | (np.abs(high) >= NO_BOUND)).any():  # for no bound
@@ -88,17 +97,27 @@ class Box(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        return self.lower.shape[-1] if self.lower.ndim else None
+        return self.lower.shape[-1] if self.lower.ndim and not self.components else None
 
     @property
     def bounds(self) -> Bounds:
-        return self.lower, self.upper
+        return super().bounds if self.components else (self.lower, self.upper)
+
+    def at_names(self, names: Sequence[str]) -> Box:
+        if not self.components:
+            return self
+        lower, upper = (
+            values_by_name("Box", dict(zip(self.components, side.T, strict=True)), names, absent, allow_infinite=True)
+            for side, absent in ((self.lower, -np.inf), (self.upper, np.inf))
+        )
+        return Box(lower, upper)
 
     @property
     def members(self) -> tuple[ConvexSet, ...]:
         return ()
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
+        self.at_dimension(dimension, "Box")
         return ()
 
     def soft_parts(self, dimension: int, weight: Array) -> tuple[Part, ...]:
@@ -115,6 +134,9 @@ class Box(ConvexSet):
 
     def at_dimension(self, dimension: int, field: str) -> Box:
         """Return the box with bounds of shape (dimension,) or (times, dimension)."""
+        if self.components:
+            expected = "a problem, whose signals have names"
+            raise ProblemError(field, f"bounds by name on {', '.join(map(repr, self.components))}", expected)
         if self.lower.ndim == 0:
             return _box_of_checked(*(freeze(np.full(dimension, side)) for side in self.bounds))
         if self.lower.shape[-1] != dimension:
@@ -204,6 +226,13 @@ class Everything(Box):
         assign(self, lower=freeze(np.array(-np.inf)), upper=freeze(np.array(np.inf)))
 
 
+def at_names(given: SetOrSets, names: Sequence[str]) -> SetOrSets:
+    """Return one set, a sequence of sets, or None, with bounds by name as those of components of these names."""
+    if isinstance(given, (list, tuple)):
+        return type(given)(one.at_names(names) if isinstance(one, ConvexSet) else one for one in given)
+    return given.at_names(names) if isinstance(given, ConvexSet) else given
+
+
 def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
     """Return the bounds of each time, (times, dimension), of one set, a sequence of sets, or None."""
     if isinstance(given, Sequence) and not isinstance(given, str):
@@ -224,10 +253,13 @@ def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -
     return Box(np.broadcast_to(box.lower, (times, dimension)), np.broadcast_to(box.upper, (times, dimension)))
 
 
-def end_set(field: str, given: ConvexSet | ArrayLike | None, dimension: int) -> ConvexSet:
-    """Return the set of an end of the horizon, from a point, a set, or None."""
-    if given is None or isinstance(given, ConvexSet):
-        convex_set = given or Everything()
+def end_set(field: str, given: End, names: Sequence[str]) -> ConvexSet:
+    """Return the set of an end of the horizon, from a point, a set, or None, for states of these names."""
+    dimension = len(names)
+    if isinstance(given, Mapping):
+        convex_set = Point(values_by_name(field, given, names, absent=None))
+    elif given is None or isinstance(given, ConvexSet):
+        convex_set = Everything() if given is None else given.at_names(names)
     else:
         expected = f"numbers, one for each of the {dimension} states, a set, or None"
         try:
@@ -284,6 +316,25 @@ def _bound(side: str, value: Bound, absent: float) -> Array:
     if (bound == -absent).any():
         raise ProblemError(f"Box.{side}", f"{-absent}", f"a number, or None or {absent} for no bound")
     return bound
+
+
+def _bounds_by_name(lower: Bound | ByName, upper: Bound | ByName) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names and their bounds, (names,) or (times, names); one mapping alone has pairs."""
+    if upper is None and isinstance(lower, Mapping):
+        for name, pair in lower.items():
+            if not isinstance(pair, (list, tuple)) or len(pair) != 2:
+                advice = "For one bound, the other is None."
+                raise ProblemError(f"Box[{name!r}]", brief(pair), "a pair (lower, upper)", advice)
+        lower, upper = ({name: pair[i] for name, pair in lower.items()} for i in range(2))
+    components = tuple(dict.fromkeys(name for side in (lower, upper) if isinstance(side, Mapping) for name in side))
+    if not components:
+        raise ProblemError("Box", "a mapping without names", "bounds of at least one component")
+    sides = list[Array]()
+    for side, bound, absent in (("lower", lower, -np.inf), ("upper", upper, np.inf)):
+        entries = bound if isinstance(bound, Mapping) else dict.fromkeys(components, bound)
+        columns = [_bound(f"{side}[{name!r}]", entries.get(name), absent) for name in components]
+        sides.append(stack_components(f"Box.{side}", columns))
+    return components, sides[0], sides[1]
 
 
 def _without_none(value: object, absent: float) -> object:

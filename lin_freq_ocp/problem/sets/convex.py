@@ -273,6 +273,9 @@ class Soft(ConvexSet):
     def augmented(self, n: int, k: int) -> Soft:
         return Soft(self.soft_set.augmented(n, k), self.penalty)
 
+    def at_names(self, names: Sequence[str]) -> Soft:
+        return Soft(self.soft_set.at_names(names), self.penalty)
+
     def relaxed(self, amount: float, dimension: int) -> Soft:
         return self
 

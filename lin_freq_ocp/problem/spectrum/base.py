@@ -21,13 +21,13 @@ from lin_freq_ocp.base.arrays import (
     Mask,
     assign,
     brief,
-    component_names,
     first_largest,
     real_array,
     with_columns,
     with_fields,
 )
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.names import component_names, index_of_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
@@ -331,6 +331,11 @@ class OutputSpectrum:
         """Whether a constraint depends on samples of the past."""
         return any(entry.remembers for entry in self.constraints)
 
+    def values(self, x: Array, u: Array) -> Array:
+        """Return the outputs, (T+1, outputs), with a D (T, outputs), of states (T+1, n) and controls (T, m)."""
+        of_u = np.zeros((len(x), 1)) if self.D is None else u @ self.D.T
+        return of_u if self.C is None else x[: len(of_u)] @ self.C.T + of_u
+
     def signal(self, n: int, m: int, samples: tuple[int, int], sampling_time: float | None, field: str) -> Signal:
         """Return the outputs as a signal, of so many samples of the states and of the controls."""
         for name, matrix, columns in (("C", self.C, n), ("D", self.D, m)):
@@ -368,16 +373,12 @@ def component_words(component: int | str | None, names: Sequence[str]) -> str:
 def component_indices(field: str, component: int | str | None, component_names: Sequence[str]) -> list[int]:
     """Return the indices of a component: an index, a name with or without its unit, or None for all."""
     count = len(component_names)
+    indices = f"an index {'0' if count == 1 else f'0 .. {count - 1}'} or "
     if component is None:
         return list(range(count))
     if isinstance(component, str):
-        matches = [i for i, name in enumerate(component_names) if component in (name, name.split(" [")[0])]
-        if len(matches) == 1:
-            return matches
-    elif isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
+        return [index_of_name(f"{field}.component", component, component_names, indices)]
+    if isinstance(component, (int, np.integer)) and not isinstance(component, bool) and 0 <= component < count:
         return [int(component)]
-    raise ProblemError(
-        f"{field}.component",
-        brief(component),
-        f"an index {'0' if count == 1 else f'0 .. {count - 1}'} or one of {', '.join(map(repr, component_names))}",
-    )
+    expected = f"{indices}one of {', '.join(map(repr, component_names))}"
+    raise ProblemError(f"{field}.component", brief(component), expected)

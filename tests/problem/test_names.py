@@ -1,0 +1,176 @@
+"""Bounds, weights, references, ends and signals by the names of their components."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+H = 0.1
+STEPS = 6
+
+
+def cart(**fields):
+    """Return a cart that goes one metre; its signals have names and units."""
+    plant = lfo.LinearDynamics(
+        [[1, H], [0, 1]], [[H**2 / 2], [H]], sampling_time=H, state_names="position [m], speed [m/s]",
+        control_names=["force [N]"],
+    )  # fmt: skip
+    return lfo.OptimalControlProblem(plant, STEPS, **({"cost": lfo.QuadraticCost(R=1.0)} | fields))
+
+
+PAIRS = {
+    "bounds of one state": (
+        {"state_set": lfo.Box({"speed [m/s]": (-1, 1)})},
+        {"state_set": lfo.Box([None, -1], [None, 1])},
+    ),
+    "one bound": ({"state_set": lfo.Box({"speed": (None, 1)})}, {"state_set": lfo.Box(None, [None, 1])}),
+    "sides": (
+        {"state_set": lfo.Box({"speed": -1}, {"position": 3.0})},
+        {"state_set": lfo.Box([None, -1], [3.0, None])},
+    ),
+    "the same lower bound": ({"state_set": lfo.Box(-2, {"speed": 1})}, {"state_set": lfo.Box([None, -2], [None, 1])}),
+    "bounds over time": (
+        {"state_set": lfo.Box({"speed": (np.arange(7.0) - 9, None)})},
+        {"state_set": lfo.Box(np.column_stack([np.full(7, -np.inf), np.arange(7.0) - 9]))},
+    ),
+    "one box a time": (
+        {"control_set": [lfo.Box({"force": (-t, t)}) for t in range(1, 7)]},
+        {"control_set": [lfo.Box(-t, t) for t in range(1, 7)]},
+    ),
+    "soft bounds": (
+        {"state_set": lfo.sets.Soft(lfo.Box({"speed": (-1, 1)}), 9.0)},
+        {"state_set": lfo.sets.Soft(lfo.Box([None, -1], [None, 1]), 9.0)},
+    ),
+    "an intersection": (
+        {"state_set": lfo.Box({"speed": (-1, 1)}) & lfo.sets.Ball(3.0)},
+        {"state_set": lfo.Box([None, -1], [None, 1]) & lfo.sets.Ball(3.0)},
+    ),
+    "ends": (
+        {"initial_state": {"speed": 0.5, "position": 0}, "terminal_state": lfo.Box({"position": (1, 1)})},
+        {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])},
+    ),
+    "weights and references": (
+        {"cost": lfo.QuadraticCost(Q={"position": 10.0}, R={"force": 2}, P={"speed": 3}, x_ref={"position": 1.0})},
+        {"cost": lfo.QuadraticCost(Q=np.diag([10.0, 0]), R=2, P=np.diag([0, 3.0]), x_ref=[1.0, 0])},
+    ),
+    "linear weights": (
+        {"cost": lfo.QuadraticCost(R=1, q={"speed": 1.0}, r={"force [N]": 2}, p={"position": -1}, u_ref={"force": 1})},
+        {"cost": lfo.QuadraticCost(R=1, q=[0, 1.0], r=[2], p=[-1, 0], u_ref=[1])},
+    ),
+    "weights and references over time": (
+        {"cost": lfo.QuadraticCost(R=1, Q={"speed": np.arange(6)}, x_ref={"position": 3, "speed": np.arange(7)})},
+        {
+            "cost": lfo.QuadraticCost(
+                R=1, Q=[np.diag([0, t]) for t in range(6)], x_ref=np.column_stack([np.full(7, 3), np.arange(7)])
+            )
+        },
+    ),
+    "norms": (
+        {"cost": lfo.QuadraticCost(R={"force": 1}) + lfo.costs.L1Cost(x={"speed": 2}, x_ref={"speed": 1})},
+        {"cost": lfo.QuadraticCost(R=1) + lfo.costs.L1Cost(x=[0, 2], x_ref=[0, 1])},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_problem_by_name_is_the_problem_by_components(pair, tmp_path):
+    texts = []
+    for name, fields in zip(("named", "plain"), PAIRS[pair], strict=True):
+        lfo.write_problem(cart(**fields), tmp_path / f"{name}.toml")
+        texts.append((tmp_path / f"{name}.toml").read_text())
+    assert texts[0] == texts[1]
+
+
+NAMES = "expected one of 'position [m]', 'speed [m/s]'"
+WRONG = {
+    "a name that is no state": ({"state_set": lfo.Box({"sped": (-1, 1)})}, f"{NAMES}. Did you mean 'speed'?"),
+    "another unit": ({"state_set": lfo.Box({"speed [km/h]": (-1, 1)})}, f"{NAMES}. Did you mean 'speed [m/s]'?"),
+    "a state twice": ({"state_set": lfo.Box({"speed": (-1, 1), "speed [m/s]": (0, 1)})}, "got 'speed [m/s]' twice"),
+    "a state as a control": ({"control_set": lfo.Box({"speed": (-1, 1)})}, "expected one of 'force [N]'"),
+    "too few times": ({"state_set": lfo.Box({"speed": ([0, 1], None)})}, "expected bounds for 7 times"),
+    "several times": ({"cost": lfo.QuadraticCost(x_ref={"speed": range(7), "position": range(6)})}, "(6,) and (7,)"),
+    "half a point": ({"initial_state": {"speed": 1}}, "initial_state: got no value of 'position [m]'"),
+    "no number": ({"cost": lfo.QuadraticCost(Q={"speed": "fast"})}, "cost.Q['speed']: got 'fast'"),
+    "a matrix": ({"cost": lfo.QuadraticCost(Q={"speed": [[1.0]]})}, "cost.Q: got values of shape (1, 1)"),
+    "mixed weights": ({"cost": lfo.QuadraticCost(S={"speed": 1})}, "cost.S: got a mapping; expected a matrix (n, m)"),
+    "a negative weight": ({"cost": lfo.costs.L1Cost(u={"force": -1})}, "L1Cost.u"),
+    "a component": ({"control_spectrum": lfo.low_pass(1.0, component="forc")}, "Did you mean 'force'?"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_fits_no_name_is_refused(case):
+    fields, text = WRONG[case]
+    with pytest.raises(lfo.errors.ProblemError, match=re.escape(text)):
+        cart(**fields)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (({"speed": 1},), "Box['speed']: got 1; expected a pair (lower, upper). For one bound, the other is None."),
+        (({"speed": (1, -1)},), "Box.lower['speed']: got 1 above upper['speed'] = -1"),
+        (({},), "got a mapping without names"),
+        (({"speed": (range(7), 9), "position": (range(6), 9)},), "Box.lower: got values of shape (6,) and (7,)"),
+    ],
+)
+def test_bounds_by_name_are_checked_before_there_is_a_problem(given, text):
+    with pytest.raises(lfo.errors.ProblemError, match=re.escape(text)):
+        lfo.Box(*given)
+
+
+def test_bounds_by_name_bound_nothing_without_a_problem():
+    """A box without names would have no bounds: nobody may take the named one for it."""
+    named = lfo.Box({"speed": (-1, 1)})
+    for use in (
+        lambda: named.parts(2),
+        lambda: named.at_dimension(1, "set"),
+        lambda: lfo.sets.Soft(named, 1.0).parts(2),
+    ):
+        with pytest.raises(lfo.errors.ProblemError, match=r"got bounds by name on 'speed'; expected a problem"):
+            use()
+
+
+def test_other_ends_and_references_have_names_too():
+    problem = cart(cost=lfo.QuadraticCost(Q=1.0, R=1.0), initial_state=[0, 0])
+    assert problem.with_ends(initial_state={"speed": 2, "position": 1}).ends[0].lower.tolist() == [1, 2]
+    assert problem.with_references({"x_ref": {"speed [m/s]": 2}}).quadratic.x_ref.tolist() == [0, 2]
+
+
+def test_a_result_has_its_signals_by_name():
+    head = {"C": [[1.0, 0.0]], "D": [[2.0]], "output_names": ["head [m]"]}
+    both = lfo.spectrum.OutputSpectrum(constraints=lfo.low_pass(cutoff_hz=4.0), **head)
+    result = lfo.solve(cart(initial_state=[0, 0], terminal_state=[1, 0], output_spectrum=both))
+    x, u = result.trajectory.x, result.trajectory.u
+    assert np.array_equal(result["position"], x[:, 0])
+    assert np.array_equal(result["speed [m/s]"], x[:, 1])
+    assert np.array_equal(result["force"], u[:, 0])
+    assert np.allclose(result["head"], x[:-1, 0] + 2 * u[:, 0])
+    with pytest.raises(lfo.errors.ProblemError, match=r"result: got 'forse'.*Did you mean 'force'"):
+        _ = result["forse"]
+
+
+def test_names_in_a_problem_file(tmp_path):
+    (tmp_path / "cart.toml").write_text("""
+schema = 2
+horizon = 6
+initial_state = { speed = 0.5, "position [m]" = 0 }
+terminal_state = { lower = { position = 1 }, upper = { position = 1 } }
+state_set = { upper = { speed = 4 } }
+[dynamics]
+A = [[1, 0.1], [0, 1]]
+B = [[0.005], [0.1]]
+sampling_time = 0.1
+state_names = "position [m], speed [m/s]"
+control_names = ["force [N]"]
+[cost]
+R = { force = 1.0 }
+""")
+    read = lfo.read_problem(tmp_path / "cart.toml")
+    ends = {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])}
+    plain = cart(**ends, state_set=lfo.Box(None, [None, 4]))
+    assert lfo.solve(read).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
