@@ -278,7 +278,7 @@ BAD = {
     "bounds exchanged": ("lower = -5.0", "lower = 6.0", "control_set.lower: got 6 above upper = 5"),
     "bounds of other size": ("upper = 5.0", "upper = [5.0, 5.0]", "control_set: got bounds for 2 components"),
     "bounds with too many dimensions": ("upper = 5.0", "upper = [[[5.0]]]", "cart.toml: "),
-    "set no table": ("[control_set]\nlower = -5.0\nupper = 5.0", "[control_set.lower]", "control_set: got a mapping without names"),
+    "set no table": ("[control_set]\nlower = -5.0\nupper = 5.0", "[control_set.lower]", "control_set: got a mapping"),
     "initial state of other size": ("[0.0, 0.0]", "[0.0]", "initial_state: got bounds for 1 component;"),
     "initial state a matrix": ("[0.0, 0.0]", "[[0.0, 0.0]]", "initial_state: got shape (1, 2)"),
     "initial state with a typo": ("[0.0, 0.0]", "{lowe = [0, 0]}", "initial_state: got 'lowe'; expected one of"),
