@@ -49,6 +49,10 @@ PAIRS = {
         {"state_set": lfo.Box({"speed": (-1, 1)}) & lfo.sets.Ball(3.0)},
         {"state_set": lfo.Box([None, -1], [None, 1]) & lfo.sets.Ball(3.0)},
     ),
+    "bounds that meet others": (
+        {"state_set": lfo.Box({"speed": (5, 6)}) & lfo.Box(0, [1, 9])},
+        {"state_set": lfo.Box([None, 5], [None, 6]) & lfo.Box(0, [1, 9])},
+    ),
     "ends": (
         {"initial_state": {"speed": 0.5, "position": 0}, "terminal_state": lfo.Box({"position": (1, 1)})},
         {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])},
