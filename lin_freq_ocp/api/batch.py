@@ -10,12 +10,13 @@ from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import count_text, report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, html_table, number, plural, settings
+from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
 from lin_freq_ocp.batch.grid import Source
 from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
 from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
@@ -127,6 +128,31 @@ class Solutions(ManyOutcome):
         if isinstance(change, ProblemError):
             raise change
         return result_of(self.resolver.solve(change), throw=False)
+
+    @property
+    def facts(self) -> list[tuple[str, str]]:
+        """Return how all ended, how many are proven, the largest gap and the time of all solves, in words."""
+        facts = [("status", count_all(self.statuses) + (", interrupted" if self.interrupted else ""))]
+        facts.append(("proven", f"{sum(item.proven for item in self.items)} of {len(self)}"))
+        gaps = self.gaps
+        if np.isfinite(gaps).any():
+            worst = int(np.nanargmax(gaps))
+            facts.append(("gap", f"at most {number(gaps[worst], 2)}, of solutions[{worst}]"))
+        seconds = sum(item.seconds or 0.0 for item in self.items)
+        return [*facts, ("time", f"{seconds:.3g} s for all solves")]
+
+    def __str__(self) -> str:
+        return "\n".join([self._title, *(f"{term:9} {text}" for term, text in self.facts)])
+
+    def __repr__(self) -> str:
+        return f"Solutions({self.facts[0][1]})"
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title, self.facts)
+
+    @property
+    def _title(self) -> str:
+        return f"{self.problem}: {plural(len(self), 'problem')}"
 
 
 def solve_many(

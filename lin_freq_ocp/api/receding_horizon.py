@@ -18,6 +18,7 @@ from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.loop.controller import Controller, Preview
 from lin_freq_ocp.loop.record import LoopRecord, plant_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -74,6 +75,12 @@ class ClosedLoop(LoopRecord):
     def __repr__(self) -> str:
         ended = f", stopped: {self.stopped}" if self.stopped else ""
         return f"ClosedLoop({len(self.steps)} steps of {self.problem.name or 'a problem'}{ended})"
+
+    def __str__(self) -> str:
+        return "\n".join([repr(self), *(f"{term:9} {text}" for term, text in self.facts)])
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), self.facts)
 
 
 @final

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from math import isfinite
@@ -60,6 +61,11 @@ def first_few(parts: Sequence[str], most: int = MOST_ENTRIES) -> str:
 def plural(count: int, noun: str) -> str:
     """Return "1 bin" or "24 bins"."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def count_all(values: Iterable[object]) -> str:
+    """Return "97 optimal, 3 infeasible", the most frequent value first."""
+    return ", ".join(f"{count} {value}" for value, count in Counter(map(str, values)).most_common()) or "none"
 
 
 def runs_in_words(runs: Sequence[tuple[int, int]]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
+from lin_freq_ocp.base.phrases import count_all, number
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -238,6 +239,19 @@ class LoopRecord:
     def statuses(self) -> tuple[Status | None, ...]:
         """Return the status of the problem of each step; None where its plan is not judged."""
         return tuple(step.status for step in self.steps)
+
+    @property
+    def facts(self) -> list[tuple[str, str]]:
+        """Return how the steps ended, the largest gap and the time of a step, in words."""
+        facts = [("status", count_all("not judged" if status is None else status for status in self.statuses))]
+        facts += [("control", count_all(self.sources))] if len(set(self.sources)) > 1 else []
+        facts += [("stopped", self.stopped)] if self.stopped else []
+        if np.isfinite(self.gaps).any():
+            facts.append(("gap", f"at most {number(np.nanmax(self.gaps), 2)}, at step {int(np.nanargmax(self.gaps))}"))
+        if len(self.steps):
+            seconds = 1e3 * (self.solve_seconds + self.certify_seconds)
+            facts.append(("time", f"{np.median(seconds):.2g} ms a step, at most {seconds.max():.2g} ms"))
+        return facts
 
     @property
     def table(self) -> list[dict[str, object]]:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
@@ -77,6 +78,9 @@ class Explanation:
         lines = [f"conflict  {', '.join(self.family)}" + ("" if self.irreducible else " (perhaps fewer)")]
         lines += [f"repair    {cure}" for cure in self.cures]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html_table("No trajectory satisfies all constraints", term_rows(str(self).splitlines()))
 
 
 class Evidence(ABC):

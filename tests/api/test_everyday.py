@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from matplotlib import pyplot
 from matplotlib.image import imread
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.base import number
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +61,11 @@ def test_notebooks_show_objects_as_escaped_tables(result):
     )
     shortest = lfo.minimum_time(lfo.library.double_integrator(cutoff_hz=None), horizons=(181, 182))
     arrays = (result.trajectory, result.sensitivities)
-    for one in (result, result.certificate, result.problem, comparison, sweep, shortest, *arrays):
+    many = lfo.solve_many(result.problem, [[0, 0], [1, 0]])
+    loop = lfo.RecedingHorizon(result.problem).run([0, 0], steps=2)
+    conflict = lfo.results.Explanation(("bound on <b>I</b>",), True, ())
+    others = (many, loop, conflict, result.problem.dynamics)
+    for one in (result, result.certificate, result.problem, comparison, sweep, shortest, *arrays, *others):
         html = one._repr_html_()
         assert html.startswith("<table>")
         assert html.endswith("</table>")
@@ -74,6 +80,10 @@ def test_notebooks_show_objects_as_escaped_tables(result):
     assert "182 is feasible; 181 is proven infeasible" in shortest._repr_html_()
     assert str(result.trajectory.x.shape) in result.trajectory._repr_html_()
     assert "offset" in result.sensitivities._repr_html_()
+    assert ">2 optimal<" in many._repr_html_()
+    assert ">2 optimal<" in loop._repr_html_()
+    assert "bound on &lt;b&gt;I" in conflict._repr_html_()
+    assert "A x + B u, 2 states, 1 control" in result.problem.dynamics._repr_html_()
     many = lfo.OptimalControlProblem(lfo.LinearDynamics(np.eye(90), np.eye(90)), 3, lfo.QuadraticCost(R=1))
     assert many._repr_html_().count("<tr>") < 30
 
@@ -89,6 +99,30 @@ def test_printed_objects_are_short_and_show_what_they_hold():
     assert points[3].startswith("horizon = 200, cutoff_hz = 5     optimal, cost 6.38576, gap ")
     shortest = lfo.minimum_time(lfo.library.double_integrator(cutoff_hz=None), horizons=(181, 182))
     assert repr(shortest).startswith("MinimumTime(horizon=182, horizons=(181, 182), proof='182 is feasible; 181 is")
+
+
+def test_a_batch_prints_how_many_are_optimal_the_largest_gap_and_the_time():
+    many = lfo.solve_many(lfo.library.double_integrator(horizon=200), [[0, 0], [0.1, 0], [50, 0], "no state"])
+    title, *lines = str(many).splitlines()
+    facts = dict(line.split(maxsplit=1) for line in lines)
+    assert title == f"{many.problem}: 4 problems"
+    assert (facts["status"], facts["proven"]) == ("2 optimal, 1 infeasible, 1 error", "3 of 4")
+    worst = int(np.nanargmax(many.gaps))
+    assert facts["gap"] == f"at most {number(many.gaps[worst], 2)}, of solutions[{worst}]"
+    assert facts["time"] == f"{sum(item.seconds or 0 for item in many.items):.3g} s for all solves"
+    assert repr(many) == "Solutions(2 optimal, 1 infeasible, 1 error)"
+
+
+def test_a_loop_prints_how_its_steps_ended_and_why_it_stopped():
+    step = lfo.RecedingHorizon(lfo.library.double_integrator(cutoff_hz=None)).run([0, 0], steps=2).steps[0]
+    later = replace(step, status=None, gap=np.nan, solve_seconds=0.5, certify_seconds=0.25)
+    steps = [replace(step, gap=1e-9, solve_seconds=0.001, certify_seconds=0.002), later, step]
+    loop = lfo.results.ClosedLoop(lfo.library.double_integrator(), steps, stopped="no plan")
+    facts = dict(line.split(maxsplit=1) for line in str(loop).splitlines()[1:])
+    assert facts["status"] == "2 optimal, 1 not judged"
+    assert facts["gap"] == "at most 1.0e-9, at step 0"
+    assert facts["stopped"] == "no plan"
+    assert facts["time"].endswith("ms a step, at most 7.5e+02 ms")
 
 
 def test_a_long_sweep_prints_its_first_points_and_counts_the_others():

@@ -20,7 +20,7 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, positive_numbe
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.names import component_names
-from lin_freq_ocp.base.phrases import first_few, plural
+from lin_freq_ocp.base.phrases import first_few, html_table, plural, short_name
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 from lin_freq_ocp.problem.dynamics.response import Response
@@ -92,6 +92,9 @@ class Dynamics(ABC):
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the dynamics in words, as pairs (title, text); labels name states and controls."""
         return self.standard_form.facts(labels)
+
+    def _repr_html_(self) -> str:
+        return html_table(type(self).__name__, self.facts([*map(short_name, self.state_names), *self.control_names]))
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless data per time have ``horizon`` steps."""
