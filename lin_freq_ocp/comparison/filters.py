@@ -108,9 +108,10 @@ def _other_bands(problem: OptimalControlProblem) -> dict[str, list[tuple[int, Ma
 
 
 def brick_wall(u: Array, design: Design) -> FilteredControl:
-    """Set the stopped bins to zero."""
+    """Set the stopped bins to zero; a control without stopped bins stays as it is, without rounding."""
     spectrum = np.where(design.stop, 0.0, np.fft.rfft(u, axis=0))
-    return FilteredControl(np.fft.irfft(spectrum, n=len(u), axis=0), "stopped or bounded bins set to zero")
+    result = np.where(design.stop.any(axis=0), np.fft.irfft(spectrum, n=len(u), axis=0), u)
+    return FilteredControl(result, "stopped or bounded bins set to zero")
 
 
 def clip_to_bounds(u: Array, design: Design) -> FilteredControl:

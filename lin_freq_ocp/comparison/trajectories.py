@@ -318,6 +318,7 @@ class MeasuredTrajectory:
             bool((np.abs(u[:, None] - levels).min(axis=1) > CONDITION_TOLERANCE * np.abs(levels).max()).any())
             for controls in sets
             for u, levels in zip(self.trajectory.u.T, controls.levels_of(self.problem.control_dim), strict=False)
+            if len(levels)
         )
 
     @property

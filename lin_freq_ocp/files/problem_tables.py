@@ -225,6 +225,16 @@ def _write_dynamics(location: str, value: Dynamics) -> FileTable:
 DYNAMICS = Value(_read_dynamics, _write_dynamics)
 
 
+def _finite_set_values(finite: FiniteSet) -> FileTable:
+    """Return the keys of a finite set; a component without levels is a table with its bounds."""
+    levels = [{"lower": one.lower, "upper": one.upper} if isinstance(one, Box) else one for one in finite.levels]
+    return {
+        "levels": [{} if one is None else one for one in levels],
+        "costs": finite.costs,
+        "duty_cycles": finite.duty_cycles or None,
+    }
+
+
 SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional
 
 SETS = Kinds("set", default="box")
@@ -235,7 +245,7 @@ SETS.records |= {
     "ellipsoid": TableRecord(Ellipsoid),
     "second_order_cone": TableRecord(SecondOrderCone),
     "intersection": TableRecord(Intersection, sets=Tables(SETS, single=False)),
-    "finite_set": TableRecord(FiniteSet),
+    "finite_set": TableRecord(FiniteSet, values=_finite_set_values),
     "linked_ends": TableRecord(LinkedEnds),
     "periodic": TableRecord(Periodic),
     "soft": TableRecord(Soft, renamed={"soft_set": "set"}, soft_set=SETS),

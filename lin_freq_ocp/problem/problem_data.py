@@ -75,7 +75,8 @@ class ProblemData:
     @cached_property
     def level_sizes(self) -> Array:
         """The largest absolute level of each control, (m,); 0 for a control without levels."""
-        return np.zeros(self.control_dim) if self.form.choices is None else np.abs(self.form.choices).max(axis=0)
+        choices = self.form.choices
+        return np.zeros(self.control_dim) if choices is None else np.nan_to_num(np.abs(choices)).max(axis=0)
 
     @property
     def control_hull(self) -> SetOrSets:

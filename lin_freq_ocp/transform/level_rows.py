@@ -198,6 +198,8 @@ def _rank(R: Array) -> int:
 
 
 def _set_of_levels(problem: OptimalControlProblem) -> ConvexSet | None:
-    """Return the control set if it is one set of levels for all times, else None."""
-    control_set, m = problem.control_set, problem.control_dim
-    return control_set if isinstance(control_set, ConvexSet) and len(control_set.levels_of(m)) else None
+    """Return the control set if it is one set of levels of all controls for all times, else None."""
+    control_set, levels = problem.control_set, list[Array]()
+    if isinstance(control_set, ConvexSet):
+        levels = control_set.levels_of(problem.control_dim)
+    return control_set if isinstance(control_set, ConvexSet) and len(levels) and all(map(len, levels)) else None

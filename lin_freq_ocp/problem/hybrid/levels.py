@@ -12,20 +12,22 @@ cost. On the interval, f is a sum of soft half spaces, prices on the violation o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import product
 from math import gcd, lcm, prod
+from operator import or_
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, assign, brief, freeze, real_array
-from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import plural, short_name, vector
+from lin_freq_ocp.base.arrays import Array, assign, brief, freeze, known_entries, real_array
+from lin_freq_ocp.base.errors import ProblemError, located_at
+from lin_freq_ocp.base.names import ByName, index_of_name
+from lin_freq_ocp.base.phrases import interval, plural, short_name, vector
 from lin_freq_ocp.problem.dynamics.base import Dynamics, signal_labels
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import AffineMode
@@ -33,6 +35,7 @@ from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageSets
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -47,6 +50,16 @@ class Levels:
 
     values: Array  # (levels,)
     costs: Array  # (levels,)
+
+    @property
+    def stated(self) -> list[float] | Box | None:
+        """Return the levels as a list."""
+        return self.values.tolist()
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the least and the largest level."""
+        return float(self.values[0]), float(self.values[-1])
 
     @cached_property
     def spanning(self) -> list[int]:
@@ -92,6 +105,28 @@ class Levels:
         return weights
 
 
+@dataclass(frozen=True, eq=False)
+class NoLevels(Levels):
+    """A component without levels, within a box of one component."""
+
+    box: Box
+
+    @property
+    def stated(self) -> Box | None:
+        return self.box if np.isfinite(self.box.bounds).any() else None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return float(self.box.lower), float(self.box.upper)
+
+    @property
+    def above(self) -> Array:
+        return np.zeros(0)
+
+    def shares(self, u: Array) -> Array:
+        return np.zeros((len(u), 0))
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class FiniteSet(ConvexSet):
     """Controls with finitely many levels: a ``control_set`` for all times.
@@ -103,10 +138,11 @@ class FiniteSet(ConvexSet):
 
     Parameters
     ----------
-    levels : sequence of float, or sequence of such sequences
+    levels : sequence of float, sequence of such sequences, or mapping of names to such sequences
         At least two different levels in any order, in the unit of the control: one sequence for all components, or a
-        sequence for each.
-    costs : of the shape of ``levels``, optional
+        sequence for each. A component without levels has None, or a Box of its bounds, in place of the sequence; a
+        mapping names the others: ``FiniteSet({"valve": [0, 1, 2], "pump": lfo.Box(0, 3)})``.
+    costs : of the shape of ``levels``, without entries for components without levels, optional
         The cost of each level at every sample, zero or above; default zero.
     duty_cycles : bool
         Whether a component may switch within a sample.
@@ -127,6 +163,8 @@ class FiniteSet(ConvexSet):
     >>> problem = lfo.OptimalControlProblem(dynamics, 4, lfo.QuadraticCost(), on_off, lfo.Box(-9, 9), [0], [2])
     >>> round(lfo.solve(problem).cost, 9)
     2.0
+    >>> lfo.FiniteSet([lfo.Box(0, 3), [0, 1, 2]]).describe(["pump", "valve"], "u")
+    'pump from 0 to 3; valve in (0, 1, 2)'
     """
 
     may_be_soft: ClassVar[bool] = False  # its costs are prices already
@@ -134,13 +172,18 @@ class FiniteSet(ConvexSet):
     components: tuple[Levels, ...]  # the levels of each component, or one for all
     single: bool  # whether one sequence applies to all components
     duty_cycles: bool
+    names: tuple[str, ...]  # of the components, if they are stated by name
 
     def __init__(
         self,
-        levels: ArrayLike | Sequence[ArrayLike],
-        costs: ArrayLike | Sequence[ArrayLike] | None = None,
+        levels: ArrayLike | Sequence[object] | ByName,
+        costs: ArrayLike | Sequence[object] | ByName | None = None,
         duty_cycles: bool = False,
     ):
+        names = tuple(levels) if isinstance(levels, Mapping) else ()
+        if isinstance(levels, Mapping):
+            prices = known_entries("FiniteSet.costs", costs, names)
+            levels, costs = list(levels.values()), [prices.get(name) for name in names] if prices else None
         rows, single = _sequences("FiniteSet.levels", levels)
         if not isinstance(duty_cycles, (bool, np.bool_)):
             raise ProblemError("FiniteSet.duty_cycles", brief(duty_cycles), "True or False")
@@ -150,10 +193,12 @@ class FiniteSet(ConvexSet):
             if single_costs != single or len(priced) != len(rows):
                 got = "one sequence" if single_costs else plural(len(priced), "sequence")
                 raise ProblemError("FiniteSet.costs", got, "costs of the shape of levels")
-        names = ["" if single else f"[{i}]" for i in range(len(rows))]
-        components = tuple(_levels(*row) for row in zip(names, rows, priced, strict=True))
-        assign(self, components=components, single=single, duty_cycles=bool(duty_cycles))
-        for name, component in zip(names, components, strict=True):
+        places = [f"[{names[i]!r}]" if names else "" if single else f"[{i}]" for i in range(len(rows))]
+        components = tuple(_levels(*row) for row in zip(places, rows, priced, strict=True))
+        if all(isinstance(component, NoLevels) for component in components):
+            raise ProblemError("FiniteSet.levels", "no levels", "levels of one component at least", "A Box has bounds.")
+        assign(self, components=components, single=single, duty_cycles=bool(duty_cycles), names=names)
+        for name, component in zip(places, components, strict=True):
             if not duty_cycles and component.above.any():
                 j = int(np.argmax(component.above))
                 cost, level, above = (values[j] for values in (component.costs, component.values, component.above))
@@ -162,13 +207,13 @@ class FiniteSet(ConvexSet):
                 raise ProblemError(f"FiniteSet.costs{name}", got, "costs that lie on a convex curve", advice)
 
     @property
-    def levels(self) -> list[list[float]] | list[float]:
-        """Return the increasing levels as lists."""
-        rows = [component.values.tolist() for component in self.components]
-        return rows[0] if self.single else rows
+    def levels(self) -> Sequence[object]:
+        """Return the increasing levels as lists; None or a Box for a component without levels."""
+        rows = [component.stated for component in self.components]
+        return self.components[0].values.tolist() if self.single else rows
 
     @property
-    def costs(self) -> list[list[float]] | list[float] | None:
+    def costs(self) -> Sequence[object] | None:
         """Return the costs of the levels as lists; None if all are zero."""
         rows = [component.costs.tolist() for component in self.components]
         free = not any(component.costs.any() for component in self.components)
@@ -176,11 +221,11 @@ class FiniteSet(ConvexSet):
 
     @property
     def dimension(self) -> int | None:
-        return None if self.single else len(self.components)
+        return None if self.single or self.names else len(self.components)
 
     @property
     def bounds(self) -> Bounds:
-        ends = np.array([component.values[[0, -1]] for component in self.components]).T
+        ends = np.array([component.ends for component in self.components]).T
         lower, upper = ends[:, 0] if self.single else ends
         return freeze(np.asarray(lower)), freeze(np.asarray(upper))
 
@@ -193,14 +238,27 @@ class FiniteSet(ConvexSet):
     def _hull(self) -> FiniteSet:
         return self if self.duty_cycles else FiniteSet(self.levels, self.costs, duty_cycles=True)
 
+    def at_names(self, names: Sequence[str]) -> FiniteSet:
+        if not self.names:
+            return self
+        place = {index_of_name("FiniteSet.levels", name, names): i for i, name in enumerate(self.names)}
+        if len(place) < len(self.names):
+            raise ProblemError("FiniteSet.levels", f"{len(self.names)} names", "each component once")
+        levels = [self.components[place[i]].stated if i in place else None for i in range(len(names))]
+        costs = [self.components[place[i]].costs if i in place else None for i in range(len(names))]
+        return FiniteSet(levels, costs, self.duty_cycles)
+
     def of(self, dimension: int) -> tuple[Levels, ...]:
         """Return the levels of each component, ``dimension`` of them."""
+        if self.names:
+            got = f"levels by name of {', '.join(map(repr, self.names))}"
+            raise ProblemError("FiniteSet", got, "a problem, whose controls have names")
         return self.components * dimension if self.single else self.components
 
     def points(self, dimension: int) -> Array | None:
         if self.duty_cycles:
             return None
-        rows = self.levels_of(dimension)
+        rows = [values if len(values) else np.array([np.nan]) for values in self.levels_of(dimension)]
         if prod(map(len, rows)) > MOST_POINTS:
             got = f"{prod(map(len, rows))} combinations of levels"
             raise ProblemError("control_set", got, f"at most {MOST_POINTS}: each is a mode")
@@ -228,9 +286,12 @@ class FiniteSet(ConvexSet):
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         words = list[str]()
-        for name, component in zip(names, self.of(len(names)), strict=True):
+        for name, component in zip(names, self.at_names(names).of(len(names)), strict=True):
             costs = f" at the costs {vector(component.costs)}" if component.costs.any() else ""
-            words.append(f"{short_name(name)} in {vector(component.values)}{costs}")
+            if isinstance(component, NoLevels):
+                words.append(f"{short_name(name)} {interval(*component.ends)}")
+            else:
+                words.append(f"{short_name(name)} in {vector(component.values)}{costs}")
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
@@ -242,15 +303,29 @@ def _sequences(field: str, stated: object) -> tuple[list[Array], bool]:
     entries = list(stated)
     if not entries:
         raise ProblemError(field, "none", "at least two levels" if field.endswith("levels") else expected)
+    free = [entry is None or isinstance(entry, (Box, Mapping)) for entry in entries]
     nested = [isinstance(entry, (Sequence, np.ndarray)) and np.ndim(entry) > 0 for entry in entries]
-    if any(nested) and not all(nested):
-        raise ProblemError(field, brief(stated), expected)
-    rows = [real_array(f"{field}[{i}]", entry) for i, entry in enumerate(entries)] if all(nested) else []
-    return (rows, False) if rows else ([real_array(field, entries)], True)
+    if any(nested) or any(free):
+        if not all(map(or_, nested, free)):
+            raise ProblemError(field, brief(stated), expected)
+        return [
+            entry if not_listed else real_array(f"{field}[{i}]", entry)
+            for i, (entry, not_listed) in enumerate(zip(entries, free, strict=True))
+        ], False
+    return [real_array(field, entries)], True
 
 
-def _levels(name: str, values: Array, costs: Array | None) -> Levels:
+def _levels(name: str, values: Array | Box | ByName | None, costs: Array | None) -> Levels:
     field = f"FiniteSet.levels{name}"
+    if not isinstance(values, np.ndarray):
+        if costs is not None and np.any(costs):
+            raise ProblemError(f"FiniteSet.costs{name}", brief(costs), "none, as the component has no levels")
+        with located_at(field, "Box"):
+            box = values if isinstance(values, Box) else Box(**known_entries("Box", values, ("lower", "upper")))
+            box = box.at_dimension(1, "Box")
+            if box.lower.ndim > 1:
+                raise ProblemError("Box", "bounds over time", "one bound of each side")
+            return NoLevels(np.zeros(0), np.zeros(0), Box(box.lower.item(), box.upper.item()))
     if values.ndim != 1 or len(values) < 2:
         got = f"shape {values.shape}" if values.ndim != 1 else plural(len(values), "level")
         raise ProblemError(field, got, "at least two levels", "A single value is a Point.")
@@ -313,23 +388,26 @@ class SwitchedDynamics(Dynamics, words="LinearDynamics with levels"):
 
     @property
     def choices(self) -> Array:
-        """Return the points of the control set."""
+        """Return the points of the control set, (modes, m); not a number for a control without levels."""
         return self.points
 
     @property
     def standard_form(self) -> PiecewiseAffineDynamics:
-        """Return the modes, whose regions are u <= point, -u <= -point."""
+        """Return the modes, whose regions are u <= point, -u <= -point, for controls with levels."""
         return self._modes
 
     @cached_property
     def _modes(self) -> PiecewiseAffineDynamics:
         A, B, d = self.dynamics.A, self.dynamics.B, self.dynamics.offset
-        sides = np.vstack([np.eye(self.control_dim), -np.eye(self.control_dim)])
+        at_levels = ~np.isnan(self.points[0])
+        sides = np.vstack([np.eye(self.control_dim)[at_levels], -np.eye(self.control_dim)[at_levels]])
         # of all digits: they differ
-        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.points]
-        names = [f"u = {text}" if self.control_dim == 1 else f"u = ({text})" for text in numbers]
-        choices = zip(self.points, names, strict=True)
-        modes = [AffineMode(A, B, d, H=sides, h=sides @ point, name=name) for point, name in choices]
+        numbers = [", ".join(f"{value:.17g}" for value in point) for point in self.points[:, at_levels]]
+        short = [short_name(self.control_names[j]) for j in np.flatnonzero(at_levels)]
+        named = "u" if at_levels.all() else ", ".join(short)
+        names = [f"{named} = {text}" if at_levels.sum() == 1 else f"{named} = ({text})" for text in numbers]
+        choices = zip(self.points[:, at_levels], names, strict=True)
+        modes = [AffineMode(A, B, d, H=sides, h=np.append(point, -point), name=name) for point, name in choices]
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
     def require_sets(self, sets: StageSets) -> None:

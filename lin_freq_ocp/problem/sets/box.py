@@ -293,10 +293,11 @@ def end_within(end: Box, bounds: Box) -> tuple[Box, Mask]:
 
 
 def fix_values(given: SetOrSets, values: Array | None) -> SetOrSets:
-    """Return a set, for all times, whose bounds are the values (times, n); without values, the given set."""
+    """Return a set whose bounds are the values (times, n), where they are numbers; without values, the given set."""
     if values is None:
         return given
-    return given & Box(values, values) if isinstance(given, ConvexSet) else Box(values, values)
+    box = Box(*(np.where(np.isnan(values), absent, values) for absent in (-np.inf, np.inf)))
+    return given & box if isinstance(given, ConvexSet) else box
 
 
 def box_of(convex_set: ConvexSet) -> Box:

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -32,7 +34,7 @@ class FixedModes(Reduced):
         if choices is None:
             yield reduced
             return
-        controls = choices[self.sequence]
+        controls = np.where(np.isnan(choices[self.sequence]), reduced.u, choices[self.sequence])
         yield simulate(self.given, controls, start.project(reduced.x[0]))
         if not start.fixed.all():
             yield Trajectory(reduced.x, controls)

@@ -39,6 +39,13 @@ def problem(control_set, dynamics=LINEAR, **further) -> lfo.OptimalControlProble
         (([0.0, 1.0], [1.0, -1.0]), "FiniteSet.costs: got -1"),
         (([0.0, 1.0, 2.0], [0.0, 2.0, 1.0]), "FiniteSet.costs: got 2 for the level 1, 1.5 above"),
         (([0.0, 1.0], None, 3), "FiniteSet.duty_cycles"),
+        (([None, None],), "FiniteSet.levels: got no levels; expected levels of one component"),
+        (([None, [0.0, 1.0]], [[1.0], [0.0, 1.0]]), r"FiniteSet.costs\[0\]: .*expected none"),
+        (([lfo.Box([0, 0], 1), [0.0, 1.0]],), r"FiniteSet.levels\[0\]: got bounds for 2 components"),
+        (([{"lowest": 1}, [0.0, 1.0]],), r"FiniteSet.levels\[0\].lowest: got an unknown key"),
+        (({},), "FiniteSet.levels: got none"),
+        (({"valve": [0.0]},), r"FiniteSet.levels\['valve'\]: got 1 level"),
+        (({"valve": [0.0, 1.0]}, {"valv": [0.0, 1.0]}), "FiniteSet.costs.valv: got an unknown key"),
     ],
 )
 def test_bad_input_names_the_field(given, field):
@@ -100,6 +107,37 @@ def test_a_problem_keeps_what_was_given_and_has_a_mode_for_each_level():
     assert given.form.choices[sequence].tolist() == [[-1, 0], [-1, 2], [1, 5], [-1, 5]]
 
 
+PUMP_AND_VALVE = lfo.LinearDynamics([[1.0]], [[1.0, 2.0]], control_names="pump, valve [turns]")
+
+
+def test_a_control_without_levels_next_to_one_with_levels_has_bounds_and_no_modes():
+    given = problem(lfo.FiniteSet([lfo.Box(0, 3), [2, 0, 5]]), PUMP_AND_VALVE, state_set=lfo.Box(-99, 99))
+    assert given.mode_names == ("valve = 0", "valve = 2", "valve = 5")
+    assert given.control_tube.bounds[0][0].tolist() == [0, 0]
+    assert given.control_tube.bounds[1][0].tolist() == [3, 5]
+    assert np.array_equal(given.form.choices, [[np.nan, 0], [np.nan, 2], [np.nan, 5]], equal_nan=True)
+    assert given.level_sizes.tolist() == [0, 5]
+    assert dict(problem_facts(given))["levels"] == "pump from 0 to 3; valve in (0, 2, 5); 3 modes"
+
+
+def test_levels_by_name_are_those_of_components():
+    named = lfo.FiniteSet({"valve": [0, 1, 2], "pump": lfo.Box(0, 3)}, costs={"valve": [0, 1, 2]})
+    given = problem(named, PUMP_AND_VALVE, state_set=lfo.Box(-99, 99)).control_set
+    assert (given.levels[1], given.costs) == ([0, 1, 2], [[], [0, 1, 2]])
+    assert given.levels[0].upper == 3
+    assert named.describe(["pump", "valve"], "u") == "pump from 0 to 3; valve in (0, 1, 2) at the costs (0, 1, 2)"
+    unnamed = problem(lfo.FiniteSet({"valve": [0, 1]}, duty_cycles=True), PUMP_AND_VALVE)
+    assert unnamed.control_tube.upper[0].tolist() == [np.inf, 1]
+    for wrong, text in (
+        ({"valv": [0, 1]}, "Did you mean 'valve'"),
+        ({"valve": [0, 1], "valve [turns]": [0, 1]}, "once"),
+    ):
+        with pytest.raises(ProblemError, match=text):
+            problem(lfo.FiniteSet(wrong), PUMP_AND_VALVE)
+    with pytest.raises(ProblemError, match="levels by name of 'valve'"):
+        lfo.FiniteSet({"valve": [0, 1]}).points(1)
+
+
 def test_a_rate_limit_keeps_the_levels():
     given = lfo.rate_limited(problem(lfo.FiniteSet([0, 1, 2]), state_set=lfo.Box(-9, 9)), 1.0)
     assert len(given.mode_names) == 3
@@ -124,3 +162,12 @@ def test_levels_cannot_be_soft():
     for duty_cycles in (False, True):
         with pytest.raises(ProblemError, match=r"Soft: got FiniteSet.*expected a Box"):
             lfo.sets.Soft(lfo.FiniteSet([-1, 0, 1], [1, 0, 1], duty_cycles), 2.0)
+
+
+@pytest.mark.parametrize("entry", [None, lfo.Box(0, 3), lfo.Box(None, 3)])
+def test_a_file_keeps_a_control_without_levels(tmp_path, entry):
+    given = problem(lfo.FiniteSet([entry, [0, 1, 2]], [None, [0, 1, 2]], duty_cycles=True), PUMP_AND_VALVE)
+    lfo.write_problem(given, tmp_path / "tanks.toml")
+    read = lfo.read_problem(tmp_path / "tanks.toml").control_set
+    assert (read.levels[1], read.costs, read.duty_cycles) == ([0, 1, 2], [[], [0, 1, 2]], True)
+    assert np.array_equal(read.bounds, given.control_set.bounds)

@@ -265,3 +265,48 @@ def test_costs_of_states_and_controls_are_no_multiples():
         assert cost_unit(replace(problem, **change))[0] == 0.0
     soft = replace(problem, state_set=lfo.sets.Soft(lfo.Box([-9, -9], [9, 9]), 1.0))
     assert cost_unit(soft)[0] == 0.0
+
+
+def tanks(unit=1.0, **further) -> lfo.OptimalControlProblem:
+    """Return two tanks with a pump into the upper and a valve with three positions out of the lower one."""
+    dynamics = lfo.LinearDynamics(
+        [[0.9, 0.0], [0.1, 0.95]], np.diag([0.1, -0.05]) / unit, state_names="upper, lower", control_names="pump, valve"
+    )
+    cost = lfo.QuadraticCost(Q={"lower": 1.0}, R={"pump": 0.1 / unit**2}, x_ref={"lower": 0.5})
+    levels = lfo.FiniteSet({"pump": lfo.Box(0, 3 * unit), "valve": [0, unit, 2 * unit]})
+    fields = {"cost": cost, "control_set": levels, "initial_state": [0.1, 0.9], "state_set": lfo.Box(0, 2)}
+    return lfo.OptimalControlProblem(dynamics, 3, **(fields | further))
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_control_next_to_one_with_levels_is_optimal_over_all_sequences_of_levels(unit):
+    problem = tanks(unit, terminal_state=lfo.Box({"upper": (0.15, None), "lower": (None, 0.75)}))
+    result = lfo.solve(problem)
+    linear = [lfo.solve(problem.with_modes(sequence), throw=False) for sequence in product(range(3), repeat=3)]
+    least = min(one.cost for one in linear if one.status == "optimal")
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(least, rel=1e-5)
+    assert set(result["valve"] / unit) <= {0, 1, 2}  # exactly
+    assert result["pump"].max() > 0.1 * unit
+    assert lfo.certify(problem, result.trajectory).feasible
+    between = lfo.Trajectory(result.trajectory.x, np.add(result.control, [0, 0.01 * unit]))
+    assert "S-f" in [condition.label for condition in lfo.certify(problem, between).failed]
+
+
+def test_duty_cycles_leave_a_control_without_levels_free():
+    costs = {"valve": [0.0, 0.1, 0.2]}
+    hull = lfo.FiniteSet({"valve": [0, 1, 2]}, costs, duty_cycles=True)
+    box = lfo.Box({"valve": (0, 2)})
+    priced = tanks(control_set=box, cost=tanks().cost + lfo.costs.L1Cost(u={"valve": 0.1}))
+    assert lfo.solve(tanks(control_set=hull)).cost == pytest.approx(lfo.solve(priced).cost, rel=1e-7)
+    sparse = lfo.solve(
+        tanks(control_set=hull, cost=lfo.QuadraticCost(), terminal_state=lfo.Box({"lower": (None, 0.7)}))
+    )
+    assert (sparse.status, sparse.level_use) == ("optimal", None)  # nothing is known of how few samples lie between
+
+
+def test_a_filter_leaves_a_control_without_stopped_bins_at_its_levels():
+    comparison = lfo.compare(tanks(control_spectrum=lfo.stop_band(bins=[2], component="pump")), filters=["brickwall"])
+    replay = comparison.filtered[0].replay
+    assert set(replay.trajectory.u[:, 1]) <= {0, 1, 2}
+    assert not replay.between_levels

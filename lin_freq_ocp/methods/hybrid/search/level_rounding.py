@@ -247,9 +247,11 @@ class LevelRounding:
 
 
 def level_rounding(problem: OptimalControlProblem) -> LevelRounding | None:
-    """Return the rounding of a problem with levels; None without levels, or if its response takes too much memory."""
+    """Return the rounding of a problem with levels of all controls; None of others, or if it takes too much memory."""
     levels, choices, T, m = problem.form.levels, problem.form.choices, problem.horizon, problem.control_dim
-    if levels is None or choices is None or ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
+    if levels is None or choices is None or np.isnan(choices).any():
+        return None
+    if ((T + 1) * problem.state_dim + T * m) * T * m > MOST_RESPONSE_ENTRIES:
         return None
     return LevelRounding(problem, levels, choices)
 
