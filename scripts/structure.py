@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_904,
-    "code lines": 42_064,
-    "code lines, linear part": 21_321,
+    "shipped lines": 45_040,
+    "code lines": 42_200,
+    "code lines, linear part": 21_370,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
-    "files": 310,
+    "files": 311,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,

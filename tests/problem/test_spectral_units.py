@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.signal import get_window, periodogram
 
 import lin_freq_ocp as lfo
+from helpers.schemas import PROBLEM
+from helpers.schemas import faults as faults_of_schema
+from lin_freq_ocp.comparison.trajectories import controls_of
+from lin_freq_ocp.files import result_summary
+from lin_freq_ocp.loop.step_problem import excess
+from lin_freq_ocp.pages import answer_data, comparison_rows, faults, held_panels, result_data, spectra_figure
+from lin_freq_ocp.transform import translation_of
+from lin_freq_ocp.transform.limits import limits
 
 N, STEP, HZ = 20, 1e-3, 50.0  # one period of 50 Hz: order k is bin k
 T = np.arange(N)
@@ -130,11 +140,27 @@ def test_a_band_shows_its_value_nearest_to_the_limit():
     assert "bin 5 of i, in a window" in [reading.label for reading in lfo.solve(problem(window)).readings]
 
 
-def test_a_repair_is_in_the_unit_of_the_limit():
-    fixed = replace(problem(Mask(amplitude=0.5, bins=[0, 5])), control_set=lfo.sets.Point([1.0]))
-    (cure,) = (cure for cure in lfo.explain(fixed).cures if "mask" in cure.block)
-    assert cure.words.startswith("limit 0.5 A -> 1.00")
-    assert cure.words.endswith(" A")
+@pytest.mark.parametrize(
+    ("bound", "amount", "words"),
+    [
+        (Mask(amplitude=0.5, bins=[0, 5]), 0.25, "limit 0.5 A -> 0.75 A"),
+        (Mask(density=4.0, bins=[5]), 1.0, "limit 4 A²/Hz -> 9 A²/Hz"),
+        (Mask(db=0.0, reference=2.0, bins=[5]), 9.0, "limit 0 dB re 2 A -> 20 dB re 2 A"),
+        (
+            Mask(percent=[3, 4], of="fundamental", phase=0, bins=[5, 7], fundamental_hz=HZ),
+            1.0,
+            "limit 4 % of fundamental",
+        ),
+        (Mask([3.0, 4.0], bins=[5, 7]), 1.0, "limit 4 -> 5"),
+        (Energy(4.0, bins=[5, 7]), 1.0, "limit 4 -> 9"),
+    ],
+)
+def test_a_repair_is_in_the_unit_of_the_limit(bound, amount, words):
+    given = problem(bound)
+    (limit,) = (limit for limit in limits(given) if limit.field == "control_spectrum" and limit.constrains)
+    relaxed = limit.relaxed(given, amount)
+    assert limit.words(relaxed, amount, np.zeros(0)).startswith(words)
+    assert relaxed.control_spectrum[0].highest == pytest.approx(bound.highest + amount)
 
 
 def test_a_record_without_whole_periods_is_told_which_would_do():
@@ -224,3 +250,137 @@ def test_what_a_problem_lacks_is_named():
     with pytest.raises(lfo.errors.ProblemError, match="a window has no fundamental"):
         lfo.spectrum.Spectrogram(part, length=10)
     assert part.softened(2.0) is part
+
+
+def test_comparisons_and_figures_are_in_the_unit_of_the_limit():
+    bound = Mask(harmonics={5: 0.25, 7: 0.5}, fundamental_hz=HZ)
+    comparison = lfo.compare(problem(bound), filters=[])
+    groups = {group.title: group for group in comparison_rows(comparison).groups}
+    rows = groups["Limited spectra"].rows
+    assert [(row.label, row.unit) for row in rows] == [
+        ("5th harmonic of i", "A, limit 0.2500"),
+        ("7th harmonic of i", "A, limit 0.5000"),
+    ]
+    assert [(cell.text, cell.passed) for cell in rows[0].cells] == [("1.000", False), ("0.2500", True)]
+    assert "Violates other constraints by" not in groups
+    without = comparison.trajectories[0]
+    (fault,) = (fault for fault in faults(without, comparison) if "mask" in fault)
+    assert fault == "violates mask on i (5th harmonic of i: 1 of 0.25 A)"
+
+
+AXES = {
+    "amplitude": (Mask(amplitude=0.3, bins=[0, 5]), "amplitude of i [A]", [[0.3], [0.3]]),
+    "density": (Mask(density=0.02, bins=[5]), "power spectral density of i [A²/Hz]", [[0.02]]),
+    "db": (Mask(db=-20, reference=2.0, bins=[5]), "amplitude of i [dB re 2 A]", [[0.1]]),
+    "sums": (Mask(2.0, bins=[5]), "|DFT of i| [A]", [[2.0]]),
+    "two units": ([Mask(2.0, bins=[5]), Mask(rms=2.0, bins=[7])], "|DFT of i| [A]", [[2.0], [2.0 * N / 2**0.5]]),
+    "part": (Mask(percent={5: 9}, of="fundamental", phase=0, fundamental_hz=HZ), "amplitude of i [A]", []),
+    "every frequency": (Mask(rms=0.3, band=HIGH, every_frequency=True), "RMS value of i [A RMS]", [[0.3, 0.3]]),
+}
+
+
+@pytest.mark.parametrize("case", AXES)
+def test_the_axis_of_a_spectrum_has_the_unit_of_its_limits(case):
+    bound, label, limits = AXES[case]
+    (signal,) = controls_of(problem(bound))
+    assert signal.axis.label == label
+    levels = [line.values.tolist() for line in signal.levels]
+    assert levels == [pytest.approx(limit, rel=1e-12) for limit in limits]
+    sums = np.array([N * 0.3 * (0.5 if case == "every frequency" else 1.0), N / 2 * 0.3])
+    drawn = {"density": 0.09 * N * STEP / 2, "db": 0.15, "every frequency": 0.3 / 2**0.5}.get(case, 0.3)
+    if "|DFT" not in label:
+        shown = signal.axis.of_sums(np.array([0.0, 0.3]), sums)
+        assert shown[1] == pytest.approx(drawn, rel=1e-12)
+        assert shown[0] == pytest.approx(drawn * (2 if case == "density" else 1), rel=1e-12)
+
+
+def test_the_tables_of_the_standards_are_rms_values_by_order():
+    class_a = lfo.spectrum.iec_61000_3_2_class_a(orders=[3, 2, 5, 15, 40, 39, 8])
+    assert class_a.quantity.keyword == "rms"
+    assert class_a.limit.tolist() == pytest.approx([1.08, 2.30, 1.14, 0.23, 0.15, 0.15 * 15 / 39, 0.23 * 8 / 40])
+    assert len(lfo.spectrum.iec_61000_3_2_class_a().limit) == 39
+    for ratio, low, total in ((19.9, 4.0, 5.0), (20, 7.0, 8.0), (999, 12.0, 15.0), (1000, 15.0, 20.0)):
+        each, demand = lfo.spectrum.ieee_519(200.0, ratio, orders=[5, 4])
+        assert each.limit.tolist() == pytest.approx([2 * low / 4, 2 * low])
+        assert demand.limit == pytest.approx(2 * total)
+    each, _ = lfo.spectrum.ieee_519(100.0, 30, orders=[9, 11, 16, 17, 23, 35, 50], component=0)
+    assert each.limit.tolist() == pytest.approx([7.0, 3.5, 3.5 / 4, 2.5, 1.0, 0.5, 0.5 / 4])
+    assert (each.component, each.fundamental_hz) == (0, 60.0)
+    for make in (
+        lambda: lfo.spectrum.iec_61000_3_2_class_a(orders=[1, 3]),
+        lambda: lfo.spectrum.ieee_519(1, 1, 60, [51]),
+    ):
+        with pytest.raises(lfo.errors.ProblemError, match="orders from 2 to"):
+            make()
+
+
+FILES = {
+    "harmonics": Mask(rms={7: 0.1, 5: 0.3}, fundamental_hz=HZ, component="i"),
+    "points in decibels": Mask(
+        db=[[100.0, -3.0], [500.0, -40.0]], reference=0.3, band=lfo.low_pass(cutoff_hz=80), penalty=2.0
+    ),
+    "a part": Mask(percent=[3.0, 4.0], bins=[5, 7], of="fundamental", phase=-0.5, fundamental_hz=HZ),
+    "a density": Mask(density=1 / 3, band=HIGH, every_frequency=True),
+    "a demand": Energy(percent=5.0, of=3.0, harmonics=range(2, 10), fundamental_hz=HZ),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_file_keeps_what_was_stated(case, tmp_path):
+    given, path = FILES[case], tmp_path / "problem.toml"
+    lfo.write_problem(problem(given), path)
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert faults_of_schema(PROBLEM, tables) == []
+    (table,) = tables["control_spectrum"]
+    assert given.quantity.keyword in table
+    again = lfo.read_problem(path)
+    (read,) = again.control_spectrum
+    assert (read.quantity, read.band, read.fundamental_hz) == (given.quantity, given.band, given.fundamental_hz)
+    np.testing.assert_array_equal(read.limit, given.limit)
+    assert again.terms[0].name == problem(given).terms[0].name
+
+
+def test_a_file_states_limits_by_order(tmp_path):
+    path = tmp_path / "problem.toml"
+    lfo.write_problem(problem(None), path)
+    tables = {"kind": "magnitude_bound", "harmonics": {"7": 0.4, "5": 0.25}, "fundamental_hz": 50}
+    read = lfo.read_problem(path, {"control_spectrum": tables}).control_spectrum
+    assert (read.band.orders, read.limit.tolist()) == ([5, 7], [0.25, 0.4])
+
+
+def test_pages_draw_values_in_the_unit_of_the_limit():
+    result = lfo.solve(problem(Mask(amplitude=[0.25, 0.5], bins=[5, 7])))
+    data = result_data(result)
+    (ax,) = spectra_figure(data, data.controls).axes
+    drawn = np.concatenate([np.column_stack(line.get_data()) for line in ax.lines])
+    at_order_5 = drawn[np.isclose(drawn[:, 0], 250)]
+    assert (ax.get_ylabel(), np.unique(at_order_5[:, 1].round(6)).tolist()) == ("amplitude of i [A]", [0.25])
+    shown = answer_data(result)
+    (spectrum,) = shown["frame"]["spectra"]
+    assert spectrum["label"] == "amplitude of i [A]"
+    assert [limit["values"] for limit in spectrum["limits"]] == [[0.25], [0.5]]
+    assert shown["trajectory"]["spectra"][0][5:8:2] == pytest.approx([0.25, 0.5], rel=1e-4)
+    readings = result_summary(result)["spectra"]
+    assert [(one["label"], one["unit"], one["limit"]) for one in readings] == [
+        ("bin 5 of i", "A", 0.25),
+        ("bin 7 of i", "A", 0.5),
+    ]
+
+
+def test_a_held_spectrum_is_drawn_in_the_unit_of_its_limit():
+    held = problem(Mask(rms=0.2, band=lfo.low_pass(cutoff_hz=200), every_frequency=True, hold=True))
+    (panel,) = held_panels(result_data(replace(lfo.solve(problem(None)), problem=held)))  # its control is WANTED
+    ax = Figure().add_subplot()
+    panel(ax)
+    assert ax.get_ylabel() == "RMS value of i [A RMS]"
+    drawn, limit = (np.column_stack(line.get_data()) for line in ax.lines[:2])
+    assert limit[:, 1] == pytest.approx([0.2, 0.2])
+    nearest = drawn[np.abs(drawn[:, 0] - 250).argmin(), 1]
+    assert nearest == pytest.approx(np.sinc(0.25) / np.sqrt(2), rel=0.05)  # between two bins
+
+
+def test_an_excess_of_a_loop_is_in_the_unit_of_the_limit():
+    soft = problem(Mask(amplitude=0.1, bins=[0, 5], penalty=2.0))
+    moved = translation_of(soft)
+    plan = lfo.Trajectory(np.zeros((N + 1, 1)), WANTED[:, None] + 0.3)
+    assert excess(moved, plan) == {"mask on i [A]": pytest.approx(0.2 + 0.9)}

@@ -75,7 +75,8 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         columns.append(None)
         labels.append(comparison.constrained_label)
     controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
-    only_rows = all(term.kind.is_rows for term in hard)
+    unread = [i for i, term in enumerate(hard) if term.statement is None]  # the limits of others have rows of their own
+    only_rows = all(hard[i].kind.is_rows for i in unread)
     of_terms = "Violates the joint rows by" if only_rows else "Violates other constraints by"
     groups = [
         _group("", ["cost"], columns, lambda line, _: _measured_cell(line, line.measures.cost, digits=COST_DIGITS)),
@@ -87,7 +88,8 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         ),
         _violation_group("Violates the control bounds by", problem.control_names, columns, lambda line: line.controls),
         _violation_group("Violates the state bounds by", problem.state_names, columns, lambda line: line.states),
-        _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms),
+        _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms, unread),
+        _reading_group(columns),
         _violation_group("Misses the end state by", problem.state_names, columns, lambda line: line.end),
         _stop_band_group(problem, columns, of_states=False),
         _stop_band_group(problem, columns, of_states=True),
@@ -124,9 +126,13 @@ def _measured_cell(
 
 
 def _violation_group(
-    title: str, names: Sequence[str], columns: Columns, violation: Callable[[MeasuredTrajectory], Violation | None]
+    title: str,
+    names: Sequence[str],
+    columns: Columns,
+    violation: Callable[[MeasuredTrajectory], Violation | None],
+    shown: Sequence[int] | None = None,
 ) -> Group:
-    """Return one row per component that has a bound."""
+    """Return one row per component that has a bound, of those ``shown``."""
 
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         measured = violation(trajectory)
@@ -136,7 +142,22 @@ def _violation_group(
 
     violations = [violation(trajectory) for trajectory in columns if trajectory is not None]
     bounded = np.any([measured.bounded for measured in violations if measured is not None], axis=0)
-    return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
+    rows = map(int, np.flatnonzero(bounded))
+    return _group(title, names, columns, cell, rows if shown is None else [i for i in rows if i in shown])
+
+
+def _reading_group(columns: Columns) -> Group:
+    """Return a row for each limited harmonic, bin or band, with its limit."""
+    read = [{} if line is None else line.limited_spectra for line in columns]
+    rows = list[Row]()
+    for label, (reading, _) in max(read, key=len, default={}).items():
+        cells = [TableCell(NOTHING if line is None else NOT_MEANINGFUL) for line in columns]
+        for k, found in enumerate(read):
+            if label in found:
+                cells[k] = TableCell(align(found[label][0].value), found[label][1])
+        unit = f"{reading.unit}, limit {align(reading.limit)}".lstrip(", ")
+        rows.append(Row(label, unit, tuple(cells)))
+    return Group("Limited spectra", tuple(rows))
 
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:

@@ -207,7 +207,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
     @property
     def _band_in_names(self) -> str:
         """Return the band, if the names of terms show it; those of limits on sums are numbered."""
-        return "" if self.quantity.is_sum else self.band.removed.removeprefix("the bins ")
+        return "" if self.quantity.is_sum else self.band.removed.replace("the bins", "frequencies")
 
     @property
     def where(self) -> str:

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import join_words
 from lin_freq_ocp.problem.spectrum.bands import BIN_TOLERANCE, Band
 from lin_freq_ocp.problem.spectrum.harmonics import Harmonics
-from lin_freq_ocp.problem.terms.quantity import OWN_FUNDAMENTAL, Quantity
+from lin_freq_ocp.problem.terms.quantity import IN_DECIBELS, OWN_FUNDAMENTAL, Quantity
 from lin_freq_ocp.problem.terms.semi_infinite import Limits, limits_on
 
 ByOrder = Mapping[int, float]  # limits by the orders of harmonics
@@ -22,7 +22,6 @@ Limit = ArrayLike | Callable[[Array], ArrayLike]
 Stated = Limit | ByOrder | None
 Reference = float | Literal["fundamental"] | None
 SAMPLES = 64  # of a function on an interval, or between two points of a limit that is not linear
-IN_DECIBELS = "db", "limit_db"
 NO_ZERO = (
     "Only the signal 0 has a spectrum that vanishes on an interval. State a level above zero, or remove "
     "the bins of the horizon by the band itself."

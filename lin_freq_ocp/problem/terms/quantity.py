@@ -26,6 +26,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number, split_unit
 
 OWN_FUNDAMENTAL = "fundamental"
+IN_DECIBELS = "db", "limit_db"
 SQUARED = "\N{SUPERSCRIPT TWO}"
 
 
@@ -102,14 +103,14 @@ class Quantity:
 
     def level(self, stated: Array) -> Array:
         """Return the levels of stated limits."""
-        if self.keyword in ("db", "limit_db"):
+        if self.keyword in IN_DECIBELS:
             with np.errstate(over="ignore"):  # an infinite limit is none
                 return np.asarray(10 ** (stated / 20))
         return np.sqrt(stated) if self.keyword in ("density", "energy") else stated
 
     def stated(self, level: Array) -> Array:
         """Return levels in the unit in which limits are stated."""
-        if self.keyword in ("db", "limit_db"):
+        if self.keyword in IN_DECIBELS:
             with np.errstate(divide="ignore"):  # minus infinity for 0
                 return 20 * np.log10(level)
         return level**2 if self.keyword in ("density", "energy") else level

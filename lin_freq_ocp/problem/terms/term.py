@@ -115,6 +115,8 @@ class Term:
             return
         if constraint is not None:
             at, ratios = peaks_above(constraint, x, u, 0.0)
+            if not len(at):  # the signal is zero
+                at, ratios = constraint.first_points()[:1], np.zeros(1)
             levels = constraint.limit_at(at) / self.per_limit
             yield from statement.readings(ratios * levels, levels, at)
             return
