@@ -122,6 +122,9 @@ def test_a_part_of_the_fundamental_is_one_of_its_component_with_that_phase(phase
     u = 2 / N * np.fft.rfft(total.control[:, 0])
     assert np.linalg.norm(u[2:10]) == pytest.approx(0.15 * (u[1] * np.exp(-1j * phase)).real, rel=1e-6)
     assert result.status == total.status == "optimal"
+    for control, value in ((np.zeros((N, 1)), 0.0), (-result.control, np.inf)):  # no fundamental, and an opposite one
+        (reading, _) = (one for term in result.problem.terms for one in term.readings(np.zeros((N + 1, 1)), control))
+        assert reading.value == value
 
 
 def test_a_price_is_per_unit_of_the_limit():
@@ -180,6 +183,12 @@ BAD = {
     "text": ({"density": "1 A"}, "MagnitudeBound.density", "no units"),
     "percent of nothing": ({"percent": 2}, "MagnitudeBound.of", "a value with percent"),
     "percent of zero": ({"percent": 2, "of": 0}, "MagnitudeBound.of", "above zero"),
+    "percent of numbers": ({"percent": 2, "of": np.ones(2)}, "MagnitudeBound.of", "one number"),
+    "a fundamental below zero": (
+        {"percent": 2, "of": "fundamental", "phase": 0, "fundamental_hz": -50.0},
+        "MagnitudeBound.fundamental_hz",
+        "above zero",
+    ),
     "percent of a name": ({"percent": 2, "of": "i"}, "MagnitudeBound.of", "or 'fundamental'"),
     "an idle of": ({"rms": 2, "of": 3}, "MagnitudeBound.of", "only with it"),
     "no phase": ({"percent": 2, "of": "fundamental", "fundamental_hz": HZ}, "MagnitudeBound.phase", "is not convex"),

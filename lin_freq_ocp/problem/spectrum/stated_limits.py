@@ -69,6 +69,7 @@ def stated_limit(
     if needed != (fundamental_hz is not None):
         expected = "Hz, such as 50" if needed else "None without harmonics and without of='fundamental'"
         raise ProblemError(f"{kind}.fundamental_hz", brief(fundamental_hz), expected)
+    fundamental = 0.0 if fundamental_hz is None else positive_number(f"{kind}.fundamental_hz", fundamental_hz)
     if orders is not None:
         listed = list(orders) if isinstance(orders, Iterable) else [orders]
         whole = all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) and k >= 1 for k in listed)
@@ -79,26 +80,26 @@ def stated_limit(
         if limit.shape not in ((), (len(listed),)):
             raise ProblemError(field, f"shape {limit.shape}", f"one number, or {len(listed)}: one per harmonic")
         value = limit[np.argsort(listed)] if limit.ndim else limit
-        fundamental = positive_number(f"{kind}.fundamental_hz", fundamental_hz)
         band = Harmonics("harmonics", tuple(sorted(map(float, listed))), "harmonics", fundamental_hz=fundamental)
     return StatedLimit(field, quantity, value, band)
 
 
 def _quantity(kind: str, keyword: str, of: Reference, phase: float | None, reference: float | None) -> Quantity:
     """Return the unit of a limit; the arguments that it refers to are there, and only these."""
-    uses = {"of": keyword == "percent", "reference": keyword in IN_DECIBELS, "phase": of == OWN_FUNDAMENTAL}
+    own = isinstance(of, str)
+    if own and of != OWN_FUNDAMENTAL:
+        raise ProblemError(f"{kind}.of", brief(of), "an amplitude as a number, or 'fundamental'")
+    uses = {"of": keyword == "percent", "reference": keyword in IN_DECIBELS, "phase": own}
     given, keys = {"of": of, "reference": reference, "phase": phase}, {"of": "percent", "phase": "of='fundamental'"}
     for name, used in uses.items():
         if used != (given[name] is not None):
             expected = f"a value with {keys.get(name, ' or '.join(IN_DECIBELS))}, and only with it"
             raise ProblemError(f"{kind}.{name}", brief(given[name]), expected, NO_PHASE * (name == "phase" and used))
-    if of == OWN_FUNDAMENTAL:
+    if own:
         angle = real_array(f"{kind}.phase", phase)
         if angle.ndim:
             raise ProblemError(f"{kind}.phase", brief(phase), "one number, in radians")
         return Quantity(keyword, OWN_FUNDAMENTAL, float(angle))
-    if isinstance(of, str):
-        raise ProblemError(f"{kind}.of", brief(of), "an amplitude as a number, or 'fundamental'")
     number = next((positive_number(f"{kind}.{name}", given[name]) for name in ("of", "reference") if uses[name]), 1.0)
     return Quantity(keyword, number)
 

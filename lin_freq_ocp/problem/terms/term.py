@@ -124,8 +124,12 @@ class Term:
         first = values[:, :1] if statement.relative else np.zeros((len(values), 0))
         sizes = np.linalg.norm(values[:, first.shape[1] :], axis=1)
         levels = np.broadcast_to(statement.levels, sizes.shape)
-        sizes = sizes / self.per_limit if not statement.relative else levels * sizes / first[:, 0]
-        yield from statement.readings(sizes, levels, self.map.frequencies)
+        if statement.relative:
+            share = np.where(sizes > 0, np.inf, 0.0)
+            np.divide(sizes, first[:, 0], out=share, where=first[:, 0] > 0)
+            yield from statement.readings(levels * share, levels, self.map.frequencies)
+        else:
+            yield from statement.readings(sizes / self.per_limit, levels, self.map.frequencies)
 
     def violation(self, x: Array, u: Array) -> Array:
         """Return the violation of the hard part, zero or above, (groups, dim) or (groups, 1)."""
