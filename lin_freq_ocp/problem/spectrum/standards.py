@@ -46,6 +46,11 @@ def iec_61000_3_2_class_a(
     MagnitudeBound
         On RMS values.
 
+    Raises
+    ------
+    ProblemError
+        If an order is not in the table.
+
     References
     ----------
     IEC 61000-3-2:2018, Table 1.
@@ -82,6 +87,11 @@ def ieee_519(
     -------
     list of MagnitudeBound and EnergyBound
         On the RMS value of each order, and on that of all of them: the total demand distortion.
+
+    Raises
+    ------
+    ProblemError
+        If a current or ratio is not above zero, or an order is not in the table.
 
     References
     ----------
