@@ -74,7 +74,7 @@ COSTS = {
 }
 
 MASKS = {
-    "no limit": (lambda: mask(), "MagnitudeBound.limit", "no limit", "exactly one of limit, limit_db, amplitude"),
+    "no limit": (lambda: mask(), "MagnitudeBound.limit", "no limit", "exactly one of amplitude, rms, percent"),
     "two limits": (
         lambda: mask(1, limit_db=0, reference=1),
         "MagnitudeBound.limit",
@@ -160,7 +160,7 @@ SPECTROGRAMS = {
 ENERGIES_AND_EQUATIONS = {
     "negative": (lambda: Energy(-1, bins=[1]), "EnergyBound.limit", "-1", "zero or above"),
     "energies": (lambda: Energy([1, 2], bins=[1]), "EnergyBound.limit", "[1, 2]", "one number"),
-    "no energy": (lambda: Energy(None, bins=[1]), "EnergyBound.limit", "no limit", "exactly one of limit, rms"),
+    "no energy": (lambda: Energy(None, bins=[1]), "EnergyBound.limit", "no limit", "exactly one of rms, amplitude"),
     "infinite": (lambda: Energy(np.inf, bins=[1]), "EnergyBound.limit", "inf", "finite"),
     "no place": (lambda: Energy(1), "EnergyBound", "neither of bins and band", "exactly one of them"),
     "window": (lambda: Energy(1, bins=[1], window="magic"), "EnergyBound.window", "'magic'", "scipy.signal"),

@@ -154,8 +154,8 @@ class MagnitudeBound(SpectrumBound):
     ):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
-        limits = {"limit": limit, "limit_db": limit_db, "amplitude": amplitude, "rms": rms, "percent": percent}
-        limits |= {"density": density, "db": db}
+        limits = {"amplitude": amplitude, "rms": rms, "percent": percent, "density": density, "db": db}
+        limits |= {"limit": limit, "limit_db": limit_db}
         stated = stated_limit("MagnitudeBound", limits, harmonics, fundamental_hz, of, phase, reference)
         for name, flag in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
             require_bool(f"MagnitudeBound.{name}", flag)
@@ -298,7 +298,7 @@ class EnergyBound(SpectrumBound):
         window: str | ArrayLike | None = None,
         oversampling: int = 1,
     ):
-        limits = {"limit": limit, "rms": rms, "amplitude": amplitude, "percent": percent}
+        limits = {"rms": rms, "amplitude": amplitude, "percent": percent, "limit": limit}
         stated = stated_limit("EnergyBound", limits, harmonics, fundamental_hz, of, phase)
         energy = real_array(stated.field, stated.value)
         if energy.ndim or energy < 0:
