@@ -139,6 +139,14 @@ def test_a_band_shows_its_value_nearest_to_the_limit():
     (reading,) = result.readings
     assert str(reading).startswith("i, above 120 Hz: 0.1 of 0.1 A RMS at ")
     assert reading.place in (" at 250 Hz", " at 350 Hz")
+    (term,) = problem(Mask(amplitude=0.5, band=lfo.low_pass(cutoff_hz=200), every_frequency=True)).terms
+    (peak,) = term.readings(np.zeros((N + 1, 1)), WANTED[:, None])
+    w = np.linspace(2 * np.pi * 0.2, np.pi, 40001)
+    padded = 2 / N * np.abs(np.exp(-1j * np.outer(w, T)) @ WANTED)
+    assert peak.value == pytest.approx(padded.max(), rel=1e-6)
+    assert peak.place == f" at {w[padded.argmax()] / (2 * np.pi * STEP):.4g} Hz"
+    (rest,) = term.readings(np.zeros((N + 1, 1)), np.zeros((N, 1)))
+    assert (rest.value, rest.limit) == (0.0, 0.5)
     window = lfo.spectrum.Spectrogram(Mask(amplitude=0.2, bins=[5]), length=N, past=np.zeros(3))
     assert "bin 5 of i, in a window" in [reading.label for reading in lfo.solve(problem(window)).readings]
 

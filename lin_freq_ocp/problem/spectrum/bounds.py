@@ -181,10 +181,8 @@ class MagnitudeBound(SpectrumBound):
             yield from super().terms(signal, field, source)
             return
         window, penalty = self.samples(signal.length, field), float(weight_of(self.penalty))
-        sums, levels = (
-            self.quantity.sums(window, signal.sampling_time, field)[1],
-            limit_levels(self.limit, self.quantity),
-        )
+        sums = self.quantity.sums(window, signal.sampling_time, field)[1]
+        levels = limit_levels(self.limit, self.quantity)
         limits = limits_of_band(field, levels, self.band, signal.sampling_time, self.hold).scaled(sums)
         mask, values = (ZeroOrderHoldMask, ZeroOrderHoldMap) if self.hold else (MagnitudeMask, FrequencyMap)
         rows = list(signal.rows(field, self.component))
@@ -195,15 +193,15 @@ class MagnitudeBound(SpectrumBound):
         terms = self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
         for term, (name, _, _) in zip(terms, rows, strict=True):
             label = f"{short_name(name)}{' (held)' if self.hold else ''}, {self.where.removeprefix('the bins ')}"
-            shown = Statement(self.quantity, name, [label], np.zeros(()), signal.sampling_time)
+            shown = Statement(self.quantity, name, [label], np.zeros(()), signal.sampling_time, in_band=True)
             yield replace(term, per_limit=sums, statement=shown, band=self._band_in_names)
 
     def describe(self, names: Sequence[str]) -> str:
         known = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
         low, high = (number(float(limit)) for limit in (known.min(), known.max()))
         each = "a limit for each frequency" if self.limit.ndim == 2 else "a limit for each bin"
-        limit, words = low if low == high else f"{low} to {high} ({each})", self.quantity.kind.words
-        limit += "" if self.quantity.keyword == "limit" else f" {self.limit_unit(names)}".rstrip()
+        unit, words = "" if self.quantity.keyword == "limit" else f" {self.limit_unit(names)}", self.quantity.kind.words
+        limit = f"{low}{unit.rstrip()}" if low == high else f"{low} to {high}{unit.rstrip()} ({each})"
         of = component_words(self.component, names)
         if self.every_frequency:
             spectrum = ("|sinc(f h) V|, as it is held," if self.hold else "|V(w)|") if self.quantity.is_sum else words

@@ -145,14 +145,14 @@ class SpectrumBound(FrequencyConstraint, ABC):
                 yield name, spectrum, levels, self.factor * sums
 
     def term(
-        self, name: str, kind: TermKind, map: AffineMap, levels: Array, sums: Array | float, source: tuple[str, int]
+        self, name: str, kind: TermKind, part: AffineMap, levels: Array, sums: Array | float, source: tuple[str, int]
     ) -> Term:
         """Return the term of a component: levels times the sums per level bound the norms of its groups."""
         # the price is on the level, of an energy on its root; that of a mask on sums is on the sums themselves
         per_level = sums if self.joint or not self.quantity.is_sum else 1.0
         weight = HARD if self.penalty is None else np.asarray(self.penalty / per_level)
         ball = NormBall(2, np.asarray(levels * sums), weight)
-        return Term(f"{self.label} on {name}", kind, map, ball, source, sums, band=self._band_in_names)
+        return Term(f"{self.label} on {name}", kind, part, ball, source, sums, band=self._band_in_names)
 
     def statement(self, name: str, spectrum: SpectrumMap, levels: Array, sampling_time: float | None) -> Statement:
         """Return how the limits of a component are shown: each listed bin alone, or the band."""
@@ -163,7 +163,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
             labels = [f"bin {k} of {short}" for k in spectrum.bins]
         else:
             labels = [f"{short}, {self.band.removed.removeprefix('the bins ')}"]
-        return Statement(self.quantity, name, labels, levels, sampling_time)
+        return Statement(self.quantity, name, labels, levels, sampling_time, in_band=not each)
 
     def _parts_of_fundamental(
         self, name: str, spectrum: SpectrumMap, levels: Array, signal: Signal, field: str, source: tuple[str, int]

@@ -59,7 +59,7 @@ def iec_61000_3_2_class_a(
     --------
     >>> limits = lfo.spectrum.iec_61000_3_2_class_a(orders=[3, 5, 7])
     >>> limits.describe(["i [A]"])
-    'mask of i: RMS value ≤ 0.77 to 2.3 (a limit for each bin) A RMS at harmonics 3, 5 and 7 of 50 Hz'
+    'mask of i: RMS value ≤ 0.77 to 2.3 A RMS (a limit for each bin) at harmonics 3, 5 and 7 of 50 Hz'
     """
     limits = {order: CLASS_A[order] for order in _require_orders("iec_61000_3_2_class_a.orders", orders, max(CLASS_A))}
     return MagnitudeBound(rms=limits, fundamental_hz=fundamental_hz, component=component)

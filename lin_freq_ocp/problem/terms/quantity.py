@@ -162,6 +162,7 @@ class Statement:
     labels: Sequence[str]  # of each group, or one for all
     levels: Array  # limits of the groups, (groups,) or ()
     sampling_time: float | None
+    in_band: bool = False  # whether the label is that of a band, so that readings name the frequency
     relative: bool = False  # whether the first value of a group is what the limit refers to
 
     def readings(self, sizes: Array, levels: Array, frequencies: Array) -> Iterator[Reading]:
@@ -178,7 +179,7 @@ class Statement:
             k = int(groups[np.argmax(ratios[groups])])
             value, limit = (float(self.quantity.stated(part[k])) for part in (sizes, levels))
             place = ""
-            if len(groups) > 1 and len(frequencies):
+            if self.in_band and len(frequencies):
                 scale, axis = (1.0, "rad/sample") if self.sampling_time is None else (2 * pi * self.sampling_time, "Hz")
                 place = f" at {number(float(frequencies[k]) / scale, 4)} {axis}"
             yield Reading(label, value, limit, unit, place, float(ratios[k]))

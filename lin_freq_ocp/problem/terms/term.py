@@ -15,6 +15,8 @@ from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.quantity import Reading, Statement
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint, peaks_above
 
+HIGHEST = 0.99  # of the largest sample of a spectrum: a higher peak may be the highest one
+
 
 class TermKind(StrEnum):
     """The field of the problem that a term comes from, with the traits of its terms.
@@ -114,9 +116,10 @@ class Term:
         if statement is None:
             return
         if constraint is not None:
-            at, ratios = peaks_above(constraint, x, u, 0.0)
-            if not len(at):  # the signal is zero
-                at, ratios = constraint.first_points()[:1], np.zeros(1)
+            at, ratios = constraint.first_points()[:1], np.zeros(1)
+            top = max(float(ratio.max()) for _, _, ratio in constraint.samples(constraint.map.signal(x, u)))
+            if top > 0:  # the highest peaks alone: a long signal has many
+                at, ratios = peaks_above(constraint, x, u, HIGHEST * top)
             levels = constraint.limit_at(at) / self.per_limit
             yield from statement.readings(ratios * levels, levels, at)
             return
