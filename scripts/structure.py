@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_048,
-    "code lines": 42_208,
+    "shipped lines": 45_039,
+    "code lines": 42_199,
     "code lines, linear part": 21_378,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least

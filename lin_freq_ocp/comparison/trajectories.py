@@ -312,7 +312,7 @@ class Violation:
 
     values: Array  # largest violation over time
     allowed: Array  # violation that the certificate accepts
-    bounded: Mask  # which components have a bound
+    bounded: Mask  # which components have a bound, other than one in ``limited_spectra``
 
     @property
     def passed(self) -> Mask:
@@ -365,24 +365,21 @@ class MeasuredTrajectory:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
         if not self.meaningful:
             return None
-        pairs = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        hard = [term for term in self.problem.terms if term.hard]
+        pairs = [_term_violation(term, self.trajectory, *self._least) for term in hard]
         values, allowed = np.array(pairs).reshape(-1, 2).T
-        return Violation(values, allowed, np.ones(len(pairs), dtype=bool))
+        return Violation(values, allowed, np.array([term.statement is None for term in hard], dtype=bool))
 
     @cached_property
     def limited_spectra(self) -> Mapping[str, tuple[Reading, bool | None]]:
         """Return the values of limited spectra by their labels, and whether they are within their limits if hard."""
         plan, found = self.trajectory, dict[str, tuple[Reading, bool | None]]()
-        violated = () if self.terms is None else np.flatnonzero(~self.terms.passed)
-        hard = [term for term in self.problem.terms if term.hard]
-        broken = {hard[i].name for i in violated}
         for term in self.problem.terms if self.meaningful else ():
             for reading in term.readings(plan.x, plan.u):
-                passed = term.name not in broken or reading.ratio <= 1.0 if term.hard else None
-                found[reading.label if reading.label not in found else f"{reading.label} ({term.name})"] = (
-                    reading,
-                    passed,
-                )
+                violation, allowed = _term_violation(term, plan, *self._least)
+                passed = violation <= allowed or reading.ratio <= 1.0 if term.hard else None
+                label = reading.label if reading.label not in found else f"{reading.label} ({term.name})"
+                found[label] = reading, passed
         return found
 
     @property

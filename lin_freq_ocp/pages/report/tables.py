@@ -75,8 +75,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         columns.append(None)
         labels.append(comparison.constrained_label)
     controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
-    unread = [i for i, term in enumerate(hard) if term.statement is None]  # the limits of others have rows of their own
-    only_rows = all(hard[i].kind.is_rows for i in unread)
+    only_rows = all(term.kind.is_rows for term in hard if term.statement is None)
     of_terms = "Violates the joint rows by" if only_rows else "Violates other constraints by"
     groups = [
         _group("", ["cost"], columns, lambda line, _: _measured_cell(line, line.measures.cost, digits=COST_DIGITS)),
@@ -88,7 +87,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         ),
         _violation_group("Violates the control bounds by", problem.control_names, columns, lambda line: line.controls),
         _violation_group("Violates the state bounds by", problem.state_names, columns, lambda line: line.states),
-        _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms, unread),
+        _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms),
         _reading_group(columns),
         _violation_group("Misses the end state by", problem.state_names, columns, lambda line: line.end),
         _stop_band_group(problem, columns, of_states=False),
@@ -126,13 +125,9 @@ def _measured_cell(
 
 
 def _violation_group(
-    title: str,
-    names: Sequence[str],
-    columns: Columns,
-    violation: Callable[[MeasuredTrajectory], Violation | None],
-    shown: Sequence[int] | None = None,
+    title: str, names: Sequence[str], columns: Columns, violation: Callable[[MeasuredTrajectory], Violation | None]
 ) -> Group:
-    """Return one row per component that has a bound, of those ``shown``."""
+    """Return one row per component that has a bound."""
 
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
         measured = violation(trajectory)
@@ -142,8 +137,7 @@ def _violation_group(
 
     violations = [violation(trajectory) for trajectory in columns if trajectory is not None]
     bounded = np.any([measured.bounded for measured in violations if measured is not None], axis=0)
-    rows = map(int, np.flatnonzero(bounded))
-    return _group(title, names, columns, cell, rows if shown is None else [i for i in rows if i in shown])
+    return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
 
 
 def _reading_group(columns: Columns) -> Group:
