@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_499,
-    "code lines": 41_659,
-    "code lines, linear part": 20_914,
+    "shipped lines": 45_039,
+    "code lines": 42_199,
+    "code lines, linear part": 21_378,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
-    "files": 306,
+    "files": 311,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,

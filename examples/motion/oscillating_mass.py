@@ -70,7 +70,7 @@ def main() -> lfo.results.ClosedLoop:
         lfo.spectrum.closed_loop(BAND, AMPLITUDE, SAMPLING, past=REST),
     )
     untapered = lfo.spectrum.Spectrogram(
-        lfo.MagnitudeBound(AMPLITUDE * limit.length / 2, band=BAND),
+        lfo.MagnitudeBound(amplitude=AMPLITUDE, band=BAND),
         length=limit.length,
         hop=limit.hop,
         past=REST,

@@ -50,9 +50,7 @@ whole = replace(
     duty,
     control_set=lfo.FiniteSet([-1, 0, 1], costs),
     terminal_state=lfo.Box(ends - tolerance, ends + tolerance),
-    control_spectrum=lfo.MagnitudeBound(
-        tolerance * samples / 2, band=lfo.stop_band(bins=harmonics)
-    ),
+    control_spectrum=lfo.MagnitudeBound(amplitude=tolerance, bins=harmonics),
 )
 level = shared.control[:, 0].round(6)
 between = np.flatnonzero(level % 1)

@@ -114,7 +114,7 @@ def positive_number(field: str, value: object) -> float:
     return float(number)
 
 
-def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, object]:
+def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, Any]:
     """Require a mapping with these keys only; None is an empty one."""
     if entries is not None and not isinstance(entries, Mapping):
         raise ProblemError(field, type(entries).__name__, f"a mapping with {' and '.join(keys)}")

@@ -68,6 +68,12 @@ def count_all(values: Iterable[object]) -> str:
     return ", ".join(f"{count} {value}" for value, count in Counter(map(str, values)).most_common()) or "none"
 
 
+def ordinal(count: int) -> str:
+    """Return "1st", "2nd", "3rd", "11th" or "25th"."""
+    ending = "th" if count % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(count % 10, "th")
+    return f"{count}{ending}"
+
+
 def runs_in_words(runs: Sequence[tuple[int, int]]) -> str:
     """Return runs of whole numbers as "3, 7 to 9 and 12"."""
     return first_few([f"{first}" if first == last else f"{first} to {last}" for first, last in runs])

@@ -33,7 +33,8 @@ class Sensitivities:
         By the limits e_t.
     limits : mapping from name to (groups, dim) or (groups, 1)
         By the limits of all other terms: of the rows of a set; of the radius of a ball, the limit of a mask at each of
-        its bins, the root of an energy.
+        its bins in the unit in which it is stated (of a density and an energy its root, of db relative to the
+        reference).
     offset : (T, n)
         By the offset d_t of the dynamics: the price of a disturbance at time t.
     control_bins : complex (T//2 + 1, m), state_bins : complex ((T+1)//2 + 1, n)
@@ -114,7 +115,7 @@ def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> S
         control_lower=-np.minimum(nu, 0.0),
         stage_rows={rows.name: -multipliers.stage[rows.name] for rows in problem.stage_rows},
         limits={
-            term.name: -term.per_limit * prices
+            term.name: -np.asarray(term.per_limit)[..., None] * prices
             for term in problem.terms
             if not (term.kind.is_rows or term.kind.is_cost)
             if (prices := term.penalty.limit_multipliers(multipliers.stage[term.name])) is not None

@@ -6,7 +6,7 @@ on its spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
@@ -23,6 +24,7 @@ from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
+from lin_freq_ocp.problem.terms.quantity import IN_DECIBELS, Quantity, Reading
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, peaks_above
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -50,6 +52,39 @@ class Line:
     at: Array
     values: Array
     soft: bool = False  # a bound that may be violated at a price
+
+
+@dataclass(frozen=True)
+class SpectrumAxis:
+    """The unit in which a spectrum is drawn: that of its limits if all are stated in one, else sums of samples."""
+
+    quantity: Quantity
+    name: str  # of the signal, with its unit
+    at_ends: float = 1.0  # sums of samples of one unit of a level at bins 0 and N/2
+    inner: float = 1.0  # the same at all others
+
+    def of_sums(self, w: Array, sums: Array) -> Array:
+        """Return sums of samples at frequencies in rad/sample in the unit of the axis."""
+        ends = (w == 0) | np.isclose(w, np.pi, rtol=1e-12)
+        return self.of_levels(sums / np.where(ends, self.at_ends, self.inner))
+
+    def of_levels(self, levels: Array) -> Array:
+        """Return levels in the unit of the axis; decibels are drawn on a logarithmic axis, by their levels."""
+        return levels if self.in_decibels else self.quantity.stated(levels)
+
+    @property
+    def in_decibels(self) -> bool:
+        """Whether the axis shows decibels."""
+        return self.quantity.keyword in IN_DECIBELS
+
+    @property
+    def label(self) -> str:
+        """Return the label of the axis."""
+        (short, own), quantity = split_unit(self.name), self.quantity
+        words, unit = f"{quantity.kind.words} of {short}", quantity.unit(own)
+        if quantity.keyword == "limit":
+            words, unit = f"|DFT of {short}|", own
+        return f"{words} [{unit}]" if unit else words
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +153,20 @@ class ProblemSignal:
         return [line for term in terms for line in _row_limits(term, n, self.problem.control_dim, column)]
 
     @property
+    def axis(self) -> SpectrumAxis:
+        """Return the unit in which its spectrum is drawn."""
+        own = [term for term in self.problem.terms if term.kind.of == self.kind and term.kind.is_spectrum]
+        stated = {term.statement.quantity for term in own if term.statement and term.statement.signal == self.name}
+        quantity = stated.pop() if len(stated) == 1 else Quantity("limit")
+        if quantity.keyword == "energy" or quantity.of_fundamental:
+            quantity = Quantity("limit" if quantity.is_sum else "amplitude")
+        at_ends, inner = quantity.sums(np.ones(self.samples), self.problem.sampling_time, self.name)
+        between = any(term.semi_infinite is not None for term in own)
+        return SpectrumAxis(quantity, self.name, inner if between else at_ends, inner)
+
+    @property
     def levels(self) -> list[Line]:
-        """Return the limits on the magnitude of its spectrum."""
+        """Return the limits on the magnitude of its spectrum, in the unit of its axis."""
         lines = list[Line]()
         for term in self.problem.terms:
             if term.kind.of != self.kind or not len(term.map.frequencies) or not term.map.spectrum_of(*self._rows):
@@ -127,11 +174,20 @@ class ProblemSignal:
             match term.semi_infinite:
                 case MagnitudeMask(limits=mask):
                     pieces = zip(mask.low, mask.high, mask.at_low, mask.at_high, strict=True)
-                    lines += [Line(np.array([low, high]), np.array([first, last])) for low, high, first, last in pieces]
+                    for low, high, *ends in pieces:
+                        lines.append(Line(np.array([low, high]), self._on_axis(term, np.array(ends))))
                 case _:
-                    levels = term.penalty.bounds(term.shape)[1][:, 0] / term.per_limit
-                    lines.append(Line(term.map.frequencies, levels, not term.hard))
+                    w, levels = term.map.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
+                    farthest = 1.5 * min(2 * np.pi / self.samples, np.diff(w).min(initial=np.inf))  # of neighbours
+                    cuts = np.flatnonzero(np.diff(w) > farthest) + 1
+                    runs = zip(np.split(w, cuts), np.split(levels, cuts), strict=True)
+                    lines += [Line(*run, not term.hard) for run in runs]
         return lines
+
+    def _on_axis(self, term: Term, sums: Array) -> Array:
+        """Return limits of a term, in sums of samples, in the unit of the axis."""
+        axis, stated = self.axis, term.statement
+        return axis.of_levels(sums / (term.per_limit if stated and stated.quantity == axis.quantity else axis.inner))
 
     @property
     def limited_beyond_bins(self) -> bool:
@@ -151,7 +207,7 @@ class ProblemSignal:
             if term.semi_infinite is not None and term.map.spectrum_of(*self._rows):
                 peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
-                levels.append(term.semi_infinite.limit_at(w[-1]))
+                levels.append(self._on_axis(term, term.semi_infinite.limit_at(w[-1])))
         return Line(np.concatenate([np.zeros(0), *w]), np.concatenate([np.zeros(0), *levels]))
 
     @property
@@ -253,7 +309,7 @@ class Violation:
 
     values: Array  # largest violation over time
     allowed: Array  # violation that the certificate accepts
-    bounded: Mask  # which components have a bound
+    bounded: Mask  # which components have a bound, other than one in ``limited_spectra``
 
     @property
     def passed(self) -> Mask:
@@ -306,9 +362,22 @@ class MeasuredTrajectory:
         """Return the violation of each hard term (rows, sets, masks), at its worst entry."""
         if not self.meaningful:
             return None
-        pairs = [_term_violation(term, self.trajectory, *self._least) for term in self.problem.terms if term.hard]
+        hard = [term for term in self.problem.terms if term.hard]
+        pairs = [_term_violation(term, self.trajectory, *self._least) for term in hard]
         values, allowed = np.array(pairs).reshape(-1, 2).T
-        return Violation(values, allowed, np.ones(len(pairs), dtype=bool))
+        return Violation(values, allowed, np.array([term.statement is None for term in hard], dtype=bool))
+
+    @cached_property
+    def limited_spectra(self) -> Mapping[str, tuple[Reading, bool | None]]:
+        """Return the values of limited spectra by their labels, and whether they are within their limits if hard."""
+        plan, found = self.trajectory, dict[str, tuple[Reading, bool | None]]()
+        for term in self.problem.terms if self.meaningful else ():
+            for reading in term.readings(plan.x, plan.u):
+                violation, allowed = _term_violation(term, plan, *self._least)
+                passed = violation <= allowed or reading.ratio <= 1.0 if term.hard else None
+                label = reading.label if reading.label not in found else f"{reading.label} ({term.name})"
+                found[label] = reading, passed
+        return found
 
     @property
     def between_levels(self) -> bool:

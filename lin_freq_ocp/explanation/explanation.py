@@ -23,6 +23,7 @@ from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import map_constraints
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
@@ -33,7 +34,6 @@ from lin_freq_ocp.transform.limits import (
     constraints,
     drop_limits,
     intersection,
-    map_constraints,
     map_sets,
     replace_bounds,
 )

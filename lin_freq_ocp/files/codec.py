@@ -103,11 +103,6 @@ class TableRecord:
         Keys that differ from their argument.
     codecs
         How arguments are stored; default ``Value``.
-
-    Attributes
-    ----------
-    constructor : str
-        Name of the public function or class that builds the object.
     """
 
     def __init__(
@@ -123,8 +118,6 @@ class TableRecord:
     ):
         like = like or make
         self._make, self._own, self._values, self._classes = make, (make.__name__, own), values, classes or (like,)
-        public = make if not make.__name__.startswith("_") else self._classes[0]
-        self.constructor = public.__name__
         own_parameters = _parameters(make)
         first = {name: True for name, needed in own_parameters.items() if needed}  # the schema is read before all else
         parameters = first | _parameters(like) | own_parameters | dict.fromkeys(required, True)
@@ -155,16 +148,6 @@ class TableRecord:
             for key, entry in self._entries(value).items()
         }
         return {key: entry for key, entry in table.items() if entry is not None}
-
-    def arguments(self, value: FileValue) -> FileTable:
-        """Return the arguments that build an object: values as the file has them, and the objects of tables."""
-        arguments: FileTable = {}
-        for key, entry in self._entries(value).items():
-            written = self._codecs[key].write(key, entry)
-            first = written[0] if isinstance(written, list) and written else written
-            if written is not None:
-                arguments[self._arguments[key]] = entry if isinstance(first, Mapping) else written
-        return arguments
 
     def _entries(self, value: FileValue) -> Mapping[str, FileValue]:
         """Return the entries of an object that are not None, by key, lists of tables last."""

@@ -310,11 +310,19 @@ BANDS.records |= {
 }
 
 
+REFER = {"percent": "of", "db": "reference", "limit_db": "reference"}  # of keywords: what their limits refer to
+
+
 def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     """Return the keys of a bound: bins as a stop band, and a component only where the band does not have it."""
+    quantity, listed = bound.quantity, bound.band.unit == "harmonics"
     return {
-        "limit": bound.limit,
-        "band": bound.band,
+        "limit" if quantity.keyword == "energy" else quantity.keyword: bound.limit,
+        REFER.get(quantity.keyword, "of"): quantity.reference if quantity.keyword in REFER else None,
+        "phase": quantity.phase if quantity.of_fundamental else None,
+        "harmonics": np.array(bound.band.edges, dtype=np.int64) if listed else None,
+        "fundamental_hz": bound.fundamental_hz,
+        "band": None if listed else bound.band,
         "component": bound.component if bound.band.component is None else None,
         "oversampling": bound.oversampling if bound.oversampling != 1 else None,
         "between": getattr(bound, "between", False) or None,

@@ -45,6 +45,8 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
         extras["levels"] = {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}
     if result.between_samples is not None:
         extras["between_samples"] = [asdict(bound) for bound in result.between_samples.bounds]
+    if result.readings:
+        extras["spectra"] = [asdict(reading) for reading in result.readings]
     return finite(
         {
             **head(result.problem),

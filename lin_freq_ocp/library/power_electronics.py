@@ -292,7 +292,7 @@ def _elimination(samples: int, tolerance: float | None) -> OptimalControlProblem
         control_set=FiniteSet(LEVELS, costs=np.square(LEVELS) / N, duty_cycles=tolerance is None),
         initial_state=np.zeros(2),
         terminal_state=Box(target - wide, target + wide),
-        control_spectrum=band if tolerance is None else MagnitudeBound(wide * N / 2, band=band),
+        control_spectrum=band if tolerance is None else MagnitudeBound(amplitude=wide, band=band),
         name="pulse_pattern",
     )
 

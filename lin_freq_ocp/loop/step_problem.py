@@ -23,10 +23,10 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
 from lin_freq_ocp.problem.sets.convex import softened_set
-from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.spectrum.base import entries_of, map_constraints
 from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.limits import SPECTRA, intersection, map_constraints, map_sets
+from lin_freq_ocp.transform.limits import SPECTRA, intersection, map_sets
 from lin_freq_ocp.transform.reformulations import Translation
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
@@ -182,7 +182,8 @@ def excess(translation: Translation, trajectory: Trajectory, least: float = ROUN
     violations, moved = dict[str, float](), translation.start(trajectory)
     for term in translation.problem.terms:
         if not term.hard and not term.kind.is_cost:
-            by = float((term.cost(moved.x, moved.u) / (np.max(term.penalty.weights) * term.per_limit)).sum())
+            price = np.max(term.penalty.weights * np.asarray(term.per_limit)[..., None])  # of a level
+            by = float((term.cost(moved.x, moved.u) / price).sum())
             size = float(np.max(term.map.sizes(moved.x, moved.u), initial=0.0))
             violations |= {term.name: by} if by > least * size else {}
     return violations

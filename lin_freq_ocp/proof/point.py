@@ -197,7 +197,7 @@ def _term_limits(
             continue
         lower, upper = term.penalty.hard_bounds(term.shape)
         least = float(np.min(upper - lower))
-        amount = min(share * float(term.map.sizes(*steady).max()), MOST * least) / term.per_limit
+        amount = min(share * float(term.map.sizes(*steady).max()), MOST * least) / float(np.max(term.per_limit))
         found[term.source] = min(found.get(term.source, np.inf), amount)
     for source, amount in found.items():
         if amount > 0:

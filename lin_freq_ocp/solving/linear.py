@@ -301,7 +301,13 @@ class LinearAuto:
                     reason = "time-invariant dynamics, with constraints that the Fourier-domain method takes"
                 else:
                     large = structured_first(problem) if isinstance(method, Structured) else ""
-                    reason = "; ".join([*refusals[:1], *([large] if large else [])])
+                    why = (
+                        refusals[0]
+                        .removeprefix("method 'spectral': ")
+                        .removesuffix(" Use method 'convex'.")
+                        .rstrip(".")
+                    )
+                    reason = f"the Fourier-domain method does not take it ({why}){'; ' * bool(large)}{large}"
                 best = replace(outcome, reason=reason)
             if _is_final(outcome) or (_rank(best) > 0 and not isinstance(method, Spectral)):
                 break

@@ -16,9 +16,12 @@ from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.terms.quantity import Reading
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.level_rows import LevelUse, level_use
 from lin_freq_ocp.transform.reductions import Reduced
+
+MOST_READINGS = 8  # of limited spectra in a text, those nearest to their limits
 
 
 @dataclass(frozen=True)
@@ -221,6 +224,14 @@ class Outcome:
         """The state bounds between the samples; None without a continuous plant, state bounds or a trajectory."""
         return None if self.trajectory is None else between_samples(self.problem, self.trajectory)
 
+    @cached_property
+    def readings(self) -> tuple[Reading, ...]:
+        """The values of limited spectra and their limits, in the unit of the limit; none without a trajectory."""
+        plan = self.trajectory
+        return (
+            () if plan is None else tuple(one for term in self.problem.terms for one in term.readings(plan.x, plan.u))
+        )
+
     @property
     def solver(self) -> str:
         """Return the method, with its backend if it has one."""
@@ -238,6 +249,10 @@ class Outcome:
         levels = self.level_use
         lines += [] if levels is None else [f"levels    {levels}"]
         lines += [] if self.between_samples is None else [f"between   {self.between_samples}"]
+        nearest = sorted(self.readings, key=lambda reading: -reading.ratio)[:MOST_READINGS]
+        lines += [f"spectrum  {reading}" for reading in self.readings if reading in nearest]
+        more = len(self.readings) - len(nearest)
+        lines += [f"spectrum  {more} more, each farther from its limit"] if more else []
         lines.append(f"method    {self.solver}" + (f": {self.reason}" if self.reason else ""))
         lines.append("time      " + ", ".join(f"{phase} {seconds:.3g} s" for phase, seconds in self.seconds.items()))
         return "\n".join([str(self.problem), *lines])

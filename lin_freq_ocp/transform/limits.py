@@ -333,10 +333,9 @@ class BandLimit(Limit):
 
 
 class TermLimit(Limit):
-    """The terms of an entry of a field; an amount raises their limits, of an energy the root of its limit."""
+    """The terms of an entry of a field; an amount raises their limits."""
 
     before = "limit "
-    power = 1  # of a limit, in its stated value
 
     @property
     def constrains(self) -> bool:
@@ -353,8 +352,8 @@ class TermLimit(Limit):
         return self.limit or 1.0
 
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str] | None:
-        limit, power = self.limit, self.power
-        return (f"{limit**power:.6g}", f"{(limit + amount) ** power:.6g}") if limit else None
+        limit = self.limit
+        return (f"{limit:.6g}", f"{limit + amount:.6g}") if limit else None
 
 
 class SetLimit(TermLimit):
@@ -372,7 +371,7 @@ class SetLimit(TermLimit):
 
 
 class EntryLimit(TermLimit):
-    """A frequency constraint of states, of controls or of outputs."""
+    """A frequency constraint of states, of controls or of outputs; amounts are levels, of an energy its root."""
 
     @property
     def order(self) -> int:
@@ -384,8 +383,12 @@ class EntryLimit(TermLimit):
         return entries_of(getattr(self.problem, self.field))[self.index]
 
     @property
-    def power(self) -> int:
-        return min(one.power for one in self.given.constraints)
+    def limit(self) -> float:
+        return max(one.highest for one in self.given.constraints)
+
+    def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str] | None:
+        one, limit = max(self.given.constraints, key=lambda one: one.highest), self.limit
+        return (one.shown(limit, self._names), one.shown(limit + amount, self._names)) if limit else None
 
     def relaxed(self, problem: OptimalControlProblem, amount: float) -> OptimalControlProblem:
         entries = list(entries_of(getattr(problem, self.field)))
@@ -396,14 +399,19 @@ class EntryLimit(TermLimit):
 
     def numbers(self) -> Iterator[Number]:
         """Yield the edges of its bands, and its levels in dB relative to those of the problem."""
-        problem, axis = self.problem, Axis.of(self.problem.horizon, self.problem.sampling_time)
-        names = {"control_spectrum": problem.control_names, "state_spectrum": problem.state_names}.get(self.field)
+        axis = Axis.of(self.problem.horizon, self.problem.sampling_time)
+        of_outputs = self.field == "output_spectrum"
         for j, one in enumerate(self.given.constraints):
-            place = f"{self.field}.{self.index}{'' if names else f'.{j}'}"
-            of = f"of the {one.title} of {component_words(one.component, names or self.given.output_names)}"
+            place = f"{self.field}.{self.index}{f'.{j}' if of_outputs else ''}"
+            of = f"of the {one.title} of {component_words(one.component, self._names)}"
             for number in one.numbers(axis):
                 key, put = number.key.format(place), partial(self._change, j, number.put)
                 yield replace(number, key=key, label=f"{number.label} {of}", put=put, field=self.field)
+
+    @property
+    def _names(self) -> Sequence[str]:
+        """The names of the components of its signal."""
+        return getattr(self.problem, self.field.replace("spectrum", "names"), self.given.output_names)
 
     def _change(self, j: int, put: Callable[..., object], given: object, value: float) -> list[object]:
         """Return the field with a changed constraint."""
@@ -498,14 +506,6 @@ def cutoff_band(name: str, value: float | None, component: int | str | None = No
 def map_sets(given: SetOrSets, change: Callable[[ConvexSet], ConvexSet]) -> SetOrSets:
     """Return a changed set, or one for each time; None stays."""
     return [one and change(one) for one in given] if isinstance(given, Sequence) else given and change(given)
-
-
-def map_constraints(
-    given: object, change: Callable[[FrequencyConstraint], FrequencyConstraint | None]
-) -> list[object] | None:
-    """Return the entries of a spectrum with changed constraints, without those that become None; None if all do."""
-    pairs = [(entry, [new for old in entry.constraints if (new := change(old))]) for entry in entries_of(given)]
-    return [entry.with_constraints(changed) for entry, changed in pairs if changed] or None
 
 
 def replace_bounds(given: SetOrSets, bounds: Box) -> SetOrSets:

@@ -63,7 +63,7 @@ BAD = {
     "norms no tables": ("cost.norms", 3, "cost.norms: got 3; expected tables that begin with [[cost.norms]]"),
     "limit in quotes": ("control_spectrum[3].limit_db", "-3", "control_spectrum[3].limit_db: got '-3'"),
     "limit a matrix": ("control_spectrum[3].limit_db", [[1.0]], "control_spectrum[3].limit_db: got [[1.0]]"),
-    "limits of other size": ("control_spectrum[3].limit_db", [1.0] * 4, "control_spectrum[3].limit: got shape (4,)"),
+    "limits of other size": ("control_spectrum[3].limit_db", [1.0] * 4, "control_spectrum[3].limit_db: got shape (4,)"),
     "reference zero": ("control_spectrum[3].reference", 0.0, "control_spectrum[3].reference: got 0.0"),
     "band no table": ("control_spectrum[3].band", "low", "control_spectrum[3].band: got 'low'; expected a table"),
     "band without edge": ("control_spectrum[3].band.cutoff", ..., "control_spectrum[3].band.cutoff: got neither"),
@@ -207,4 +207,4 @@ def test_sets_within_sets_are_read_or_refused(tmp_path, depth):
 def test_a_limit_beyond_all_numbers_is_no_limit(tmp_path):
     (tmp_path / "cart.toml").write_text("schema = 1\n")
     problem = lfo.read_problem(tmp_path / "cart.toml", changed(GOOD, "control_spectrum[3].limit_db", 1e9))
-    assert np.isinf(problem.control_spectrum[3].limit)
+    assert np.isinf(problem.control_spectrum[3].levels)

@@ -458,7 +458,10 @@ def test_levels_are_valid():
 def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered", "moves"}
-    assert set(RESULT["properties"]) - compared == {*("atoms", "levels"), *result_summary(solved, with_trajectory=True)}
+    assert set(RESULT["properties"]) - compared == {
+        *("atoms", "levels", "spectra"),
+        *result_summary(solved, with_trajectory=True),
+    }
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared
     assert RESULT["properties"]["status"]["enum"] == ["optimal", "locally_optimal", "extremal", *ERRORS]
     for part, kind in (

@@ -74,9 +74,14 @@ COSTS = {
 }
 
 MASKS = {
-    "no limit": (lambda: mask(), "MagnitudeBound.limit", "neither", "exactly one of limit and limit_db"),
-    "two limits": (lambda: mask(1, limit_db=0, reference=1), "MagnitudeBound.limit", "both", "exactly one"),
-    "no reference": (lambda: mask(limit_db=0), "MagnitudeBound.reference", "None", "a reference with limit_db"),
+    "no limit": (lambda: mask(), "MagnitudeBound.limit", "no limit", "exactly one of amplitude, rms, percent"),
+    "two limits": (
+        lambda: mask(1, limit_db=0, reference=1),
+        "MagnitudeBound.limit",
+        "limit and limit_db",
+        "exactly one",
+    ),
+    "no reference": (lambda: mask(limit_db=0), "MagnitudeBound.reference", "None", "a value with db or limit_db"),
     "idle reference": (lambda: mask(1, reference=1), "MagnitudeBound.reference", "1", "only with it"),
     "reference 0": (lambda: mask(limit_db=0, reference=0), "MagnitudeBound.reference", "0", "above zero"),
     "references": (lambda: mask(limit_db=0, reference=[1, 2]), "MagnitudeBound.reference", "[1, 2]", "one number"),
@@ -155,7 +160,7 @@ SPECTROGRAMS = {
 ENERGIES_AND_EQUATIONS = {
     "negative": (lambda: Energy(-1, bins=[1]), "EnergyBound.limit", "-1", "zero or above"),
     "energies": (lambda: Energy([1, 2], bins=[1]), "EnergyBound.limit", "[1, 2]", "one number"),
-    "no energy": (lambda: Energy(None, bins=[1]), "EnergyBound.limit", "None", "numbers"),
+    "no energy": (lambda: Energy(None, bins=[1]), "EnergyBound.limit", "no limit", "exactly one of rms, amplitude"),
     "infinite": (lambda: Energy(np.inf, bins=[1]), "EnergyBound.limit", "inf", "finite"),
     "no place": (lambda: Energy(1), "EnergyBound", "neither of bins and band", "exactly one of them"),
     "window": (lambda: Energy(1, bins=[1], window="magic"), "EnergyBound.window", "'magic'", "scipy.signal"),
@@ -342,7 +347,8 @@ def test_a_bound_from_below_is_refused_with_the_reason_and_an_alternative():
 
 
 def test_a_limit_in_decibels_beyond_all_numbers_is_none():
-    assert mask(limit_db=[1e5, -20.0], reference=2.0).limit.tolist() == [np.inf, 0.2]
+    bound = mask(limit_db=[1e5, -20.0], reference=2.0, bins=[1, 2])
+    assert problem(control_spectrum=bound).terms[0].penalty.radius.tolist() == [np.inf, 0.2]
 
 
 def test_an_output_band_that_removes_nothing_warns_and_is_no_constraint():

@@ -271,7 +271,8 @@ def frame_data(problem: OptimalControlProblem) -> Data:
             {"at": round_values(frequency.factor * line.at), "values": round_values(line.values)}
             for line in signal.levels
         ]
-        spectra.append({"name": signal.name, "step": step, "stopped": stopped, "limits": limits})
+        label = signal.axis.label
+        spectra.append({"name": signal.name, "label": label, "step": step, "stopped": stopped, "limits": limits})
     return {
         "horizon": problem.horizon,
         "time": {"step": time.factor, "label": time.label},
@@ -303,10 +304,14 @@ def _frequency_signals(problem: OptimalControlProblem) -> list[ProblemSignal]:
 
 def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> Data:
     """Return the values of all signals and spectra of a trajectory, in the order of the frame."""
-    spectra = [signal.of(trajectory)[: signal.samples] for signal in _frequency_signals(problem)]
+    spectra = list[Array]()
+    for signal in _frequency_signals(problem):
+        w = 2 * np.pi * np.arange(signal.samples // 2 + 1) / signal.samples
+        sums = np.abs(np.fft.rfft(signal.of(trajectory)[: signal.samples]))
+        spectra.append(signal.axis.of_sums(w, sums))
     return {
         "signals": [round_values(signal.of(trajectory)) for signal in _time_signals(problem)],
-        "spectra": [round_values(np.abs(np.fft.rfft(values))) for values in spectra],
+        "spectra": [round_values(values) for values in spectra],
         "vibrations": [
             round_values(vibration(box, trajectory, frequencies_around(box)))
             for _, box in semi_infinite_terms(problem, VibrationLimit)

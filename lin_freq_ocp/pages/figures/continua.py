@@ -17,10 +17,12 @@ from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.phrases import number, split_unit
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, OURS, UNSHAPED, Moves, boxes_of, frequencies_around, vibration
+from lin_freq_ocp.comparison.trajectories import SpectrumAxis
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
 from lin_freq_ocp.pages.figures.plot_data import PlotData
 from lin_freq_ocp.pages.units import align
+from lin_freq_ocp.problem.terms.quantity import Quantity
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, ZeroOrderHoldMask
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -77,15 +79,18 @@ def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOr
     limits, factor = everywhere.limits, data.frequency.factor
     end = max(float(limits.high.max()), 2 * np.pi)
     bins = int(np.ceil(everywhere.map.samples * end / (2 * np.pi)))
-    w, top = np.linspace(0.0, end, PER_BIN * bins), 0.0
+    w, top, per_level = np.linspace(0.0, end, PER_BIN * bins), 0.0, float(np.max(term.per_limit))
+    axis = SpectrumAxis(Quantity("limit"), term.name)
+    if term.statement is not None:
+        axis = SpectrumAxis(term.statement.quantity, term.statement.signal, per_level, per_level)
     for trace in data.traces:
         signal = everywhere.map.signal(trace.trajectory.x, trace.trajectory.u)
-        values = np.abs(everywhere.map.at_points(w).transform(signal))
+        values = axis.of_sums(w, np.abs(everywhere.map.at_points(w).transform(signal)))
         top = max(top, float(values.max()))
         at = values.reshape(bins, PER_BIN).argmax(1) + PER_BIN * np.arange(bins) if bins > FEW_BINS else slice(None)
         solid = trace.style.of_line(0.65) | {"linestyle": "-", "label": trace.label}
         look.draw_line(ax, factor * w[at], values[at], **solid)
-    levels = np.column_stack([limits.at_low, limits.at_high])
+    levels = axis.of_levels(np.column_stack([limits.at_low, limits.at_high]) / per_level)
     for k, (low, high) in enumerate(zip(limits.low, limits.high, strict=True)):
         ax.axvspan(factor * low, factor * high, color=look.BAND, linewidth=0, zorder=0)
         label = None if k else "limit"
@@ -96,13 +101,9 @@ def held_spectrum_panel(ax: Axes, data: PlotData, term: Term, everywhere: ZeroOr
     ax.set_ylim(min(top / 10**SHOWN_DECADES, float(levels.min()) / 10), 2 * top)
     ax.set_xlim(0, factor * end)
     legend_right(ax)
-    short, unit = split_unit(term.name)
-    look.style_axes(
-        ax,
-        f"{letter} {short[0].upper()}{short[1:]}".lstrip(),
-        data.frequency.label,
-        "|sinc V|" + (f" [{unit}]" if unit else ""),
-    )
+    short = split_unit(term.name)[0]
+    label = axis.label.replace(f"|DFT of {split_unit(axis.name)[0]}|", "|sinc V|")
+    look.style_axes(ax, f"{letter} {short[0].upper()}{short[1:]}".lstrip(), data.frequency.label, label)
 
 
 @dataclass(frozen=True, eq=False)

@@ -136,23 +136,22 @@ def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter:
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw the spectrum of a component: its DFT bins as points, the zero-padded spectrum between them as a line."""
     traces = data.showing(component)
-    padded = [padded_spectrum(trace.of(component)[: component.samples, None]) for trace in traces]
+    axis, padded = component.axis, list[tuple[Array, Array]]()
+    for trace in traces:
+        omega, sums = padded_spectrum(trace.of(component)[: component.samples, None])
+        padded.append((omega, axis.of_sums(omega, sums[:, 0])))
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
     length, factor = component.samples, data.frequency.factor
     shade_stop_band(ax, component.stop, length, factor)
     highest = 0.0
-    for line in component.levels:  # the limits, with gaps at bins without a limit
-        cuts = np.flatnonzero(np.diff(line.at) > 1.5 * np.diff(line.at).min(initial=np.inf)) + 1
-        for at, level in zip(np.split(line.at, cuts), np.split(line.values, cuts), strict=True):
-            shape: dict[str, object] = {"linewidth": 1.6, "linestyle": look.SOFT if line.soft else "-", "markersize": 9}
-            marker = "_" if len(at) == 1 else ""
-            look.draw_line(
-                ax, factor * at, np.maximum(level, floor), marker=marker, color=look.BOUND, zorder=2.5, **shape
-            )
+    for line in component.levels:
+        shape: dict[str, object] = {"linewidth": 1.6, "linestyle": look.SOFT if line.soft else "-", "markersize": 9}
+        shape |= {"marker": "_" if len(line.at) == 1 else "", "color": look.BOUND, "zorder": 2.5}
+        look.draw_line(ax, factor * line.at, np.maximum(line.values, floor), **shape)
         highest = max(highest, float(line.values[line.values <= HIDDEN_LIMIT * top].max(initial=0.0)))
-    for trace, (omega, magnitudes) in zip(traces, padded, strict=True):
-        style, magnitude = trace.style, magnitudes[:, 0]
+    for trace, (omega, magnitude) in zip(traces, padded, strict=True):
+        style = trace.style
         gaps = (len(omega) - 1) // ZERO_PADDING
         if gaps > FEW_BINS:  # the lobes would fill the panel: draw the top of each
             lobes = magnitude[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
@@ -160,8 +159,9 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
         between = style.of_line(0.65) | {"linestyle": "-"}
         look.draw_line(ax, factor * omega, np.maximum(magnitude, floor), **between)
         # Bins are points; those too small for the axis are hollow triangles at its lower edge.
-        frequency = factor * 2 * np.pi * np.arange(length // 2 + 1) / length
-        bins, order = np.abs(np.fft.rfft(trace.of(component)[:length])), style.order
+        at_bins = 2 * np.pi * np.arange(length // 2 + 1) / length
+        frequency, order = factor * at_bins, style.order
+        bins = axis.of_sums(at_bins, np.abs(np.fft.rfft(trace.of(component)[:length])))
         low = bins < floor
         hollow: dict[str, object] = {"markersize": 4, "markerfacecolor": "none", "linestyle": "none"}
         filled = hollow | {"markersize": 2.6, "markerfacecolor": style.color, "markeredgewidth": 0}
@@ -179,15 +179,17 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))
-    short, unit = split_unit(component.name)
-    y_label = f"|DFT of {short}|" + (f" [{unit}]" if unit else "")
+    if axis.in_decibels:
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{20 * np.log10(level):g}"))
     if component.stop.any():  # the largest magnitude between the bins of the stop band
-        named = [f"{number(trace.measured.stopband_peak(component), 3)} {trace.label}" for trace in traces]
+        peaks = [(trace.measured.stopband_peak(component) or 0.0) / axis.inner for trace in traces]
+        shown = [float(axis.quantity.stated(np.asarray(peak))) for peak in peaks]
+        named = [f"{number(peak, 3)} {trace.label}" for peak, trace in zip(shown, traces, strict=True)]
         note = f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}"
     else:
         note = f"no stop band here{'; its limit is not about bins' if component.limited_beyond_bins else ''}"
-    title = f"{letter} Spectrum of {short}".lstrip()
-    look.style_axes(ax, title, data.frequency.label, y_label, [look.Note(note)])
+    title = f"{letter} Spectrum of {short_name(component.name)}".lstrip()
+    look.style_axes(ax, title, data.frequency.label, axis.label, [look.Note(note)])
     frequency_axis(ax, data)
 
 

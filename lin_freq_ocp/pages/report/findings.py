@@ -69,7 +69,7 @@ def finding_of(comparison: ComparisonOutcome) -> Finding:
 def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[str]:
     """Return in words the constraints that a filtered control violates, and its extra cost."""
     problem, controls = replay.problem, controls_of(replay.problem)
-    names, terms = problem.state_names, [term.name for term in problem.terms if term.hard]
+    names, hard = problem.state_names, [term for term in problem.terms if term.hard]
 
     def bound_text(name: str, size: str, j: int) -> str:
         times = replay.peak_times(controls[j])
@@ -77,10 +77,15 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
         peak = quantity(replay.largest(controls[j]), controls[j].name)
         return f"the {name} bound by {size} (peaks at {peak}, {where})"
 
+    def term_text(name: str, size: str, i: int) -> str:
+        readings = hard[i].readings(replay.trajectory.x, replay.trajectory.u)
+        worst = max(readings, key=lambda reading: reading.ratio, default=None)
+        return f"{name} by {size}" if worst is None else f"{name} ({worst})"
+
     sentences = [
         *_violations("exceeds", replay.controls, problem.control_names, "other control", bound_text),
         *_violations("leaves the bounds on", replay.states, names, "other state", lambda name, size, i: name),
-        *_violations("violates", replay.terms, terms, "other constraint", lambda name, size, i: f"{name} by {size}"),
+        *_violations("violates", replay.terms, [term.name for term in hard], "other constraint", term_text),
         *_violations("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
     ]
     measures, best = replay.measures, comparison.constrained.cost

@@ -75,7 +75,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         columns.append(None)
         labels.append(comparison.constrained_label)
     controls, hard = controls_of(problem), [term for term in problem.terms if term.hard]
-    only_rows = all(term.kind.is_rows for term in hard)
+    only_rows = all(term.kind.is_rows for term in hard if term.statement is None)
     of_terms = "Violates the joint rows by" if only_rows else "Violates other constraints by"
     groups = [
         _group("", ["cost"], columns, lambda line, _: _measured_cell(line, line.measures.cost, digits=COST_DIGITS)),
@@ -88,6 +88,7 @@ def comparison_rows(comparison: ComparisonOutcome) -> ComparisonRows:
         _violation_group("Violates the control bounds by", problem.control_names, columns, lambda line: line.controls),
         _violation_group("Violates the state bounds by", problem.state_names, columns, lambda line: line.states),
         _violation_group(of_terms, [term.name for term in hard], columns, lambda line: line.terms),
+        _reading_group(columns),
         _violation_group("Misses the end state by", problem.state_names, columns, lambda line: line.end),
         _stop_band_group(problem, columns, of_states=False),
         _stop_band_group(problem, columns, of_states=True),
@@ -137,6 +138,20 @@ def _violation_group(
     violations = [violation(trajectory) for trajectory in columns if trajectory is not None]
     bounded = np.any([measured.bounded for measured in violations if measured is not None], axis=0)
     return _group(title, names, columns, cell, map(int, np.flatnonzero(bounded)))
+
+
+def _reading_group(columns: Columns) -> Group:
+    """Return a row for each limited harmonic, bin or band, with its limit."""
+    read = [{} if line is None else line.limited_spectra for line in columns]
+    rows = list[Row]()
+    for label, (reading, _) in max(read, key=len, default={}).items():
+        cells = [TableCell(NOTHING if line is None else NOT_MEANINGFUL) for line in columns]
+        for k, found in enumerate(read):
+            if label in found:
+                cells[k] = TableCell(align(found[label][0].value), found[label][1])
+        unit = f"{reading.unit}, limit {align(reading.limit)}".lstrip(", ")
+        rows.append(Row(label, unit, tuple(cells)))
+    return Group("Limited spectra", tuple(rows))
 
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:

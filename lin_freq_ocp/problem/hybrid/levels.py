@@ -19,7 +19,7 @@ from functools import cached_property
 from itertools import product
 from math import gcd, lcm, prod
 from operator import or_
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -295,37 +295,32 @@ class FiniteSet(ConvexSet):
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
-def _sequences(field: str, stated: object) -> tuple[list[Array], bool]:
-    """Return an array for each sequence, and whether there is a single one for all components."""
+Stated = Array | Box | Mapping[str, Any] | None  # levels or costs of a component; a box or None of one without levels
+
+
+def _sequences(field: str, stated: object) -> tuple[list[Stated], bool]:
+    """Return what is stated of each component, sequences as arrays, and whether one sequence is for all components."""
     expected = "a sequence of numbers, or one sequence for each component"
     if isinstance(stated, str) or not isinstance(stated, (Sequence, np.ndarray)):
         raise ProblemError(field, brief(stated), expected)
-    entries = list(stated)
+    entries: list[Any] = list(stated)
     if not entries:
         raise ProblemError(field, "none", "at least two levels" if field.endswith("levels") else expected)
     free = [entry is None or isinstance(entry, (Box, Mapping)) for entry in entries]
     nested = [isinstance(entry, (Sequence, np.ndarray)) and np.ndim(entry) > 0 for entry in entries]
-    if any(nested) or any(free):
-        if not all(map(or_, nested, free)):
-            raise ProblemError(field, brief(stated), expected)
-        return [
-            entry if not_listed else real_array(f"{field}[{i}]", entry)
-            for i, (entry, not_listed) in enumerate(zip(entries, free, strict=True))
-        ], False
-    return [real_array(field, entries)], True
+    if not any(nested) and not any(free):
+        return [real_array(field, entries)], True
+    if not all(map(or_, nested, free)):
+        raise ProblemError(field, brief(stated), expected)
+    return [entry if free[i] else real_array(f"{field}[{i}]", entry) for i, entry in enumerate(entries)], False
 
 
-def _levels(name: str, values: Array | Box | ByName | None, costs: Array | None) -> Levels:
+def _levels(name: str, values: Stated, costs: Stated) -> Levels:
     field = f"FiniteSet.levels{name}"
     if not isinstance(values, np.ndarray):
-        if costs is not None and np.any(costs):
-            raise ProblemError(f"FiniteSet.costs{name}", brief(costs), "none, as the component has no levels")
-        with located_at(field, "Box"):
-            box = values if isinstance(values, Box) else Box(**known_entries("Box", values, ("lower", "upper")))
-            box = box.at_dimension(1, "Box")
-            if box.lower.ndim > 1:
-                raise ProblemError("Box", "bounds over time", "one bound of each side")
-            return NoLevels(np.zeros(0), np.zeros(0), Box(box.lower.item(), box.upper.item()))
+        return _no_levels(name, values, costs)
+    if costs is not None and not isinstance(costs, np.ndarray):
+        raise ProblemError(f"FiniteSet.costs{name}", brief(costs), f"one cost for each of {len(values)} levels")
     if values.ndim != 1 or len(values) < 2:
         got = f"shape {values.shape}" if values.ndim != 1 else plural(len(values), "level")
         raise ProblemError(field, got, "at least two levels", "A single value is a Point.")
@@ -342,6 +337,18 @@ def _levels(name: str, values: Array | Box | ByName | None, costs: Array | None)
         advice = "The same amount added to all of them changes no solution."
         raise ProblemError(f"FiniteSet.costs{name}", f"{price.min():g}", "costs of zero or above", advice)
     return Levels(freeze(increasing), freeze(price[order]))
+
+
+def _no_levels(name: str, stated: Box | Mapping[str, Any] | None, costs: Stated) -> NoLevels:
+    """Return a component without levels, within a box of one component or the bounds of a mapping."""
+    if costs is not None and not (isinstance(costs, np.ndarray) and not costs.any()):
+        raise ProblemError(f"FiniteSet.costs{name}", brief(costs), "none, as the component has no levels")
+    with located_at(f"FiniteSet.levels{name}", "Box"):
+        box = stated if isinstance(stated, Box) else Box(**known_entries("Box", stated, ("lower", "upper")))
+        box = box.at_dimension(1, "Box")
+        if box.lower.ndim > 1:
+            raise ProblemError("Box", "bounds over time", "one bound of each side")
+        return NoLevels(np.zeros(0), np.zeros(0), Box(box.lower.item(), box.upper.item()))
 
 
 def cost_unit(problem: OptimalControlProblem) -> tuple[float, float]:

@@ -59,10 +59,10 @@ class Band(FrequencyConstraint):
     Parameters
     ----------
     kind : str
-        The name of that function.
+        The name of that function, or "harmonics".
     edges : tuple of float
-        Lower and upper edge in ``unit``; centre and width of a notch; the bins of a stop band.
-    unit : {"rad/sample", "Hz", "bins"}
+        Lower and upper edge in ``unit``; centre and width of a notch; the bins of a stop band, the orders of harmonics.
+    unit : {"rad/sample", "Hz", "bins", "harmonics"}
         Unit of the edges.
     component : int, str or None
         Index or name of the component; None means all.
@@ -75,6 +75,11 @@ class Band(FrequencyConstraint):
     removes_bins: ClassVar[bool] = True
 
     @property
+    def listed(self) -> bool:
+        """Whether its bins are listed, by their numbers or as harmonics."""
+        return self.unit in ("bins", "harmonics")
+
+    @property
     def title(self) -> str:
         """Return the kind of band in words."""
         return self.kind.replace("_", " ")
@@ -82,7 +87,7 @@ class Band(FrequencyConstraint):
     def numbers(self, axis: Axis, finest: float = np.inf) -> Iterator[Number]:
         """Yield the edges below Nyquist; those of a notch move in steps of at most ``finest`` of its width."""
         factor, nyquist = axis.per_unit(self.unit), axis.nyquist
-        if self.unit == "bins" or max(filter(np.isfinite, self.limits)) * factor > nyquist:
+        if self.listed or max(filter(np.isfinite, self.limits)) * factor > nyquist:
             return
         first, second = (edge * factor for edge in self.edges)
         step = min(axis.step, finest * second) if self.kind == "notch" else axis.step

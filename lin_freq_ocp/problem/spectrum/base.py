@@ -8,7 +8,7 @@ and ``augmented``. Its record in problem files is an entry of a table in ``files
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -81,9 +81,14 @@ class FrequencyConstraint(ABC):
         return None
 
     @property
-    def power(self) -> int:
-        """Return the exponent p for which the stated limit is levels**p: 2 for energies."""
-        return 1
+    def highest(self) -> float:
+        """Return the highest finite level, 0 without any."""
+        levels = np.zeros(1) if self.levels is None else self.levels
+        return float(np.max(levels, initial=0.0, where=np.isfinite(levels)))
+
+    def shown(self, level: float, names: Sequence[str]) -> str:
+        """Return a level in the unit in which the limit is stated, for components of these names."""
+        return f"{level:.6g}"
 
     def at_levels(self, levels: Array) -> Self:
         """Return a copy with other limits on magnitudes, of the same shape."""
@@ -356,6 +361,14 @@ class OutputSpectrum:
 def entries_of(content: object) -> Sequence[Any]:
     """Return the content of a field, an entry or several or None, as a sequence."""
     return content if isinstance(content, (list, tuple)) else () if content is None else (content,)
+
+
+def map_constraints(
+    given: object, change: Callable[[FrequencyConstraint], FrequencyConstraint | None]
+) -> list[object] | None:
+    """Return the entries of a spectrum with changed constraints, without those that become None; None if all do."""
+    pairs = [(entry, [new for old in entry.constraints if (new := change(old))]) for entry in entries_of(given)]
+    return [entry.with_constraints(changed) for entry, changed in pairs if changed] or None
 
 
 def named_entries(field: str, content: Entry | Sequence[Entry] | None) -> list[tuple[str, Entry]]:

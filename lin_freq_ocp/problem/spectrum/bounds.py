@@ -1,205 +1,85 @@
 # ruff: noqa: D102
 """Bounds on magnitudes and energies of spectra.
 
-They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. A grid
-finer than the DFT's (``oversampling``) or a window also bounds the spectrum between the bins. With ``every_frequency``
-a mask holds at all frequencies of its band. The functions at the end read the limits that users state.
+They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(...)) is that low pass itself. With
+``every_frequency`` a mask holds at all frequencies of its band. ``stated_limits.py`` reads the limits that users state.
 ``FrequencyConstraint`` documents the methods without a docstring.
 """
 
 from __future__ import annotations
 
-import warnings
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import ClassVar, Self
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    Indices,
-    assign,
-    brief,
-    positive_integer,
-    positive_number,
-    real_array,
-    require_bool,
-)
-from lin_freq_ocp.base.errors import BandWarning, ProblemError, UnsupportedError
-from lin_freq_ocp.base.phrases import AT_MOST, number, price
-from lin_freq_ocp.problem.numbers import Axis, Number
-from lin_freq_ocp.problem.spectrum.bands import BIN_TOLERANCE, Band, stop_band
+from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, real_array, require_bool
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import AT_MOST, number, price, short_name
+from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
-from lin_freq_ocp.problem.terms.maps import AffineMap
-from lin_freq_ocp.problem.terms.penalties import NormBall
+from lin_freq_ocp.problem.spectrum.spectrum_bound import SpectrumBound
+from lin_freq_ocp.problem.spectrum.stated_limits import (
+    ByOrder,
+    Reference,
+    Stated,
+    limit_levels,
+    limits_at_bins,
+    limits_of_band,
+    read_limits,
+    stated_limit,
+)
 from lin_freq_ocp.problem.terms.penalty import weight_of
-from lin_freq_ocp.problem.terms.semi_infinite import (
-    Limits,
-    MagnitudeMask,
-    ZeroOrderHoldMap,
-    ZeroOrderHoldMask,
-    limits_on,
-)
-from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrumMap
-from lin_freq_ocp.problem.terms.term import Term, TermKind
+from lin_freq_ocp.problem.terms.quantity import SQUARED, Quantity, Statement
+from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, ZeroOrderHoldMap, ZeroOrderHoldMask
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
+from lin_freq_ocp.problem.terms.term import Term
 
-Limit = ArrayLike | Callable[[Array], ArrayLike]
-PART_OF_WIDTH = 0.1  # step of the edges of a notch at every frequency, relative to its width; bins mean nothing there
-SAMPLES = 64  # of a function on an interval, or between two points of a limit in dB
-NO_ZERO = (
-    "Only the signal 0 has a spectrum that vanishes on an interval. State a level above zero, or remove "
-    "the bins of the horizon by the band itself."
-)
 NO_LOWER_MASK = (
     "A lower bound on a magnitude is not convex (the mean of two signals above it can be zero), so no global optimum "
     "could be proven. Use a reference instead: u_ref, x_ref."
 )
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class SpectrumBound(FrequencyConstraint, ABC):
-    """What MagnitudeBound and EnergyBound share: bins, window and price."""
-
-    label: ClassVar[str]
-    joint: ClassVar[bool]  # whether one limit bounds all bins together
-    limit: float | Array
-    band: Band
-    component: int | str | None
-    penalty: float | None
-    window: str | Array | None
-    oversampling: int
-
-    def _set_domain(
-        self,
-        bins: Iterable[int] | None,
-        band: Band | None,
-        component: int | str | None,
-        penalty: float | None,
-        window: str | ArrayLike | None,
-        oversampling: int,
-    ) -> None:
-        kind = type(self).__name__
-        if (bins is None) == (band is None):
-            got = "neither" if bins is None else "both"
-            raise ProblemError(kind, f"{got} of bins and band", "exactly one of them")
-        domain = band if bins is None else stop_band(bins=bins)
-        if not isinstance(domain, Band):
-            raise ProblemError(f"{kind}.band", brief(band), "a band", "Make one with low_pass, notch, stop_band, ...")
-        if component is not None and domain.component is not None:
-            got = f"{component!r}, and {domain.component!r} from the band"
-            raise ProblemError(f"{kind}.component", got, "one component")
-        if isinstance(window, str):
-            _named_window(kind, window, 8)
-        elif window is not None:
-            window = real_array(f"{kind}.window", window)
-        assign(
-            self,
-            band=domain,
-            component=domain.component if component is None else component,
-            penalty=None if penalty is None else positive_number(f"{kind}.penalty", penalty),
-            window=window,
-            oversampling=positive_integer(f"{kind}.oversampling", oversampling),
-        )
-
-    @abstractmethod
-    def limits(self, count: int, field: str) -> Array:
-        """Return the limits on the norms of ``count`` points of the grid, (count,); one limit, (), of a joint bound."""
-
-    def numbers(self, axis: Axis) -> Iterator[Number]:
-        edges = self.band.numbers(axis, PART_OF_WIDTH if self.every_frequency else np.inf)
-        for edge in edges if np.ndim(self.limit) == 0 else ():  # else every bin or frequency has its own limit
-            yield replace(edge, put=partial(SpectrumBound.with_band, put=edge.put))
-        yield from super().numbers(axis)
-
-    def with_band(self, value: float, put: Callable[..., object]) -> Self:
-        """Return the bound with the band that ``put`` makes of its own."""
-        return self.changed(band=put(self.band, value))
-
-    @property
-    @abstractmethod
-    def factor(self) -> float:
-        """Return the limit on the grid per unit of the stated limit, or of its root."""
-
-    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        for name, spectrum, limits in self.spectra(signal, field):
-            yield self.term(name, signal.kind, spectrum, limits, source)
-
-    def spectra(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array]]:
-        """Yield the name and the spectrum of each bounded component, and the limits of its groups, (groups,) or ()."""
-        bins = self.bins(signal.length, signal.sampling_time, field)
-        window, points = self.samples(signal.length, field), self.oversampling * signal.length
-        for name, C, D in signal.rows(field, self.component):
-            limits = self.limits(len(bins), field)
-            if len(bins):  # else a warning has been issued
-                yield name, SpectrumMap(C, D, window, points, bins, self.joint), limits
-
-    def term(self, name: str, kind: TermKind, values: AffineMap, limits: Array, source: tuple[str, int]) -> Term:
-        """Return the term of a component: the limits bound the norms of its groups."""
-        # the price of a joint bound is on the root of the stated energy
-        weight = weight_of(self.penalty) / (self.factor if self.joint else 1.0)
-        return Term(f"{self.label} on {name}", kind, values, NormBall(2, limits, weight), source, self.factor)
-
-    def augmented(self, n: int, k: int) -> Sequence[SpectrumBound]:
-        return self.on_components(n)
-
-    def softened(self, penalty: float) -> Self:
-        return self if self.penalty is not None else self.changed(penalty=penalty)
-
-    @property
-    def where(self) -> str:
-        """Return the bins, the window and the grid in words."""
-        window = "" if self.window is None else f"; window {self.window if isinstance(self.window, str) else 'given'}"
-        finer = "" if self.oversampling == 1 else f"; on a grid {self.oversampling} times as fine"
-        return f"{self.band.removed}{window}{finer}"
-
-    def samples(self, length: int, field: str) -> Array:
-        """Return the window of a signal, (length,)."""
-        if self.window is None:
-            return np.ones(length)
-        if isinstance(self.window, str):
-            return _named_window(field, self.window, length)
-        if self.window.shape != (length,):
-            raise ProblemError(f"{field}.window", f"shape {self.window.shape}", f"shape ({length},), one per sample")
-        return self.window
-
-    def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
-        """Return the bounded points of the grid: indices within 0 .. oversampling * length / 2."""
-        q, points = self.oversampling, self.oversampling * length
-        if self.band.unit != "bins":
-            bounded = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
-            if not len(bounded):
-                text = f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
-                warnings.warn(text, BandWarning, stacklevel=2)
-            return bounded
-        listed = np.flatnonzero(self.band.at(length, sampling_time, field))
-        grid = np.zeros(points // 2 + 1, dtype=bool)
-        for k in listed:  # and the points between neighbours; for odd N, the last bin is next to its own conjugate
-            last = q * k + (q if k + 1 in listed or 2 * k + 1 == length else 0)
-            grid[q * k : last + 1] = True
-        return np.flatnonzero(grid)
-
-
 class MagnitudeBound(SpectrumBound):
-    """|uhat_k| <= limit at the bins that a band would remove (a mask).
+    """A mask: ``amplitude=``, ``rms=``, ``percent=``, ``density=`` or ``db=``; a plain number is a sum of samples.
+
+    It bounds each bin that a band would remove. Exactly one keyword states the limit: one number, one for each bounded
+    bin 0 .. N/2 (with oversampling, for each point of the finer grid), points (frequency in the band's unit, limit) of
+    shape (points, 2), linear between them, or a mapping from orders of harmonics to limits.
 
     Parameters
     ----------
-    limit : float or (bins,)
-        In the unit of the signal: the DFT is sum_t u_t exp(-2 pi i k t/N), without a factor 1/N. One number, or one for
-        each bounded bin 0 .. N/2 (with oversampling, for each point of the finer grid).
-    limit_db : float or (bins,), with ``reference`` : float
-        Instead of ``limit``: limit = reference * 10^(limit_db / 20).
+    limit : float, array or mapping
+        Of |uhat_k|, uhat_k = sum_t u_t exp(-2 pi i k t/N): a sum of samples, N/2 times the amplitude of a sinusoid.
+    limit_db : float, array or mapping, with ``reference`` : float
+        Of the same sum: limit = reference * 10^(limit_db / 20).
+    amplitude : float, array or mapping
+        Peak of a sinusoid a cos(2 pi k t/N + phase), in the unit of the signal: |uhat_k| <= N/2 * a, and N * a at bins
+        0 and N/2. With a window, N is the sum of the window.
+    rms : float, array or mapping
+        RMS value of the sinusoid, a / sqrt(2); at bins 0 and N/2, of the constant or alternating part, a.
+    percent : float, array or mapping, with ``of``
+        The amplitude in percent of ``of``: a number, the amplitude of the reference; or "fundamental", the signal's own
+        component at ``fundamental_hz`` with the ``phase`` in radians of a cosine: |uhat_k| <= percent/100 *
+        Re(exp(-i phase) uhat_1), a second-order cone. It must hold (no penalty), at bins of the record itself.
+    density : float, array or mapping
+        One-sided power spectral density in squared units per Hz, as scipy.signal.periodogram returns it with the
+        window and without detrending. The problem must have a sampling time. Points are linear in the density.
+    db : float, array or mapping, with ``reference`` : float
+        The amplitude is reference * 10^(db / 20). Points are linear over the logarithm of the frequency.
+    harmonics : list of int or mapping, with ``fundamental_hz`` : float
+        The orders of the bounded harmonics; a mapping {5: 4.0, 7: 4.0} states their amplitudes, too. The signal must
+        last a whole number of periods of the fundamental.
     bins : list of int, or band : Band
         The bounded bins: listed, or the bins that the band would remove.
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
     penalty : float, optional
-        Makes the mask soft: penalty times the violation of each bin is added to the cost; with every_frequency, penalty
-        times max |V|/l - 1.
+        Makes the mask soft: penalty times the violation of each bin is added to the cost, in the unit of the limit (of
+        a density, of its root; of db, relative to the reference); with every_frequency, penalty times max |V|/l - 1.
     window : str or (N,), optional
         A window that multiplies the signal; names are those of scipy.signal.get_window.
     oversampling : int
@@ -215,8 +95,9 @@ class MagnitudeBound(SpectrumBound):
         |V(w)| <= limit for every w in the closed band, V(w) = sum_t u_t exp(-iwt), not at bins only: zero-padding shows
         no violation. The limit is one number above zero, points (frequency, limit) of shape (points, 2) in the unit
         of the band, linear between them, or a function of the frequency, sampled at 64 points of the band. Points of
-        ``limit_db`` are linear over the logarithm of the frequency, sampled at 64 points between two of them. Not with
-        bins, oversampling or between.
+        ``limit_db`` and ``db`` are linear over the logarithm of the frequency; they and those of a density are sampled
+        at 64 points between two of them. An amplitude a is N/2 * a at every frequency, 0 and Nyquist included. Not
+        with bins, harmonics, oversampling or between.
     hold : bool
         With every_frequency: bound the zero-order hold of the signal, which is what the plant sees:
         |sinc(f h) V(2 pi f h)| <= limit, sinc(a) = sin(pi a) / (pi a), at every f of the band in Hz, with sampling time
@@ -232,8 +113,10 @@ class MagnitudeBound(SpectrumBound):
 
     Examples
     --------
-    >>> lfo.MagnitudeBound(0.5, band=lfo.low_pass(1.0))  # at the bins that the low pass would remove
+    >>> lfo.MagnitudeBound(amplitude=0.02, band=lfo.low_pass(1.0))  # at the bins that the low pass would remove
     MagnitudeBound(...)
+    >>> lfo.MagnitudeBound(harmonics={5: 4.0, 7: 4.0}, fundamental_hz=50).describe(["i [A]"])
+    'mask of i: amplitude ≤ 4 A at harmonics 5 and 7 of 50 Hz'
     """
 
     label = "mask"
@@ -245,10 +128,19 @@ class MagnitudeBound(SpectrumBound):
 
     def __init__(
         self,
-        limit: Limit | None = None,
+        limit: Stated = None,
         *,
-        limit_db: ArrayLike | None = None,
+        amplitude: Stated = None,
+        rms: Stated = None,
+        percent: Stated = None,
+        of: Reference = None,
+        phase: float | None = None,
+        density: Stated = None,
+        db: Stated = None,
+        limit_db: Stated = None,
         reference: float | None = None,
+        harmonics: ByOrder | Iterable[int] | None = None,
+        fundamental_hz: float | None = None,
         at_least: ArrayLike | None = None,
         bins: Iterable[int] | None = None,
         band: Band | None = None,
@@ -262,50 +154,63 @@ class MagnitudeBound(SpectrumBound):
     ):
         if at_least is not None:
             raise UnsupportedError(f"MagnitudeBound.at_least: {NO_LOWER_MASK}")
-        if (limit is None) == (limit_db is None):
-            got = "neither" if limit is None else "both"
-            raise ProblemError("MagnitudeBound.limit", got, "exactly one of limit and limit_db")
-        if (limit_db is None) != (reference is None):
-            expected = "a reference with limit_db, and only with it"
-            raise ProblemError("MagnitudeBound.reference", brief(reference), expected)
+        limits = {"amplitude": amplitude, "rms": rms, "percent": percent, "density": density, "db": db}
+        limits |= {"limit": limit, "limit_db": limit_db}
+        stated = stated_limit("MagnitudeBound", limits, harmonics, fundamental_hz, of, phase, reference)
         for name, flag in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
             require_bool(f"MagnitudeBound.{name}", flag)
-        read = partial(limit_of_frequencies, band) if every_frequency else limit_of_bins
-        levels = read(limit, limit_db, reference)
-        assign(self, limit=levels, between=between, every_frequency=every_frequency, hold=hold)
-        self._set_domain(bins, band, component, penalty, window, oversampling)
-        if every_frequency and (self.band.unit == "bins" or oversampling != 1 or between):
-            got = "bins, oversampling or between, with every_frequency=True"
+        assign(self, between=between, every_frequency=every_frequency, hold=hold)
+        self._set_domain(stated, fundamental_hz, bins, band, component, penalty, window, oversampling)
+        if every_frequency and (self.band.listed or oversampling != 1 or between):
+            got = "bins, harmonics, oversampling or between, with every_frequency=True"
             raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
         if hold and not (every_frequency and self.band.unit == "Hz"):
             got = "hold=True without every_frequency=True, or with a band that is not in Hz"
             raise ProblemError("MagnitudeBound.hold", got, "every_frequency=True and a band in Hz")
         if between and self.oversampling < 2:
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
+        values = read_limits(stated, every_frequency, band)
+        if values.ndim == 2 and self.band.listed:
+            raise ProblemError(
+                stated.field, brief(stated.value), "one for each bin, or points of a band of frequencies"
+            )
+        assign(self, limit=values)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         if not self.every_frequency:
             yield from super().terms(signal, field, source)
             return
-        limits = limits_of_band(field, self.limit, self.band, signal.sampling_time, self.hold)
         window, penalty = self.samples(signal.length, field), float(weight_of(self.penalty))
+        sums = self.quantity.sums(window, signal.sampling_time, field)[1]
+        levels = limit_levels(self.limit, self.quantity)
+        limits = limits_of_band(field, levels, self.band, signal.sampling_time, self.hold).scaled(sums)
         mask, values = (ZeroOrderHoldMask, ZeroOrderHoldMap) if self.hold else (MagnitudeMask, FrequencyMap)
-        maps = (values(C, D, window, np.zeros(0)) for _, C, D in signal.rows(field, self.component))
+        rows = list(signal.rows(field, self.component))
+        maps = (values(C, D, window, np.zeros(0)) for _, C, D in rows)
         step = signal.sampling_time if self.band.unit == "Hz" else None
         hertz = None if step is None else 1 / (2 * np.pi * step)
         masks = (mask(spectrum, limits, price=penalty, hertz=hertz) for spectrum in maps)
-        yield from self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
+        terms = self.semi_infinite_terms(f"{'held ' if self.hold else ''}mask on", signal, masks, source)
+        for term, (name, _, _) in zip(terms, rows, strict=True):
+            label = f"{short_name(name)}{' (held)' if self.hold else ''}, {self.where.removeprefix('the bins ')}"
+            shown = Statement(self.quantity, name, [label], np.zeros(()), signal.sampling_time, in_band=True)
+            yield replace(term, per_limit=sums, statement=shown, band=self._band_in_names)
 
     def describe(self, names: Sequence[str]) -> str:
-        low, high = (number(float(limit)) for limit in (self.levels.min(), self.levels.max()))
-        limit = low if low == high else f"{low} to {high} (a limit for each bin)"
+        known = self.limit[:, 1] if self.limit.ndim == 2 else self.limit
+        low, high = (number(float(limit)) for limit in (known.min(), known.max()))
+        each = "a limit for each frequency" if self.limit.ndim == 2 else "a limit for each bin"
+        unit, words = "" if self.quantity.keyword == "limit" else f" {self.limit_unit(names)}", self.quantity.kind.words
+        limit = f"{low}{unit.rstrip()}" if low == high else f"{low} to {high}{unit.rstrip()} ({each})"
         of = component_words(self.component, names)
         if self.every_frequency:
-            spectrum = "|sinc(f h) V|, as it is held," if self.hold else "|V(w)|"
+            spectrum = ("|sinc(f h) V|, as it is held," if self.hold else "|V(w)|") if self.quantity.is_sum else words
             where = f"at every frequency of {self.where}{price(self.penalty, 'largest excess relative to the limit')}"
             return f"mask of {of}: {spectrum} {AT_MOST} {limit} {where}"
         between = " and between its points" if self.between else ""
-        return f"mask of {of}: |DFT| {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
+        return (
+            f"mask of {of}: {words} {AT_MOST} {limit} at {self.where}{between}{price(self.penalty, 'excess of a bin')}"
+        )
 
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
         bounded = super().bins(length, sampling_time, field)
@@ -315,17 +220,16 @@ class MagnitudeBound(SpectrumBound):
             raise ProblemError(f"{field}.bins", got, f"increasing bins within 0 .. {length // 2}")
         return bounded
 
-    def limits(self, count: int, field: str) -> Array:
-        if self.limit.shape not in ((), (count,)):
-            raise ProblemError(f"{field}.limit", f"shape {self.limit.shape}", f"one number, or {count}: one per bin")
-        return np.broadcast_to(self.factor * self.limit, (count,))
+    def bin_levels(self, bins: Indices, points: int, sampling_time: float | None, field: str) -> Array:
+        return limits_at_bins(field, self.limit, self.quantity, self.band, bins, points, sampling_time)
 
     @property
     def levels(self) -> Array:
-        return self.limit[:, 1] if self.limit.ndim == 2 else self.limit
+        return self.quantity.level(self.limit[:, 1] if self.limit.ndim == 2 else self.limit)
 
     def at_levels(self, levels: Array) -> Self:
-        return self.changed(limit=np.column_stack([self.limit[:, 0], levels]) if self.limit.ndim == 2 else levels)
+        limit = np.asarray(self.quantity.stated(levels))
+        return self.changed(limit=np.column_stack([self.limit[:, 0], limit]) if self.limit.ndim == 2 else limit)
 
     @property
     def factor(self) -> float:
@@ -333,14 +237,26 @@ class MagnitudeBound(SpectrumBound):
 
 
 class EnergyBound(SpectrumBound):
-    """sum |uhat_k|^2 <= limit over the bins 0 .. N/2 that a band would remove, each conjugate pair counted once.
+    """A bound on a band as a whole: ``rms=``, ``amplitude=`` or ``percent=``; a plain number is a sum of squares.
 
     Parameters
     ----------
     limit : float
-        In squared units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
+        Of sum |uhat_k|^2 over the bins 0 .. N/2 that a band would remove, each conjugate pair counted once, in squared
+        units of the DFT. With oversampling q, the sum over the finer grid is divided by q.
+    rms : float
+        RMS value of the part of the signal in the band, by Parseval's theorem: the root of the sum of the squared RMS
+        values of its bins. Like the next two, not with bins 0 and N/2, a window or oversampling.
+    amplitude : float
+        The root of the sum of the squared amplitudes.
+    percent : float, with ``of``
+        The root of the sum of the squared amplitudes in percent of ``of``, as for ``MagnitudeBound``: the total
+        harmonic distortion for of="fundamental" with its ``phase``, the total demand distortion for a number.
+    harmonics : list of int, with ``fundamental_hz`` : float
+        The orders in the sum.
     penalty : float, optional
-        Makes the bound soft: penalty * max(sqrt(energy) - sqrt(limit), 0) is added to the cost.
+        Makes the bound soft: penalty * max(sqrt(energy) - sqrt(limit), 0) is added to the cost; of the others, penalty
+        times the violation in the unit of the limit.
     bins, band, component, window, oversampling
         As for ``MagnitudeBound``.
 
@@ -353,6 +269,9 @@ class EnergyBound(SpectrumBound):
     --------
     >>> lfo.spectrum.EnergyBound(0.5, band=lfo.low_pass(1.0)).describe(["thrust"])
     'energy of thrust: sum of |DFT|² ≤ 0.5 over the bins above 1 rad/sample'
+    >>> distortion = lfo.spectrum.EnergyBound(percent=5, of=100.0, harmonics=range(2, 51), fundamental_hz=50)
+    >>> distortion.describe(["i [A]"])
+    'energy of i: amplitude ≤ 5 % of 100 A over harmonics 2 to 50 of 50 Hz'
     """
 
     label = "energy bound"
@@ -361,8 +280,15 @@ class EnergyBound(SpectrumBound):
 
     def __init__(
         self,
-        limit: float,
+        limit: float | None = None,
         *,
+        rms: float | None = None,
+        amplitude: float | None = None,
+        percent: float | None = None,
+        of: Reference = None,
+        phase: float | None = None,
+        harmonics: Iterable[int] | None = None,
+        fundamental_hz: float | None = None,
         bins: Iterable[int] | None = None,
         band: Band | None = None,
         component: int | str | None = None,
@@ -370,30 +296,35 @@ class EnergyBound(SpectrumBound):
         window: str | ArrayLike | None = None,
         oversampling: int = 1,
     ):
-        energy = real_array("EnergyBound.limit", limit)
+        limits = {"rms": rms, "amplitude": amplitude, "percent": percent, "limit": limit}
+        stated = stated_limit("EnergyBound", limits, harmonics, fundamental_hz, of, phase)
+        energy = real_array(stated.field, stated.value)
         if energy.ndim or energy < 0:
-            raise ProblemError("EnergyBound.limit", brief(limit), "one number, zero or above")
+            raise ProblemError(stated.field, brief(stated.value), "one number, zero or above")
+        if stated.quantity.is_sum:
+            stated = stated._replace(quantity=Quantity("energy"))
+        elif window is not None or oversampling != 1:
+            raise ProblemError(stated.field, "a window or oversampling", "the bins of the record itself, or limit=")
         assign(self, limit=float(energy))
-        self._set_domain(bins, band, component, penalty, window, oversampling)
+        self._set_domain(stated, fundamental_hz, bins, band, component, penalty, window, oversampling)
 
     def describe(self, names: Sequence[str]) -> str:
-        of, limit = component_words(self.component, names), f"{AT_MOST} {number(self.limit)}"
-        square, cost = "\N{SUPERSCRIPT TWO}", price(self.penalty, "excess of its root")
-        return f"energy of {of}: sum of |DFT|{square} {limit} over {self.where}{cost}"
+        of, words = component_words(self.component, names), self.quantity.kind.words
+        limit, cost = f"{AT_MOST} {number(self.limit)} {self.limit_unit(names)}", price(self.penalty)
+        if self.quantity.is_sum:
+            words, limit = f"sum of |DFT|{SQUARED}", f"{AT_MOST} {number(self.limit)}"
+            cost = price(self.penalty, "excess of its root")
+        return f"energy of {of}: {words} {limit} over {self.where}{cost}"
 
     @property
     def levels(self) -> Array:
-        return np.sqrt(self.limit)
-
-    @property
-    def power(self) -> int:
-        return 2
+        return self.quantity.level(np.asarray(self.limit))
 
     def at_levels(self, levels: Array) -> Self:
-        return self.changed(limit=float(levels) ** 2)
+        return self.changed(limit=float(self.quantity.stated(levels)))
 
-    def limits(self, count: int, field: str) -> Array:
-        return np.asarray(self.factor * np.sqrt(self.limit))
+    def bin_levels(self, bins: Indices, points: int, sampling_time: float | None, field: str) -> Array:
+        return self.levels
 
     @property
     def factor(self) -> float:
@@ -405,112 +336,3 @@ def softened_constraint(penalty: float, constraint: FrequencyConstraint) -> Freq
     if isinstance(constraint, Band):
         return MagnitudeBound(0.0, band=constraint, penalty=penalty)
     return constraint.softened(penalty)
-
-
-def _named_window(field: str, name: str, length: int) -> Array:
-    from scipy.signal import get_window  # slow to import
-
-    try:
-        return np.asarray(get_window(name, length, fftbins=False), dtype=np.float64)
-    except ValueError:
-        expected = "a window of scipy.signal, such as 'hann', or numbers"
-        raise ProblemError(f"{field}.window", repr(name), expected) from None
-
-
-def limit_of_bins(limit: object, limit_db: ArrayLike | None, reference: float | None) -> Array:
-    """Return the limit of bins as one number, (), or one for each, (bins,)."""
-    field, value = ("MagnitudeBound.limit", limit) if limit_db is None else ("MagnitudeBound.limit_db", limit_db)
-    bound = real_array(field, value, allow_infinite=limit_db is None)
-    if limit_db is not None:
-        with np.errstate(over="ignore"):  # an infinite limit is none
-            bound = np.asarray(from_decibels(bound, reference))
-    if bound.ndim > 1 or (bound < 0).any():
-        raise ProblemError(field, brief(value), "one number, zero or above, or one for each bin")
-    return bound
-
-
-def limit_of_frequencies(
-    band: Band | None, limit: Limit | None, limit_db: ArrayLike | None, reference: float | None
-) -> Array:
-    """Return the limit as one number, (), or as points (frequency in the band's unit, limit), (points, 2).
-
-    Points in dB are linear over the logarithm of the frequency; samples of them are linear over the frequency.
-    """
-    field = "MagnitudeBound.limit"
-    if limit_db is not None:
-        decibels = real_array(f"{field}_db", limit_db)
-        if decibels.ndim:
-            points = _require_points(f"{field}_db", decibels)
-            if points[0, 0] <= 0:
-                expected = "the first point above 0, for dB over log frequency"
-                raise ProblemError(f"{field}_db", "a point at frequency 0", expected)
-            pairs = zip(points[:-1, 0], points[1:, 0], strict=True)
-            w = np.unique(np.concatenate([np.geomspace(low, high, SAMPLES) for low, high in pairs]))
-            decibels = np.interp(np.log(w), np.log(points[:, 0]), points[:, 1])
-            bound = np.column_stack([w, from_decibels(decibels, reference)])
-        else:
-            bound = from_decibels(decibels, reference)
-    else:
-        bound = _sample_function(field, limit, band) if callable(limit) else real_array(field, limit)
-    if bound.ndim:
-        bound = _require_points(field, bound)
-    lowest = (bound[:, 1] if bound.ndim else bound).min()
-    if lowest <= 0:
-        raise ProblemError(field, f"{lowest:g}", "a limit above zero at every frequency", NO_ZERO)
-    return bound
-
-
-def from_decibels(decibels: Array, reference: object) -> Array:
-    """Return reference * 10^(decibels / 20)."""
-    return positive_number("MagnitudeBound.reference", reference) * 10 ** (decibels / 20)
-
-
-def _require_points(field: str, points: Array) -> Array:
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
-        expected = "one number, or points (frequency, limit) of shape (points, 2), at least two"
-        raise ProblemError(field, f"shape {points.shape}", expected)
-    if (np.diff(points[:, 0]) <= 0).any() or points[0, 0] < 0:
-        raise ProblemError(field, brief(points[:, 0].tolist()), "frequencies that increase, from 0 or above")
-    return points
-
-
-def _sample_function(field: str, limit: Callable[[Array], ArrayLike], band: Band | None) -> Array:
-    """Return samples of a function of the frequency in the band's unit as points (frequency, limit)."""
-    if band is None or band.unit == "bins" or (band.unit == "Hz" and band.kind in ("low_pass", "band_pass")):
-        advice = "Give points instead: np.column_stack([frequencies, limits])."
-        raise ProblemError(field, "a function", "a band in rad/sample, which ends at pi", advice)
-    low, high = band.limits
-    first = max(low, 0.0) if band.kind == "notch" else 0.0
-    last = high if band.kind == "notch" else low if band.kind == "high_pass" else np.pi
-    edges = [edge for edge in (low, high) if first < edge < last]
-    w = np.unique(np.concatenate([np.linspace(first, last, SAMPLES), edges]))
-    return np.column_stack([w, np.broadcast_to(real_array(field, limit(w)), w.shape)])
-
-
-def limits_of_band(field: str, limit: Array, band: Band, sampling_time: float | None, hold: bool) -> Limits:
-    """Return the limit on the closed intervals that a band removes, in rad/sample.
-
-    For a zero-order hold, w = 2 pi f h may be above pi. After the last point the limit is constant; of an unbounded
-    interval, one period of V after that point suffices (``ZeroOrderHoldMask``).
-    """
-    if hold and sampling_time is None:
-        raise ProblemError(field, f"{band}, and no sampling time", "dynamics with a sampling_time in seconds, for hold")
-    factor = 2 * np.pi * (sampling_time if hold and sampling_time else band.bins_per_unit(1, sampling_time, field))
-    points, values = (limit[:, 0] * factor, limit[:, 1]) if limit.ndim else (np.zeros(1), limit.reshape(1))
-    low, high = (edge * factor for edge in band.limits)
-    highest = max(high, float(points[-1])) + 2 * np.pi if hold else np.pi
-    low, high = min(low, highest), min(high, highest)
-    if band.kind == "notch":
-        intervals = [(max(low, 0.0), high)]
-    else:
-        intervals = ([(0.0, low)] if low > 0 else []) + ([(high, highest)] if high < highest else [])
-    if not intervals or intervals[0][0] >= intervals[-1][1]:
-        expected = "a band that removes frequencies" + ("" if hold else " between 0 and Nyquist")
-        raise ProblemError(f"{field}.band", str(band), expected)
-    first, last = intervals[0][0], float(points[-1]) if hold else intervals[-1][1]
-    slack = BIN_TOLERANCE * np.pi  # rounding of the change of unit
-    if limit.ndim and (points[0] > first + slack or points[-1] < last - slack):
-        got = f"points from {limit[0, 0]:g} to {limit[-1, 0]:g} {band.unit}"
-        expected = f"points from {first / factor:g}{'' if hold else f' to {last / factor:g}'} {band.unit}"
-        raise ProblemError(f"{field}.limit", got, f"{expected}, which the band removes")
-    return limits_on(intervals, points, values)

@@ -18,7 +18,8 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, WindowSpectra, component_indices
-from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound, SpectrumBound
+from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
+from lin_freq_ocp.problem.spectrum.spectrum_bound import SpectrumBound
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -81,6 +82,9 @@ class Spectrogram(FrequencyConstraint):
         if not isinstance(bound, SpectrumBound):
             advice = "A band that is left out is MagnitudeBound(0, band=...)."
             raise ProblemError("Spectrogram.bound", brief(bound), "a MagnitudeBound or an EnergyBound", advice)
+        if bound.quantity.of_fundamental:
+            expected = "a bound of another quantity: a window has no fundamental of its own"
+            raise ProblemError("Spectrogram.bound", "percent of='fundamental'", expected, "State of= as a number.")
         if length is None and hop is not None:
             raise ProblemError("Spectrogram.hop", brief(hop), "a length of the windows with it")
         samples = None if length is None else positive_integer("Spectrogram.length", length)
@@ -131,9 +135,8 @@ class Spectrogram(FrequencyConstraint):
     def levels(self) -> Array | None:
         return self.bound.levels
 
-    @property
-    def power(self) -> int:
-        return self.bound.power
+    def shown(self, level: float, names: Sequence[str]) -> str:
+        return self.bound.shown(level, names)
 
     def at_levels(self, levels: Array) -> Self:
         return self.changed(bound=self.bound.at_levels(levels))
@@ -143,16 +146,21 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(bound=bound, penalty=bound.penalty)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        for name, windows, limits in self._windows(signal, field):
-            of = f"{'windows' if self.length else 'past and future'} of {name}"
-            yield self.bound.term(of, signal.kind, windows, np.tile(limits, len(windows.starts)), source)
+        for name, windows, levels, sums in self._windows(signal, field):
+            of, count = f"{'windows' if self.length else 'past and future'} of {name}", len(windows.starts)
+            per_level = np.tile(sums, count) if np.ndim(sums) else sums
+            term = self.bound.term(of, signal.kind, windows, np.tile(levels, count), per_level, source)
+            shown = self.bound.statement(name, windows.spectrum, levels, signal.sampling_time)
+            labels = [f"{label}, in a window" if self.length else label for label in shown.labels]
+            labels = labels * (count if len(labels) > 1 else 1)
+            yield replace(term, statement=replace(shown, labels=labels, levels=np.tile(levels, count)))
 
     def measure(self, signal: Signal, field: str, x: Array, u: Array, plan: int) -> Iterator[WindowSpectra]:
         known = 0 if self.past is None else len(self.past)
         length, hop = (known + plan - self.offset, 1) if self.length is None else (self.length, self.hop)
         if known + signal.length - self.offset < length:
             return  # no window has ended
-        for name, windows, limits in self.changed(length=length, hop=hop)._windows(signal, field):
+        for name, windows, levels, sums in self.changed(length=length, hop=hop)._windows(signal, field):
             spectrum = windows.spectrum
             every = replace(spectrum, bins=np.arange(spectrum.points // 2 + 1), joint=False)
             values = replace(windows, spectrum=every).values(x, u)
@@ -163,13 +171,13 @@ class Spectrogram(FrequencyConstraint):
                 frequencies=2 * np.pi * every.bins / every.points,
                 magnitudes=np.linalg.norm(values, axis=1).reshape(len(windows.starts), -1),
                 bins=spectrum.bins,
-                limits=limits,
+                limits=np.asarray(levels * sums),
                 amplitude=2.0 / float(spectrum.window.sum()),
                 soft=self.penalty is not None,
             )
 
-    def _windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array]]:
-        """Yield the name, the windows and the limits of a window's groups, of each bounded component."""
+    def _windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
+        """Yield the name, the windows, the levels of a window's groups and sums per level, of each component."""
         count, samples = len(signal.names), signal.length
         past = np.zeros((0, count)) if self.past is None else self.past
         if past.shape[1] != count:
@@ -183,8 +191,8 @@ class Spectrogram(FrequencyConstraint):
         window = Signal(signal.kind, signal.C, signal.D, signal.names, length, signal.sampling_time)
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
-        for (name, spectrum, limits), i in zip(bounded, components, strict=False):  # none without bins
-            yield name, SpectrogramMap(spectrum, first, past[:, i]), limits
+        for (name, spectrum, levels, sums), i in zip(bounded, components, strict=False):  # none without bins
+            yield name, SpectrogramMap(spectrum, first, past[:, i]), levels, sums
 
 
 LOBE = 4.0  # width of the main lobe of a Hann window, in bins of its length
@@ -250,7 +258,7 @@ def closed_loop(
     """
     level = positive_number("closed_loop.amplitude", amplitude)
     MagnitudeBound(level, band=band)  # raises for what is no band
-    if band.unit == "bins":
+    if band.listed:
         expected = "a band of frequencies"
         raise ProblemError("closed_loop.band", brief(band), expected, "Such as notch(centre_hz=8, width_hz=2).")
     if length is None:

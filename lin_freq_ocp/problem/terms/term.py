@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -11,7 +12,10 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.problem.terms.maps import AffineMap
 from lin_freq_ocp.problem.terms.penalties import Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
+from lin_freq_ocp.problem.terms.quantity import Reading, Statement
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint, peaks_above
+
+HIGHEST = 0.99  # of the largest sample of a spectrum: a higher peak may be the highest one
 
 
 class TermKind(StrEnum):
@@ -79,9 +83,10 @@ class Term:
     map: AffineMap  # L
     penalty: Penalty  # h
     source: tuple[str, int] | None = None  # the field of the problem that states it, and the index there
-    per_limit: float = 1.0  # the penalty's limit per unit of the stated limit (of the root of a stated energy)
+    per_limit: Array | float = 1.0  # the penalty's limit per unit of a level of the stated limit, or one per group
     semi_infinite: SemiInfiniteConstraint | None = None  # the constraint that the map samples at its points
     band: str = ""  # of the constraint: it names terms that would have the same name
+    statement: Statement | None = None  # of the limit of a spectrum
 
     @property
     def hard(self) -> bool:
@@ -104,6 +109,30 @@ class Term:
         if constraint is not None and not self.hard:  # the price is on the largest violation at any point
             values, penalty = constraint.at(peaks_above(constraint, x, u, 1.0)[0])
         return penalty.cost(values.values(x, u))
+
+    def readings(self, x: Array, u: Array) -> Iterator[Reading]:
+        """Yield the values of a limited spectrum and their limits, in the unit in which the limits were stated."""
+        statement, constraint = self.statement, self.semi_infinite
+        if statement is None:
+            return
+        if constraint is not None:
+            at, ratios = constraint.first_points()[:1], np.zeros(1)
+            top = max(float(ratio.max()) for _, _, ratio in constraint.samples(constraint.map.signal(x, u)))
+            if top > 0:  # the highest peaks alone: a long signal has many
+                at, ratios = peaks_above(constraint, x, u, HIGHEST * top)
+            levels = constraint.limit_at(at) / self.per_limit
+            yield from statement.readings(ratios * levels, levels, at)
+            return
+        values = self.map.values(x, u)
+        first = values[:, :1] if statement.relative else np.zeros((len(values), 0))
+        sizes = np.linalg.norm(values[:, first.shape[1] :], axis=1)
+        levels = np.broadcast_to(statement.levels, sizes.shape)
+        if statement.relative:
+            share = np.where(sizes > 0, np.inf, 0.0)
+            np.divide(sizes, first[:, 0], out=share, where=first[:, 0] > 0)
+            yield from statement.readings(levels * share, levels, self.map.frequencies)
+        else:
+            yield from statement.readings(sizes / self.per_limit, levels, self.map.frequencies)
 
     def violation(self, x: Array, u: Array) -> Array:
         """Return the violation of the hard part, zero or above, (groups, dim) or (groups, 1)."""

@@ -302,7 +302,7 @@ function spectrumPanel(frame, spectrum, i, shownOnes) {
   const last = ((ones[0] ? ones[0].spectra[i].length : 2) - 1) * spectrum.step;
   const right = ones.length ? last : Math.max(...spectrum.stopped.flat(), spectrum.step);
   return {
-    title: `spectrum |DFT| of ${spectrum.name}`, wide: alone(frame), log: true, stopped: spectrum.stopped, x: [0, right], y: [low, high], curves,
+    title: `spectrum: ${spectrum.label}`, wide: alone(frame), log: true, stopped: spectrum.stopped, x: [0, right], y: [low, high], curves,
     xLabel: frame.frequency.label,
     words: `magnitude of the spectrum of ${spectrum.name}, logarithmic; ${bands.length ? `stopped or limited: ${listed(bands)}` : "no stopped band"}; shown: ${listed(ones.map((one) => one.name))}`,
   };
