@@ -212,6 +212,19 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
     return freeze(total.astype(np.float64))
 
 
+def stack_signals(x: Array, u: Array) -> Array:
+    """Return z_t = (x_t, u_t), (..., T+1, n + m), of states (..., T+1, n) and controls (..., T, m), with u_T = 0."""
+    n = x.shape[-1]
+    z = np.zeros((*x.shape[:-1], n + u.shape[-1]), dtype=x.dtype)
+    z[..., :n], z[..., :-1, n:] = x, u
+    return z
+
+
+def split_signals(z: Array, n: int) -> tuple[Array, Array]:
+    """Return the parts in x (..., T+1, n) and in u (..., T, m) of a stacked array, as views."""
+    return z[..., :n], z[..., :-1, n:]
+
+
 def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, ...]:
     """Return the index of the first entry, or of the least ``order``, that is the largest up to ``SAME`` of its size.
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import (
     Deviations,
@@ -122,7 +122,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
     if curvatures is not None:
         cost = extremal.cost
         _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-        summed = _sum_of_terms(extremal, extremal.adjoint_terms, extremal.in_u_terms)
+        summed = _sum_of_terms(extremal)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
@@ -139,7 +139,7 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
     sizes, (n,) and (m,), by default the largest that leaves half of D.
     """
     problem, at = extremal.problem, extremal.trajectory
-    uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
+    uncurved = np.zeros_like(extremal.in_z)
     region = stated_bounds(problem)
     proven, _ = _evaluate(extremal, uncurved, region, 0.0, RIGOROUS)
     if proven.value <= 0:
@@ -187,28 +187,20 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not stage.any() and end == 0
 
 
-def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
+def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
     """Return D over a box, and its losses on every component."""
-    x, u = extremal.trajectory.x, extremal.trajectory.u
-    slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
-    terms = extremal.adjoint_terms, extremal.in_u_terms
-    unit = unit_rounding(extremal.problem)
-    stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
-    for signal, exact, size, curvature, (lower, upper) in zip(
-        (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
-    ):
-        low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
-        error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
-        minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
-        stage_gaps[: len(signal)] -= minimum.sum(1)
-        losses.append(-np.minimum(*pessimistic))
-        steepest.append(np.abs(slope) + error)
-    residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
-    dynamics_term = float((extremal.multipliers.eta * residual).sum())
-    frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
+    problem, slope, size = extremal.problem, extremal.slopes.astype(np.float64), extremal.slope_terms
+    n, unit = problem.state_dim, unit_rounding(problem)
+    low, high = (stack_signals(*sides) - extremal.point for sides in zip(box.x, box.u, strict=True))
+    error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
+    minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
+    stage_gaps, losses = 0.0 - minimum.sum(1), -np.minimum(*pessimistic)
+    x, u = split_signals(extremal.z, n)
+    dynamics_term = float((extremal.multipliers.eta * (x[1:] - problem.linear.successors(x, u))).sum())
+    frequency_term = sum(extremal.frequency_terms)
     stage_term = extremal.terms_gap
-    summed = _sum_of_terms(extremal, *terms) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
-    gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
+    summed = _sum_of_terms(extremal) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
+    gap, certain = float(stage_gaps.sum()), float(losses.sum())
     finite = bool(np.isfinite(certain))
     others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
     in_sums = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
@@ -217,24 +209,21 @@ def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, ki
     rounding = certain - gap + in_sums if finite else np.inf
     bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
     left = float(cost - without_losses) + in_sums
-    return bound, Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), left)
+    steep, curved, lost = (split_signals(part, n) for part in (np.abs(slope) + error, curvatures, losses))
+    return bound, Deviations(steep, curved, lost, left)
 
 
-def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
+def _sum_of_terms(extremal: Extremal) -> float:
     """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>.
 
     Those of J are products of deviations from the references, and linear terms.
     """
-    cost, at = extremal.problem.quadratic, extremal.trajectory
-    terms = np.vdot(
-        np.abs(extremal.multipliers.eta), np.abs(np.broadcast_to(extremal.problem.linear.offset, at.x[1:].shape))
-    )
+    cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
+    terms = float(np.abs(extremal.multipliers.eta * offset).sum()) if offset.any() else 0.0
     linear = (cost.q * at.x[:-1], cost.p * at.x[-1], cost.r * at.u)
     terms += sum(float(np.abs(part).sum()) for part in linear if part.any())
-    sums = (in_x, in_u), extremal.cost_terms, (at.x, at.u), cost.deviations(at.x, at.u)
-    for all_terms, of_cost, values, deviations in zip(*sums, strict=True):
-        terms += np.vdot(all_terms - of_cost, np.abs(values)) + np.vdot(of_cost, np.abs(deviations))
-    return float(terms)
+    terms += np.vdot(extremal.slope_terms - extremal.cost_terms, np.abs(extremal.point))
+    return float(terms + np.vdot(extremal.cost_terms, extremal.deviations))
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:
@@ -244,10 +233,11 @@ def unit_rounding(problem: OptimalControlProblem) -> float:
     return float(operations * np.finfo(np.longdouble).eps)
 
 
-def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Region:
+def _cut_sets(problem: OptimalControlProblem, curvatures: Array, largest: Pair, follows_from: str) -> Region:
     """Return the stated sets; components without curvature and with farther bounds are cut at ``largest``."""
     stated, pairs = stated_bounds(problem), list[Pair]()
-    for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
+    parts = split_signals(curvatures, problem.state_dim)
+    for (lower, upper), curvature, size in zip((stated.x, stated.u), parts, largest, strict=True):
         low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)
         pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
     return Region(pairs[0], pairs[1], np.inf, follows_from)

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, to_long_double
+from lin_freq_ocp.base.arrays import Array, seal, split_signals, stack_signals, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
@@ -67,21 +67,21 @@ class PricedTerm:
 class Extremal:
     """A trajectory with its multipliers, and the derivatives of the Hamiltonian there.
 
-    Signals and derivatives are in extended precision, as their terms cancel. Sums of absolute values are in double
-    precision.
+    Arrays of states and controls are stacked as z_t = (x_t, u_t), (T+1, n + m), with zeros for u_T. Signals and
+    derivatives are in extended precision, as their terms cancel. Sums of absolute values are in double precision.
 
     Attributes
     ----------
-    x : (T+1, n), u : (T, m)
+    z
         The trajectory.
-    state_signal : (T+1, n), control_signal : (T, m)
+    signal
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
-    in_x : (T+1, n), in_u : (T, m)
+    in_z
         D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
-    in_x_terms, in_u_terms
-        The sums of the absolute values of the terms of in_x and in_u. Their rounding errors are relative to these.
-    cost_terms : (T+1, n) and (T, m)
-        The parts of the quadratic cost in these sums.
+    in_z_terms
+        The sums of the absolute values of the terms of in_z. Its rounding errors are relative to these.
+    cost_terms
+        The part of the quadratic cost in these sums.
     terms : list of PricedTerm
         All terms of the problem except the quadratic cost, boxes and stop bands.
     """
@@ -89,47 +89,80 @@ class Extremal:
     problem: OptimalControlProblem
     trajectory: Trajectory
     multipliers: Multipliers
-    x: Array
-    u: Array
-    state_signal: Array
-    control_signal: Array
-    in_x: Array
-    in_u: Array
-    in_x_terms: Array
-    in_u_terms: Array
-    cost_terms: tuple[Array, Array]
+    z: Array
+    signal: Array
+    in_z: Array
+    in_z_terms: Array
+    cost_terms: Array
     terms: list[PricedTerm]
 
     @cached_property
-    def eta_before(self) -> Array:
-        """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0."""
-        return np.concatenate([np.zeros((1, self.problem.state_dim)), self.multipliers.eta])
+    def point(self) -> Array:
+        """The trajectory in double precision."""
+        return stack_signals(self.trajectory.x, self.trajectory.u)
 
     @cached_property
-    def adjoint_terms(self) -> Array:
-        """Return |eta_{t-1}| + in_x_terms, (T+1, n): the absolute terms of eta_{t-1} - D_x H_t."""
-        return np.abs(self.eta_before) + self.in_x_terms
+    def bounds(self) -> tuple[Array, Array]:
+        """The lower and the upper bounds of the sets."""
+        x, u = self.problem.state_tube, self.problem.control_tube
+        return stack_signals(x.lower, u.lower), stack_signals(x.upper, u.upper)
+
+    @cached_property
+    def violation(self) -> Array:
+        """The distances from the sets, component by component."""
+        lower, upper = self.bounds
+        return np.maximum(np.maximum(lower - self.point, self.point - upper), 0.0)
+
+    @cached_property
+    def deviations(self) -> Array:
+        """The distances from the references of the cost, component by component."""
+        return np.abs(stack_signals(*self.problem.quadratic.deviations(self.trajectory.x, self.trajectory.u)))
+
+    @cached_property
+    def normals(self) -> Array:
+        """The multipliers mu_t and nu_t."""
+        return stack_signals(self.multipliers.mu, self.multipliers.nu)
+
+    @cached_property
+    def slopes(self) -> Array:
+        """The slopes of l_t: eta_{t-1} - D_x H_t, with 0 for eta_{-1}, and -D_u H_t."""
+        slopes = -self.in_z
+        slopes[1:, : self.problem.state_dim] += self.multipliers.eta
+        return slopes
+
+    @cached_property
+    def slope_terms(self) -> Array:
+        """The sums of the absolute values of the terms of the slopes."""
+        terms = self.in_z_terms.copy()
+        terms[1:, : self.problem.state_dim] += np.abs(self.multipliers.eta)
+        return terms
 
     @cached_property
     def state_residual(self) -> Array:
-        """Return x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
+        """x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
         return state_residual(self.problem, self.trajectory)
 
     @cached_property
-    def curvatures(self) -> tuple[Array, Array] | None:
-        """Return lower bounds of the curvature in states (T+1, n) and controls (T, m); None if J is not convex."""
-        curvatures, eta_C = cost_curvatures(self.problem.quadratic, self.problem.horizon), self.multipliers.eta_C
-        return curvatures and (eta_C * curvatures[0], eta_C * curvatures[1])
+    def curvatures(self) -> Array | None:
+        """Lower bounds of the curvature of l_t; None if J is not convex."""
+        curvatures = cost_curvatures(self.problem.quadratic, self.problem.horizon)
+        return None if curvatures is None else self.multipliers.eta_C * curvatures
 
     @cached_property
     def terms_gap(self) -> float:
-        """Return the sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
+        """The sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
         return float(sum(priced.gap.sum() + priced.peak_price for priced in self.terms))
 
     @cached_property
+    def frequency_terms(self) -> tuple[float, float]:
+        """<rho, frequency residual> of states and of controls."""
+        of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
+        return float(of_x.sum()), float(of_u.sum())
+
+    @cached_property
     def cost(self) -> float:
-        """Return J."""
-        return self.problem.value(self.x, self.u)
+        """J."""
+        return self.problem.value(*split_signals(self.z, self.problem.state_dim))
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
@@ -148,33 +181,33 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    T = problem.horizon
-    x, u, eta = to_long_double(trajectory.x), to_long_double(trajectory.u), to_long_double(multipliers.eta)
-    eta_C = multipliers.eta_C
-    signals = problem.in_time(to_long_double(multipliers.rho_x)), time_signal(to_long_double(multipliers.rho_u), T)
-    cost_x, cost_u = problem.quadratic.gradient(x, u)
-    in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
-    cost_x_terms, cost_u_terms = problem.quadratic.gradient_terms(trajectory.x, trajectory.u)
-    cost_terms = abs(eta_C) * cost_x_terms, abs(eta_C) * cost_u_terms
-    in_x_terms = cost_terms[0] + np.abs(multipliers.rho_x).sum(0)
-    in_u_terms = cost_terms[1] + np.abs(multipliers.rho_u).sum(0)
-    through_x, through_u = problem.equations.pull_back(eta)
-    terms_x, terms_u = problem.equations.pulled_sizes(multipliers.eta)
-    in_x[:-1] += through_x
-    in_u += through_u
-    in_x_terms[:-1] += terms_x
-    in_u_terms += terms_u
+    T, n, eta_C, eta = problem.horizon, problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
+    x, u = to_long_double(trajectory.x), to_long_double(trajectory.u)
+    rho_x, rho_u = to_long_double(multipliers.rho_x), to_long_double(multipliers.rho_u)
+    signal = stack_signals(problem.in_time(rho_x), time_signal(rho_u, T))
+    in_z = -eta_C * stack_signals(*problem.quadratic.gradient(x, u)) - signal
+    cost_terms = abs(eta_C) * stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
+    sums = np.abs(multipliers.rho_x).sum(0), np.abs(multipliers.rho_u).sum(0)
+    in_z_terms = cost_terms + np.concatenate(sums)
+    in_z_terms[-1, n:] = 0.0
     terms = _priced_terms(problem, trajectory, multipliers, x, u)
-    shapes = x.shape, u.shape
+    parts, sizes = split_signals(in_z, n), split_signals(in_z_terms, n)
+    for part, size, through, through_size in zip(
+        (parts[0][:-1], parts[1]),
+        (sizes[0][:-1], sizes[1]),
+        problem.equations.pull_back(eta),
+        problem.equations.pulled_sizes(multipliers.eta),
+        strict=True,
+    ):
+        part += through
+        size += through_size
     for priced in terms:
-        pulled_x, pulled_u = priced.term.map.pull_back(priced.weights, shapes)
-        in_x -= pulled_x
-        in_u -= pulled_u
-        size_x, size_u = priced.term.map.pulled_sizes(priced.weights, shapes)
-        in_x_terms += size_x
-        in_u_terms += size_u
-    sizes = in_x_terms, in_u_terms, cost_terms
-    return Extremal(problem, trajectory, multipliers, x, u, *signals, in_x, in_u, *sizes, terms)
+        pulled = priced.term.map.pull_back(priced.weights, (x.shape, u.shape))
+        pulled_sizes = priced.term.map.pulled_sizes(priced.weights, (x.shape, u.shape))
+        for part, size, one, one_size in zip(parts, sizes, pulled, pulled_sizes, strict=True):
+            part -= one
+            size += one_size
+    return Extremal(problem, trajectory, multipliers, stack_signals(x, u), signal, in_z, in_z_terms, cost_terms, terms)
 
 
 def _priced_terms(
@@ -226,13 +259,19 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
 
 
 @lru_cache(maxsize=4)  # a loop judges plans of one cost, one after another
-def cost_curvatures(cost: QuadraticCost, horizon: int) -> tuple[Array, Array] | None:
-    """Return lower bounds of a cost's curvature in states (T+1, n) and controls (T, m); None if it is not convex."""
+def cost_curvatures(cost: QuadraticCost, horizon: int) -> Array | None:
+    """Return lower bounds of a cost's curvature, stacked, (T+1, n + m); None if it is not convex."""
     stage, terminal = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
     if stage is None or terminal is None:
         return None
     stage, n = np.broadcast_to(stage, (horizon, stage.shape[-1])), len(terminal)
-    return np.vstack([stage[:, :n], terminal]), stage[:, n:]
+    return seal(stack_signals(np.vstack([stage[:, :n], terminal]), stage[:, n:]))
+
+
+@lru_cache(maxsize=4)
+def curvature_in_u(cost: QuadraticCost, eta_C: float) -> Array | None:
+    """Return the ``diagonal_curvature`` of eta_C R."""
+    return diagonal_curvature(eta_C * cost.R)
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:

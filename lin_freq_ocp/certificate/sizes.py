@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -117,12 +117,12 @@ def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> flo
 class Scales(NamedTuple):
     """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
 
-    The slopes, (T+1, n) and (T, m), are those for such sizes.
+    The slopes, (T+1, n + m) with zeros for u_T, are those for such sizes.
     """
 
     sizes: Sizes
     cost: float | None = None
-    slopes: tuple[Array | float, Array | float] = (0.0, 0.0)
+    slopes: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +131,13 @@ class Floors:
 
     Attributes
     ----------
-    x : (n,), u : (m,)
-        Of states and controls. For states at rest, x is at least their rounding divided by CONDITION_TOLERANCE.
+    z : (n + m,)
+        Of states and controls. For states at rest, it is at least their rounding divided by CONDITION_TOLERANCE.
     level : float
         Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
         over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
         Hamiltonian.
-    in_x : (T+1, n), in_u : (T, m)
+    slopes : (T+1, n + m)
         Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
         component or time says nothing of others.
     terms : tuple of (dim,)
@@ -146,11 +146,9 @@ class Floors:
         Rounding errors of moving states, of A times these, and of their coordinates; 0 for states at rest.
     """
 
-    x: Array
-    u: Array
+    z: Array
     level: float
-    in_x: Array
-    in_u: Array
+    slopes: Array
     terms: tuple[Array, ...]
     rounding: Array
 
@@ -163,24 +161,34 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
     (x, u), cost, slopes = scales
-    steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-    in_x, in_u = eta_C * (in_x + slopes[0]), eta_C * (in_u + slopes[1])
+    size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
+    steep = eta_C * (stack_signals(*problem.quadratic.gradient_magnitudes(*steady)) + slopes)
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
-        level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
+        parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
+        level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
-        stage = SCALE_FLOOR * float(np.median(costs[costs > 0])) if costs.any() else 0.0
+        costs = np.concatenate([(steep * size).ravel(), *priced])
+        stage = SCALE_FLOOR * _median(costs[costs > 0])
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
-    given = np.abs(extremal.trajectory.x) + (0.0 if start is None else np.abs(start))
+    at = np.abs(extremal.trajectory.x)
+    given = at if start is None else at + np.abs(start)
     moved = problem.equations.successor_sizes(given, extremal.trajectory.u)
     rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
-    resting = np.abs(extremal.trajectory.x).max(0) <= rounding
-    least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
-    rounding = np.where(resting, 0.0, rounding)
-    in_x, in_u = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x), np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
-    return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)
+    resting = at.max(0) <= rounding
+    least = SCALE_FLOOR * size
+    least[: len(x)] = np.maximum(least[: len(x)], np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
+    steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
+    return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))
+
+
+def _median(values: Array) -> float:
+    """Return the median, 0 of no values."""
+    if not len(values):
+        return 0.0
+    middle = (len(values) - 1) // 2, len(values) // 2
+    ordered = np.partition(values, middle)
+    return float((ordered[middle[0]] + ordered[middle[1]]) / 2)
