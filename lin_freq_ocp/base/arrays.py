@@ -233,7 +233,7 @@ def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, .
     largest = float(values.max())
     equal = values >= min((1 - SAME) * largest, (1 + SAME) * largest)
     first = int(equal.argmax() if order is None else np.where(equal, order, np.inf).argmin())
-    return (first,) if values.ndim == 1 else tuple(map(int, np.unravel_index(first, values.shape)))
+    return (first,) if values.ndim == 1 else divmod(first, values.shape[1])
 
 
 def with_columns(array: Array, columns: int) -> Array:

@@ -220,8 +220,7 @@ def _sum_of_terms(extremal: Extremal) -> float:
     """
     cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
     terms = float(np.abs(extremal.multipliers.eta * offset).sum()) if offset.any() else 0.0
-    linear = (cost.q * at.x[:-1], cost.p * at.x[-1], cost.r * at.u)
-    terms += sum(float(np.abs(part).sum()) for part in linear if part.any())
+    terms += cost.sum_of_linear_terms(at.x, at.u)
     terms += np.vdot(extremal.slope_terms - extremal.cost_terms, np.abs(extremal.point))
     return float(terms + np.vdot(extremal.cost_terms, extremal.deviations))
 

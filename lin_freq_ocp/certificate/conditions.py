@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest, split_signals
+from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, split_signals
 from lin_freq_ocp.certificate.bound import box_minimum
 from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, curvature_in_u
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
@@ -106,15 +106,13 @@ class Condition:
 def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
     """Judge all conditions, in the order of the paper, with these least scales."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    n = problem.state_dim
     return (
         non_negativity(extremal),
         non_triviality(extremal),
         state_equation(extremal.state_residual, problem.equations.motion_sizes(x, u), least),
         *stationarity(extremal, least),
         *hamiltonian_maximum(extremal, least),
-        frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.z[:n]),
-        frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.z[n:]),
+        *frequency(extremal, least),
         *membership(extremal, least),
         *normal_cones(extremal, least),
         *(
@@ -235,12 +233,17 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
-def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
+def frequency(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
-    magnitude = np.zeros(stopped.shape)
-    if stopped.any():
-        magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
-    return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
+    problem, at, n = extremal.problem, extremal.trajectory, len(least.rounding)
+    for label, name, signal, stopped, floor in (
+        ("C-vi", "state frequency constraint", at.x[: problem.state_samples], problem.state_stop, least.z[:n]),
+        ("C-vii", "control frequency constraint", at.u, problem.control_stop, least.z[n:]),
+    ):
+        magnitude = np.zeros(stopped.shape)
+        if stopped.any():
+            magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
+        yield worst_condition(label, name, magnitude, np.maximum(np.sqrt((signal**2).sum(0)), floor))
 
 
 def membership(extremal: Extremal, least: Floors) -> Iterator[Condition]:
@@ -263,7 +266,7 @@ def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     pairs = split_signals(gaps, n), split_signals(weights * sizes, n)
     names = ("N-x", "state"), ("N-u", "control")
     for (label, signal), gap, terms in zip(names, *pairs, strict=True):
-        scale, (t, component) = max(least.level, float(terms.sum(1).max())), first_largest(gap)
+        scale, (t, component) = max(least.level, float(terms.sum(1).max())), first_largest(gap) if gap.any() else (0, 0)
         name = f"{signal} multiplier in the normal cone"
         yield Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
@@ -373,8 +376,10 @@ def worst_condition(
 
     ``rounding`` are the rounding errors of the components, if known.
     """
-    relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
-    t, component = first_largest(relative)
+    t = component = 0
+    if residual.any():
+        relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
+        t, component = first_largest(relative)
     scale = float(scales[component] if scales.ndim == 1 else scales[t, component])
     errors = 0.0 if rounding is None else float(rounding[component])
     at = float(residual[t, component]), scale

@@ -7,6 +7,7 @@ stand for no bound. Sizes change with the units of the components and with nothi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from lin_freq_ocp.certificate.tolerances import (
     STATE_ROUNDING,
     ZERO_COMPONENT,
 )
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -37,25 +39,20 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
     is zero and there are no data, the size is that of the origin, or 1.
     """
-    n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
+    n, of_cost = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
-    in_data = np.maximum(offset, np.abs(cost.x_ref).reshape(-1, n).max(0))
+    in_data = np.maximum(of_cost.references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
-        in_data = np.maximum(in_data, np.where(end.fixed, np.abs(end.lower), 0.0))
-    in_data = np.append(in_data, np.maximum(np.abs(cost.u_ref).reshape(-1, m).max(0), problem.level_sizes))
+        in_data[:n] = np.maximum(in_data[:n], np.where(end.fixed, np.abs(end.lower), 0.0))
     known = np.maximum(in_data, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
-    linear_cost = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p), np.abs(cost.r).reshape(-1, m).max(0)
-    anchored = (in_data > 0) | (np.concatenate(linear_cost) > 0)
-    gain = np.hstack([A, B])
-    gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
-    needed = _anchoring_sizes(problem.horizon * gain, known, anchored)
+    anchored = (in_data > 0) | (of_cost.slopes > 0)
+    needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
     sizes = np.maximum(known, needed)
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
-        diagonals = (np.diagonal(part, axis1=-2, axis2=-1).reshape(-1, part.shape[-1]) for part in (cost.Q, cost.R))
-        curvature = np.concatenate([diagonal.max(0) for diagonal in diagonals])
-        total = _sum_of_terms(problem, trajectory) / problem.horizon
+        curvature = of_cost.curvatures
+        total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
     if not sizes.all() and problem.origin is not None:
@@ -64,12 +61,33 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     return sizes[:n], sizes[n:]
 
 
-def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
+class _SizesOfCost(NamedTuple):
+    """The largest references, linear costs and diagonal entries of the Hessian over times, each (n + m,)."""
+
+    references: Array
+    slopes: Array
+    curvatures: Array
+
+
+@lru_cache(maxsize=4)  # the steps of a loop have one cost
+def _sizes_of_cost(cost: QuadraticCost) -> _SizesOfCost:
+    def largest(*parts: Array) -> Array:
+        return np.concatenate([part.reshape(-1, part.shape[-1]).max(0) for part in parts])
+
+    slopes = largest(np.abs(cost.q), np.abs(cost.r))
+    slopes[: len(cost.p)] += np.abs(cost.p)
+    curvatures = largest(*(np.diagonal(part, axis1=-2, axis2=-1) for part in (cost.Q, cost.R)))
+    return _SizesOfCost(largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes, curvatures)
+
+
+def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: Mask) -> Array:
     """Return the values at which components change anchored components by their sizes, 0 where they change none.
 
-    ``effect`` (n, n + m) is the change of states within the horizon per unit of a component. Anchored components have
-    data; a component that acts on an anchored one anchors others in turn.
+    The change of states within the horizon per unit of a component is ``horizon`` times its gain. Anchored components
+    have data; a component that acts on an anchored one anchors others in turn.
     """
+    gain = np.hstack([A, B])
+    effect = horizon * np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
     effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
     for _ in known:
@@ -85,7 +103,14 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:
-    """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
+    """Return S, the sum of the absolute values of the terms of the cost; see ``cost_and_scale``."""
+    return cost_and_scale(problem, trajectory, sizes)[1]
+
+
+def cost_and_scale(
+    problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None
+) -> tuple[float, float]:
+    """Return J, and S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the
     cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
@@ -101,17 +126,20 @@ def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Si
     rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(*deviations)
     if levels.any():
         rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
-    for term in problem.terms:
+    cost, total, priced = _cost_and_terms(problem, trajectory)
+    for term, given in zip(problem.terms, priced, strict=True):
         for sign in (-1, 1):
-            rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
-    return max(_sum_of_terms(problem, trajectory), rounding / GAP_TOLERANCE)
+            rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
+    return cost, max(total, rounding / GAP_TOLERANCE)
 
 
-def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the sum of the absolute values of the terms of the cost."""
+def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[float, float, list[Array]]:
+    """Return J, the sum of the absolute values of its terms, and what each of the problem's terms costs."""
     x, u = trajectory.x, trajectory.u
-    parts = problem.cost.formula_values(x, u), *(term.cost(x, u) for term in problem.terms)
-    return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
+    value, total = problem.quadratic.value_and_terms(x, u)
+    formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
+    cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
+    return cost, total + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
 
 
 class Scales(NamedTuple):

@@ -297,7 +297,11 @@ class QuadraticCost(Cost):
 
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""
-        return x - self.x_ref, u - self.u_ref
+        return (x - self.x_ref, u - self.u_ref) if self._has_references else (x, u)
+
+    @cached_property
+    def _has_references(self) -> bool:
+        return bool(self.x_ref.any() or self.u_ref.any())
 
     def stage_values(self, x: Array, u: Array) -> Array:
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
@@ -305,15 +309,23 @@ class QuadraticCost(Cost):
         values = np.empty(len(x), dtype=np.result_type(a, b))
         values[:-1] = (0.5 * b * times_vectors(self.R, b)).sum(1)
         if "Q" in self._nonzero or "S" in self._nonzero:
-            values[:-1] += (a[:-1] * (0.5 * times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b))).sum(1)
+            of_x = 0.5 * times_vectors(self.Q, a[:-1])
+            values[:-1] += (a[:-1] * (of_x + times_vectors(self.S, b) if "S" in self._nonzero else of_x)).sum(1)
         values[-1] = 0.5 * a[-1] @ self.P @ a[-1]
-        return values + sum(linear.sum(1) for linear in self._linear_terms(x, u))
+        return sum((linear.sum(1) for linear in self._linear_terms(x, u)), values)
 
-    def sum_of_terms(self, x: Array, u: Array) -> float:
-        """Return the sum of the absolute values of the terms; the quadratic part of one time is one term."""
-        linear = self._linear_terms(x, u)
-        quadratic = self.stage_values(x, u) - sum(part.sum(1) for part in linear)
-        return float(np.abs(quadratic).sum() + sum(np.abs(part).sum() for part in linear))
+    def value_and_terms(self, x: Array, u: Array) -> tuple[float, float]:
+        """Return the total cost, and the sum of the absolute values of its terms.
+
+        The quadratic part of one time is one term, as is each linear part of a component.
+        """
+        values, linear = self.stage_values(x, u), self._linear_terms(x, u)
+        quadratic = values - sum(part.sum(1) for part in linear)
+        return float(values.sum()), float(np.abs(quadratic).sum()) + sum(float(np.abs(part).sum()) for part in linear)
+
+    def sum_of_linear_terms(self, x: Array, u: Array) -> float:
+        """Return the sum of the absolute values of the linear terms."""
+        return sum(float(np.abs(part).sum()) for part in self._linear_terms(x, u))
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
@@ -337,8 +349,7 @@ class QuadraticCost(Cost):
         """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
         a, b = self.deviations(x, u)
         in_x, in_u = np.empty(a.shape, a.dtype), times_vectors(self.R, b) + self.r
-        in_x[:-1] = times_vectors(self.Q, a[:-1]) + self.q
-        in_x[-1] = self.P @ a[-1] + self.p
+        in_x[:-1], in_x[-1] = times_vectors(self.Q, a[:-1]) + self.q, self.P @ a[-1] + self.p
         if "S" in self._nonzero:
             in_x[:-1] += times_vectors(self.S, b)
             in_u += times_vectors(np.swapaxes(self.S, -1, -2), a[:-1])
