@@ -193,12 +193,14 @@ def to_long_double(values: ArrayLike) -> NDArray[Any]:
 
 
 def times_vectors(matrix: ArrayLike, vectors: Array) -> Array:
-    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (T, columns)."""
+    """Return M v_t, or M_t v_t where the matrix has one per time, for vectors (..., T, columns)."""
     matrix = np.asarray(matrix)
-    if matrix.ndim == 2 and not np.count_nonzero(matrix):
-        return np.zeros((len(vectors), len(matrix)), dtype=vectors.dtype)
-    # in extended precision, dot takes two thirds of the time of @
-    return vectors.dot(matrix.T) if matrix.ndim == 2 else np.einsum("tij,tj->ti", matrix, vectors)
+    if matrix.ndim == 3:
+        return np.einsum("tij,...tj->...ti", matrix, vectors)
+    if not np.count_nonzero(matrix):
+        return np.zeros((*vectors.shape[:-1], len(matrix)), dtype=vectors.dtype)
+    # in extended precision, dot takes two thirds of the time of @; in double precision, @ is faster along further axes
+    return vectors.dot(matrix.T) if vectors.ndim == 2 or vectors.dtype != np.float64 else vectors @ matrix.T
 
 
 def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
@@ -223,6 +225,11 @@ def stack_signals(x: Array, u: Array) -> Array:
 def split_signals(z: Array, n: int) -> tuple[Array, Array]:
     """Return the parts in x (..., T+1, n) and in u (..., T, m) of a stacked array, as views."""
     return z[..., :n], z[..., :-1, n:]
+
+
+def total(values: Array) -> Array:
+    """Return the sum over the last two axes, in double precision."""
+    return values.sum((-2, -1)).astype(np.float64)
 
 
 def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, ...]:

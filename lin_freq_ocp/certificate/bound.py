@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals, total
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import (
     Deviations,
@@ -77,9 +77,13 @@ class Bound:
 def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0, 0.0, -slope / (np.maximum(curvature, 0.0) + 0.0))  # -0.0 becomes 0.0
+        free = slope / -(np.maximum(curvature, 0.0) + 0.0)  # -0.0 becomes 0.0
+        np.copyto(free, 0.0, where=slope == 0)
         v = np.minimum(np.maximum(free, lower), upper)
-        least = np.where(np.isinf(v), -np.inf, (slope + 0.5 * curvature * v) * v)
+        least = 0.5 * curvature * v
+        least += slope
+        least *= v
+        np.copyto(least, -np.inf, where=np.isinf(v))
         if not (curvature < 0).any():
             return least
         ends = [np.where(np.isinf(end), -np.inf, (slope + 0.5 * curvature * end) * end) for end in (lower, upper)]
@@ -187,42 +191,78 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not stage.any() and end == 0
 
 
-def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
-    """Return D over a box, and its losses on every component."""
-    problem, slope, size = extremal.problem, extremal.slopes.astype(np.float64), extremal.slope_terms
-    n, unit = problem.state_dim, unit_rounding(problem)
-    low, high = (stack_signals(*sides) - extremal.point for sides in zip(box.x, box.u, strict=True))
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """D over a box, and the parts of its difference from the cost; of N trajectories, with a leading axis.
+
+    As in ``Bound``; ``certain`` are the losses of each component, errors of the slopes included, ``steepest`` the
+    slopes with these, and ``left`` is the cost less the bound without these losses.
+    """
+
+    value: Array
+    rounding: Array
+    stage_gaps: Array
+    dynamics_term: Array
+    frequency_term: Array
+    stage_term: Array | float
+    certain: Array
+    steepest: Array
+    left: Array
+
+
+def evaluate_bound(
+    extremal: Extremal,
+    curvatures: Array,
+    bounds: Pair,
+    cost: Array | float,
+    cost_terms: Array | float,
+    level: float = np.inf,
+) -> Evaluation:
+    """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
+    slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
+    low, high = (side - extremal.point for side in bounds)
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
-    stage_gaps, losses = 0.0 - minimum.sum(1), -np.minimum(*pessimistic)
-    x, u = split_signals(extremal.z, n)
-    dynamics_term = float((extremal.multipliers.eta * (x[1:] - problem.linear.successors(x, u))).sum())
-    frequency_term = sum(extremal.frequency_terms)
-    stage_term = extremal.terms_gap
-    summed = _sum_of_terms(extremal) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
-    gap, certain = float(stage_gaps.sum()), float(losses.sum())
-    finite = bool(np.isfinite(certain))
-    others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
-    in_sums = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
+    stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
+    dynamics_term = total(extremal.multipliers.eta * extremal.exact_residual)
+    frequency_term, stage_term = sum(extremal.frequency_terms), extremal.terms_gap
+    certain = total(losses)
+    finite = np.isfinite(certain)
+    gap = np.where(finite, stage_gaps.sum(-1), 0.0)
+    others = cost_terms + np.abs(dynamics_term) + np.abs(frequency_term) + np.abs(stage_term)
+    in_sums = unit * _sum_of_terms(extremal) + ARITHMETIC_ROUNDING * (others + np.abs(gap))
     without_losses = cost + dynamics_term + frequency_term - stage_term
-    value = min(without_losses - certain, box.level) - in_sums if finite else -np.inf
-    rounding = certain - gap + in_sums if finite else np.inf
-    bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
-    left = float(cost - without_losses) + in_sums
-    steep, curved, lost = (split_signals(part, n) for part in (np.abs(slope) + error, curvatures, losses))
-    return bound, Deviations(steep, curved, lost, left)
+    value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
+    rounding = np.where(finite, certain, np.inf) - gap + in_sums
+    left, parts = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
+    return Evaluation(value, rounding, stage_gaps, *parts, losses, np.abs(slope) + error, left)
 
 
-def _sum_of_terms(extremal: Extremal) -> float:
-    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>.
+def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
+    """Return D over a box, and its losses on every component."""
+    bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
+    found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
+    terms = (float(term) for term in (found.dynamics_term, found.frequency_term, found.stage_term, found.rounding))
+    bound = Bound(float(found.value), kind, found.stage_gaps, *terms, box.follows_from)
+    n = extremal.problem.state_dim
+    steep, curved, lost = (split_signals(part, n) for part in (found.steepest, curvatures, found.certain))
+    return bound, Deviations(steep, curved, lost, float(found.left))
 
-    Those of J are products of deviations from the references, and linear terms.
+
+def _sum_of_terms(extremal: Extremal) -> Array:
+    """Return the sum of the absolute values of the terms of J - D beyond the losses.
+
+    Those are J, <eta, dynamics residual>, <rho, frequency residual>, and the gaps of terms. Those of J are products of
+    deviations from the references, and linear terms.
     """
     cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
-    terms = float(np.abs(extremal.multipliers.eta * offset).sum()) if offset.any() else 0.0
-    terms += cost.sum_of_linear_terms(at.x, at.u)
-    terms += np.vdot(extremal.slope_terms - extremal.cost_terms, np.abs(extremal.point))
-    return float(terms + np.vdot(extremal.cost_terms, extremal.deviations))
+    terms = cost.sum_of_linear_terms(at.x, at.u)
+    if offset.any():
+        terms += total(np.abs(extremal.multipliers.eta * offset))
+    others = extremal.slope_terms - extremal.cost_terms
+    for sizes, values in ((others, np.abs(extremal.point)), (extremal.cost_terms, extremal.deviations)):
+        terms += np.einsum("...ij,...ij->...", sizes, values)
+    return terms + sum(priced.gap_terms.sum(-1) for priced in extremal.terms)
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:

@@ -278,14 +278,7 @@ def cost_of_residuals(extremal: Extremal) -> float:
     trajectory, to first order. A residual may be small for its component and large for the cost. Residuals of one
     constraint add up with their signs.
     """
-    of_sets = split_signals(np.abs(extremal.normals) * extremal.violation, extremal.problem.state_dim)
-    parts = [extremal.multipliers.eta * extremal.state_residual, *map(np.array, extremal.frequency_terms), *of_sets]
-    parts += [
-        np.abs(priced.weights) * np.broadcast_to(priced.term.penalty.violation(priced.values), priced.weights.shape)
-        for priced in extremal.terms
-        if priced.term.hard
-    ]
-    return sum(abs(float(part.sum())) for part in parts)
+    return float(sum(extremal.costs_of_residuals))
 
 
 def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:

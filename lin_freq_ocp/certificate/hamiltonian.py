@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, seal, split_signals, stack_signals, to_long_double
+from lin_freq_ocp.base.arrays import Array, seal, split_signals, stack_signals, to_long_double, total
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import EIGENVALUE_ERROR
@@ -58,20 +58,23 @@ class PricedTerm:
 
     @property
     def gap_terms(self) -> Array:
-        """Return the sums of the absolute values of the terms of the gaps, (groups,): rounding is relative to these."""
+        """Return the sums of the absolute values of the terms of the gaps, (..., groups): rounding is a part."""
         limits = np.broadcast_to(self.term.penalty.sizes(), self.values.shape)
-        return (np.abs(self.weights) * (self.sizes + limits)).sum(1) + np.abs(self.gap).sum(1)
+        return (np.abs(self.weights) * (self.sizes + limits)).sum(-1) + np.abs(self.gap).sum(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Extremal:
     """A trajectory with its multipliers, and the derivatives of the Hamiltonian there.
 
-    Arrays of states and controls are stacked as z_t = (x_t, u_t), (T+1, n + m), with zeros for u_T. Signals and
-    derivatives are in extended precision, as their terms cancel. Sums of absolute values are in double precision.
+    Arrays of states and controls are stacked as z_t = (x_t, u_t), (T+1, n + m), with zeros for u_T. Those of N
+    trajectories have a leading axis, and what is a number of one trajectory is an array (N,). Signals and derivatives
+    are in extended precision, as their terms cancel. Sums of absolute values are in double precision.
 
     Attributes
     ----------
+    bounds
+        The lower and the upper bounds of the sets.
     z
         The trajectory.
     signal
@@ -89,6 +92,7 @@ class Extremal:
     problem: OptimalControlProblem
     trajectory: Trajectory
     multipliers: Multipliers
+    bounds: tuple[Array, Array]
     z: Array
     signal: Array
     in_z: Array
@@ -100,12 +104,6 @@ class Extremal:
     def point(self) -> Array:
         """The trajectory in double precision."""
         return stack_signals(self.trajectory.x, self.trajectory.u)
-
-    @cached_property
-    def bounds(self) -> tuple[Array, Array]:
-        """The lower and the upper bounds of the sets."""
-        x, u = self.problem.state_tube, self.problem.control_tube
-        return stack_signals(x.lower, u.lower), stack_signals(x.upper, u.upper)
 
     @cached_property
     def violation(self) -> Array:
@@ -127,14 +125,14 @@ class Extremal:
     def slopes(self) -> Array:
         """The slopes of l_t: eta_{t-1} - D_x H_t, with 0 for eta_{-1}, and -D_u H_t."""
         slopes = -self.in_z
-        slopes[1:, : self.problem.state_dim] += self.multipliers.eta
+        slopes[..., 1:, : self.problem.state_dim] += self.multipliers.eta
         return slopes
 
     @cached_property
     def slope_terms(self) -> Array:
         """The sums of the absolute values of the terms of the slopes."""
         terms = self.in_z_terms.copy()
-        terms[1:, : self.problem.state_dim] += np.abs(self.multipliers.eta)
+        terms[..., 1:, : self.problem.state_dim] += np.abs(self.multipliers.eta)
         return terms
 
     @cached_property
@@ -143,21 +141,42 @@ class Extremal:
         return state_residual(self.problem, self.trajectory)
 
     @cached_property
+    def exact_residual(self) -> Array:
+        """The same in extended precision."""
+        x, u = split_signals(self.z, self.problem.state_dim)
+        return x[..., 1:, :] - self.problem.equations.successors(x, u)
+
+    @cached_property
     def curvatures(self) -> Array | None:
         """Lower bounds of the curvature of l_t; None if J is not convex."""
         curvatures = cost_curvatures(self.problem.quadratic, self.problem.horizon)
         return None if curvatures is None else self.multipliers.eta_C * curvatures
 
     @cached_property
-    def terms_gap(self) -> float:
+    def terms_gap(self) -> Array | float:
         """The sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
-        return float(sum(priced.gap.sum() + priced.peak_price for priced in self.terms))
+        return sum(total(priced.gap) + priced.peak_price for priced in self.terms)
 
     @cached_property
-    def frequency_terms(self) -> tuple[float, float]:
+    def frequency_terms(self) -> tuple[Array, Array]:
         """<rho, frequency residual> of states and of controls."""
-        of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
-        return float(of_x.sum()), float(of_u.sum())
+        signals = (split_signals(part, self.problem.state_dim) for part in (self.signal, self.point))
+        rhos, none = (self.multipliers.rho_x, self.multipliers.rho_u), np.zeros(self.point.shape[:-2])
+        of_x, of_u = (
+            total(signal * values) if rho.any() else none for rho, signal, values in zip(rhos, *signals, strict=True)
+        )
+        return of_x, of_u
+
+    @property
+    def costs_of_residuals(self) -> list[Array]:
+        """Return the residuals of each kind of constraint times their multipliers, in absolute values."""
+        of_sets = split_signals(np.abs(self.normals) * self.violation, self.problem.state_dim)
+        parts = [total(self.multipliers.eta * self.state_residual), *self.frequency_terms, *map(total, of_sets)]
+        for priced in self.terms:
+            if priced.term.hard:
+                violation = priced.term.penalty.violation(priced.values)
+                parts.append(total(np.abs(priced.weights) * violation))
+        return [np.abs(part) for part in parts]
 
     @cached_property
     def cost(self) -> float:
@@ -167,7 +186,7 @@ class Extremal:
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t) of linear dynamics, shape (T, n)."""
-    return trajectory.x[1:] - problem.equations.successors(trajectory.x, trajectory.u)
+    return trajectory.x[..., 1:, :] - problem.equations.successors(trajectory.x, trajectory.u)
 
 
 def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
@@ -181,20 +200,35 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    T, n, eta_C, eta = problem.horizon, problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
+    x, u = problem.state_tube, problem.control_tube
+    bounds = stack_signals(x.lower, u.lower), stack_signals(x.upper, u.upper)
+    return extremal_within(problem, trajectory, multipliers, bounds)
+
+
+def extremal_within(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, bounds: tuple[Array, Array]
+) -> Extremal:
+    """Return the extremal of a trajectory, or of N trajectories, with these bounds; nothing is checked."""
+    n, eta_C, eta = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
     x, u = to_long_double(trajectory.x), to_long_double(trajectory.u)
-    rho_x, rho_u = to_long_double(multipliers.rho_x), to_long_double(multipliers.rho_u)
-    signal = stack_signals(problem.in_time(rho_x), time_signal(rho_u, T))
-    in_z = -eta_C * stack_signals(*problem.quadratic.gradient(x, u)) - signal
-    cost_terms = abs(eta_C) * stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
-    sums = np.abs(multipliers.rho_x).sum(0), np.abs(multipliers.rho_u).sum(0)
-    in_z_terms = cost_terms + np.concatenate(sums)
-    in_z_terms[-1, n:] = 0.0
+    z = stack_signals(x, u)
+    signal, cost_terms = np.zeros_like(z), stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
+    cost_terms *= abs(eta_C)
+    in_z_terms = cost_terms.copy()
+    sizes = split_signals(in_z_terms, n)
+    in_z = stack_signals(*problem.quadratic.gradient(x, u))
+    in_z *= -eta_C
+    parts, in_time = split_signals(in_z, n), (problem.in_time, lambda rho: time_signal(rho, problem.horizon))
+    rhos = multipliers.rho_x, multipliers.rho_u
+    for part, own, size, rho, signal_of in zip(parts, split_signals(signal, n), sizes, rhos, in_time, strict=True):
+        if rho.any():
+            own[:] = signal_of(to_long_double(rho))
+            part -= own
+            size += np.abs(rho).sum(-2, keepdims=True)
     terms = _priced_terms(problem, trajectory, multipliers, x, u)
-    parts, sizes = split_signals(in_z, n), split_signals(in_z_terms, n)
     for part, size, through, through_size in zip(
-        (parts[0][:-1], parts[1]),
-        (sizes[0][:-1], sizes[1]),
+        (parts[0][..., :-1, :], parts[1]),
+        (sizes[0][..., :-1, :], sizes[1]),
         problem.equations.pull_back(eta),
         problem.equations.pulled_sizes(multipliers.eta),
         strict=True,
@@ -207,7 +241,7 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
         for part, size, one, one_size in zip(parts, sizes, pulled, pulled_sizes, strict=True):
             part -= one
             size += one_size
-    return Extremal(problem, trajectory, multipliers, stack_signals(x, u), signal, in_z, in_z_terms, cost_terms, terms)
+    return Extremal(problem, trajectory, multipliers, bounds, z, signal, in_z, in_z_terms, cost_terms, terms)
 
 
 def _priced_terms(

@@ -151,8 +151,7 @@ def _evaluate(
     stage_gaps = -at_bounds.astype(np.float64)
     stage_gaps[:-1] -= minimum.sum(1)
     dynamics_term = -float((slope_x * residual).sum()) - 0.5 * float((lost * times_vectors(Q, lost)).sum())
-    frequency_term = sum(extremal.frequency_terms)
-    stage_term = extremal.terms_gap
+    frequency_term, stage_term = float(sum(extremal.frequency_terms)), float(extremal.terms_gap)
     summed = float((in_x_terms * np.abs(x)).sum() + (in_u_terms * np.abs(u)).sum())
     summed += float((np.abs(normal) * (np.abs(x) + np.abs(limits))).sum())
     summed += float(sum(priced.gap_terms.sum() for priced in extremal.terms))

@@ -139,7 +139,7 @@ def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> t
     value, total = problem.quadratic.value_and_terms(x, u)
     formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
     cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
-    return cost, total + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
+    return cost, float(total) + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
 
 
 class Scales(NamedTuple):

@@ -262,8 +262,8 @@ class LinearDynamics(StateEquations):
         )
 
     def successors(self, x: Array, u: Array) -> Array:
-        """Return f_t(x_t, u_t) for all t < T; x is (T+1, n) or (T, n), u is (T, m)."""
-        return times_vectors(self.A, x[: len(u)]) + times_vectors(self.B, u) + self.offset
+        """Return f_t(x_t, u_t) for all t < T; x is (..., T+1, n) or (..., T, n), u is (..., T, m)."""
+        return times_vectors(self.A, x[..., : u.shape[-2], :]) + times_vectors(self.B, u) + self.offset
 
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
@@ -277,7 +277,7 @@ class LinearDynamics(StateEquations):
         """Return the larger of |x_t| and the change by B and d in a step; terms of A x that cancel play no part."""
         plain = self.magnitudes()
         moved = times_vectors(plain.B, np.abs(u)) + plain.offset
-        return np.maximum(np.abs(x).max(0), moved.max(0))
+        return np.maximum(np.abs(x).max(-2), moved.max(-2))
 
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
