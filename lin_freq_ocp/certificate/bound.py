@@ -99,9 +99,10 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     if curvatures is None:
         return None
     cost = extremal.cost
-    proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
+    proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     if cost - proven.value <= allowed:
         return proven
+    deviations = _deviations(found, curvatures, problem.state_dim)
     nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
         of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
@@ -125,7 +126,8 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
     problem, curvatures = extremal.problem, extremal.curvatures
     if curvatures is not None:
         cost = extremal.cost
-        _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
+        _, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
+        deviations = _deviations(found, curvatures, problem.state_dim)
         summed = _sum_of_terms(extremal)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
@@ -220,7 +222,7 @@ def evaluate_bound(
 ) -> Evaluation:
     """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
     slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
-    low, high = (side - extremal.point for side in bounds)
+    low, high = bounds[0] - extremal.point, bounds[1] - extremal.point
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
@@ -238,15 +240,19 @@ def evaluate_bound(
     return Evaluation(value, rounding, stage_gaps, *parts, losses, np.abs(slope) + error, left)
 
 
-def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
-    """Return D over a box, and its losses on every component."""
+def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Evaluation]:
+    """Return D over a box of one trajectory."""
     bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
     found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
-    terms = (float(term) for term in (found.dynamics_term, found.frequency_term, found.stage_term, found.rounding))
-    bound = Bound(float(found.value), kind, found.stage_gaps, *terms, box.follows_from)
-    n = extremal.problem.state_dim
+    residuals = float(found.dynamics_term), float(found.frequency_term), float(found.stage_term)
+    stages = found.stage_gaps, *residuals, float(found.rounding)
+    return Bound(float(found.value), kind, *stages, box.follows_from), found
+
+
+def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:
+    """Return the losses of a bound on every component."""
     steep, curved, lost = (split_signals(part, n) for part in (found.steepest, curvatures, found.certain))
-    return bound, Deviations(steep, curved, lost, float(found.left))
+    return Deviations(steep, curved, lost, float(found.left))
 
 
 def _sum_of_terms(extremal: Extremal) -> Array:
@@ -259,10 +265,12 @@ def _sum_of_terms(extremal: Extremal) -> Array:
     terms = cost.sum_of_linear_terms(at.x, at.u)
     if offset.any():
         terms += total(np.abs(extremal.multipliers.eta * offset))
-    others = extremal.slope_terms - extremal.cost_terms
-    for sizes, values in ((others, np.abs(extremal.point)), (extremal.cost_terms, extremal.deviations)):
-        terms += np.einsum("...ij,...ij->...", sizes, values)
-    return terms + sum(priced.gap_terms.sum(-1) for priced in extremal.terms)
+    others, deviations = extremal.slope_terms - extremal.cost_terms, stack_signals(*cost.deviations(at.x, at.u))
+    for sizes, values in ((others, extremal.point), (extremal.cost_terms, deviations)):
+        terms = terms + np.einsum("...ij,...ij->...", sizes, np.abs(values))
+    for priced in extremal.terms:
+        terms = terms + priced.gap_terms.sum(-1)
+    return terms
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:

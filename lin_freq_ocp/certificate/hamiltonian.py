@@ -112,11 +112,6 @@ class Extremal:
         return np.maximum(np.maximum(lower - self.point, self.point - upper), 0.0)
 
     @cached_property
-    def deviations(self) -> Array:
-        """The distances from the references of the cost, component by component."""
-        return np.abs(stack_signals(*self.problem.quadratic.deviations(self.trajectory.x, self.trajectory.u)))
-
-    @cached_property
     def normals(self) -> Array:
         """The multipliers mu_t and nu_t."""
         return stack_signals(self.multipliers.mu, self.multipliers.nu)
@@ -160,12 +155,10 @@ class Extremal:
     @cached_property
     def frequency_terms(self) -> tuple[Array, Array]:
         """<rho, frequency residual> of states and of controls."""
-        signals = (split_signals(part, self.problem.state_dim) for part in (self.signal, self.point))
-        rhos, none = (self.multipliers.rho_x, self.multipliers.rho_u), np.zeros(self.point.shape[:-2])
-        of_x, of_u = (
-            total(signal * values) if rho.any() else none for rho, signal, values in zip(rhos, *signals, strict=True)
-        )
-        return of_x, of_u
+        if not (self.multipliers.rho_x.any() or self.multipliers.rho_u.any()):
+            return np.zeros(self.point.shape[:-2]), np.zeros(self.point.shape[:-2])
+        of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
+        return total(of_x), total(of_u)
 
     @property
     def costs_of_residuals(self) -> list[Array]:

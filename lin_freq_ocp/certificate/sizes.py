@@ -119,11 +119,11 @@ def cost_and_scale(
     its entries with deviations. ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
-    pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
-    in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
+    of_x, of_u = sizes or trajectory_sizes(problem, trajectory)
+    in_x, in_u = np.broadcast_to(DATA_ROUNDING * of_x, x.shape), np.broadcast_to(DATA_ROUNDING * of_u, u.shape)
     magnitudes, levels = problem.quadratic.magnitudes(), problem.level_sizes
-    deviations = (np.abs(part) for part in problem.quadratic.deviations(x, u))
-    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(*deviations)
+    a, b = problem.quadratic.deviations(x, u)
+    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():
         rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     cost, total, priced = _cost_and_terms(problem, trajectory)
@@ -198,7 +198,9 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
         costs = np.concatenate([(steep * size).ravel(), *priced])
-        stage = SCALE_FLOOR * _median(costs[costs > 0])
+        costs, stage = np.sort(costs[costs > 0]), 0.0
+        if len(costs):  # their median
+            stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
@@ -211,12 +213,3 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     least[: len(x)] = np.maximum(least[: len(x)], np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
     return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))
-
-
-def _median(values: Array) -> float:
-    """Return the median, 0 of no values."""
-    if not len(values):
-        return 0.0
-    middle = (len(values) - 1) // 2, len(values) // 2
-    ordered = np.partition(values, middle)
-    return float((ordered[middle[0]] + ordered[middle[1]]) / 2)

@@ -219,12 +219,12 @@ class QuadraticCost(Cost):
     @property
     def zero(self) -> bool:
         """Whether all its terms are zero."""
-        return not self._nonzero
+        return self._nonzero.isdisjoint(WEIGHTS)
 
     @cached_property
     def _nonzero(self) -> frozenset[str]:
-        """The names of the matrices and vectors that are not zero."""
-        return frozenset(name for name in WEIGHTS if getattr(self, name).any())
+        """The names of the fields that are not zero."""
+        return frozenset(name for name in AXES if getattr(self, name).any())
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if there are none."""
@@ -298,11 +298,7 @@ class QuadraticCost(Cost):
 
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return x - x_ref, (..., T+1, n), and u - u_ref, (..., T, m)."""
-        return (x - self.x_ref, u - self.u_ref) if self._has_references else (x, u)
-
-    @cached_property
-    def _has_references(self) -> bool:
-        return bool(self.x_ref.any() or self.u_ref.any())
+        return x - self.x_ref if "x_ref" in self._nonzero else x, u - self.u_ref if "u_ref" in self._nonzero else u
 
     def stage_values(self, x: Array, u: Array) -> Array:
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (..., T+1)."""
@@ -314,20 +310,26 @@ class QuadraticCost(Cost):
             of_x = 0.5 * times_vectors(self.Q, inner)
             values[..., :-1] += (inner * (of_x + times_vectors(self.S, b) if "S" in self._nonzero else of_x)).sum(-1)
         values[..., -1] = np.vecdot(0.5 * last @ self.P, last)
-        return sum((linear.sum(-1) for linear in self._linear_terms(x, u)), values)
+        for linear in self._linear_terms(x, u):
+            values += linear.sum(-1)
+        return values
 
     def value_and_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the total cost, and the sum of the absolute values of its terms.
 
         The quadratic part of one time is one term, as is each linear part of a component.
         """
-        values, linear = self.stage_values(x, u), self._linear_terms(x, u)
-        quadratic = values - sum(part.sum(-1) for part in linear)
-        return values.sum(-1), np.abs(quadratic).sum(-1) + sum(total(np.abs(part)) for part in linear)
+        values = quadratic = self.stage_values(x, u)
+        for part in self._linear_terms(x, u):
+            quadratic = quadratic - part.sum(-1)
+        return values.sum(-1), np.abs(quadratic).sum(-1) + self.sum_of_linear_terms(x, u)
 
-    def sum_of_linear_terms(self, x: Array, u: Array) -> Array | float:
+    def sum_of_linear_terms(self, x: Array, u: Array) -> Array:
         """Return the sum of the absolute values of the linear terms."""
-        return sum(total(np.abs(part)) for part in self._linear_terms(x, u))
+        terms = np.zeros(x.shape[:-2])
+        for part in self._linear_terms(x, u):
+            terms += total(np.abs(part))
+        return terms
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""

@@ -295,8 +295,8 @@ class LinearDynamics(StateEquations):
     def gains(self) -> tuple[Array, Array, Array]:
         """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
         plain = self.magnitudes()
-        A, B = (matrix if matrix.ndim == 2 else matrix.max(0) for matrix in (plain.A, plain.B))
-        return A, B, plain.offset if plain.offset.ndim == 1 else plain.offset.max(0)
+        A, B, d = plain.A, plain.B, plain.offset
+        return A if A.ndim == 2 else A.max(0), B if B.ndim == 2 else B.max(0), d if d.ndim == 1 else d.max(0)
 
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
