@@ -35,6 +35,7 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+Number = Array | float  # of one trajectory, or an array (N,) of N of them
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
 NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
@@ -197,28 +198,22 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
 class Evaluation:
     """D over a box, and the parts of its difference from the cost; of N trajectories, with a leading axis.
 
-    As in ``Bound``; ``certain`` are the losses of each component, errors of the slopes included, ``steepest`` the
-    slopes with these, and ``left`` is the cost less the bound without these losses.
+    As in ``Bound``, whose terms of dynamics, frequency and stages are ``residual_terms``. ``certain`` are the losses of
+    each component, errors of the slopes included, ``steepest`` the slopes with these errors, and ``left`` is the cost
+    less the bound without these losses.
     """
 
     value: Array
     rounding: Array
     stage_gaps: Array
-    dynamics_term: Array
-    frequency_term: Array
-    stage_term: Array | float
+    residual_terms: tuple[Number, ...]
     certain: Array
     steepest: Array
     left: Array
 
 
 def evaluate_bound(
-    extremal: Extremal,
-    curvatures: Array,
-    bounds: Pair,
-    cost: Array | float,
-    cost_terms: Array | float,
-    level: float = np.inf,
+    extremal: Extremal, curvatures: Array, bounds: Pair, cost: Number, cost_terms: Number, level: float = np.inf
 ) -> Evaluation:
     """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
     slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
@@ -236,17 +231,16 @@ def evaluate_bound(
     without_losses = cost + dynamics_term + frequency_term - stage_term
     value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
     rounding = np.where(finite, certain, np.inf) - gap + in_sums
-    left, parts = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
-    return Evaluation(value, rounding, stage_gaps, *parts, losses, np.abs(slope) + error, left)
+    left, terms = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
+    return Evaluation(value, rounding, stage_gaps, terms, losses, np.abs(slope) + error, left)
 
 
 def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Evaluation]:
     """Return D over a box of one trajectory."""
     bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
     found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
-    residuals = float(found.dynamics_term), float(found.frequency_term), float(found.stage_term)
-    stages = found.stage_gaps, *residuals, float(found.rounding)
-    return Bound(float(found.value), kind, *stages, box.follows_from), found
+    numbers = map(float, (*found.residual_terms, found.rounding))
+    return Bound(float(found.value), kind, found.stage_gaps, *numbers, box.follows_from), found
 
 
 def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:

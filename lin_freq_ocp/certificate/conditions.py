@@ -276,16 +276,6 @@ def normal_cones(extremal: Extremal, least: Floors) -> list[Condition]:
     return conditions
 
 
-def cost_of_residuals(extremal: Extremal) -> float:
-    """Return the residuals of the constraints times their multipliers, in units of the cost.
-
-    If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest feasible
-    trajectory, to first order. A residual may be small for its component and large for the cost. Residuals of one
-    constraint add up with their signs.
-    """
-    return float(sum(extremal.costs_of_residuals))
-
-
 def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:
     """Judge a term: its values, if it is a constraint, and its multipliers, which must be subgradients."""
     term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))

@@ -161,15 +161,19 @@ class Extremal:
         return total(of_x), total(of_u)
 
     @property
-    def costs_of_residuals(self) -> list[Array]:
-        """Return the residuals of each kind of constraint times their multipliers, in absolute values."""
-        of_sets = split_signals(np.abs(self.normals) * self.violation, self.problem.state_dim)
-        parts = [total(self.multipliers.eta * self.state_residual), *self.frequency_terms, *map(total, of_sets)]
-        for priced in self.terms:
-            if priced.term.hard:
-                violation = priced.term.penalty.violation(priced.values)
-                parts.append(total(np.abs(priced.weights) * violation))
-        return [np.abs(part) for part in parts]
+    def cost_of_residuals(self) -> Array:
+        """Return the residuals of the constraints times their multipliers, in units of the cost.
+
+        If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest
+        feasible trajectory, to first order. A residual may be small for its component and large for the cost. Residuals
+        of one constraint add up with their signs.
+        """
+        cost = total(np.abs(self.normals) * self.violation)
+        for part in (total(self.multipliers.eta * self.state_residual), *self.frequency_terms):
+            cost = cost + np.abs(part)
+        for priced in (one for one in self.terms if one.term.hard):
+            cost = cost + total(np.abs(priced.weights) * priced.term.penalty.violation(priced.values))
+        return cost
 
     @cached_property
     def cost(self) -> float:

@@ -54,7 +54,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
         gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)
-        worth, boxes = sum(extremal.costs_of_residuals), problem.state_boxes
+        worth, boxes = extremal.cost_of_residuals, problem.state_boxes
         inside = ((boxes.lower[0] <= starts) & (starts <= boxes.upper[0])).all(1)
         proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & inside
         return Verdicts(costs, found.value, gaps, proven & _feasible(extremal))

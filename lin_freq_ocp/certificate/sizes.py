@@ -39,19 +39,18 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
     is zero and there are no data, the size is that of the origin, or 1.
     """
-    n, of_cost = problem.state_dim, _sizes_of_cost(problem.quadratic)
+    n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
-    in_data = np.maximum(of_cost.references, np.concatenate([offset, problem.level_sizes]))
+    in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
         in_data[:n] = np.maximum(in_data[:n], np.where(end.fixed, np.abs(end.lower), 0.0))
     known = np.maximum(in_data, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
-    anchored = (in_data > 0) | (of_cost.slopes > 0)
+    anchored = (in_data > 0) | (slopes > 0)
     needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
     sizes = np.maximum(known, needed)
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
-        curvature = of_cost.curvatures
         total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
@@ -61,23 +60,17 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     return sizes[:n], sizes[n:]
 
 
-class _SizesOfCost(NamedTuple):
-    """The largest references, linear costs and diagonal entries of the Hessian over times, each (n + m,)."""
-
-    references: Array
-    slopes: Array
-    curvatures: Array
-
-
 @lru_cache(maxsize=4)  # the steps of a loop have one cost
-def _sizes_of_cost(cost: QuadraticCost) -> _SizesOfCost:
+def _sizes_of_cost(cost: QuadraticCost) -> tuple[Array, Array, Array]:
+    """Return the largest references, linear costs and diagonal entries of the Hessian over times, each (n + m,)."""
+
     def largest(*parts: Array) -> Array:
         return np.concatenate([part.reshape(-1, part.shape[-1]).max(0) for part in parts])
 
     slopes = largest(np.abs(cost.q), np.abs(cost.r))
     slopes[: len(cost.p)] += np.abs(cost.p)
     curvatures = largest(*(np.diagonal(part, axis1=-2, axis2=-1) for part in (cost.Q, cost.R)))
-    return _SizesOfCost(largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes, curvatures)
+    return largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes, curvatures
 
 
 def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: Mask) -> Array:

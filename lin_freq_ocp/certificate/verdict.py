@@ -16,7 +16,7 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
@@ -370,7 +370,7 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
     sizes = trajectory_sizes(problem, trajectory)
     cost, scale = cost_and_scale(problem, trajectory, sizes)
     conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
-    return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scale, cost)
+    return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scale, cost)
 
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {

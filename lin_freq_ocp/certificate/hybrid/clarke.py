@@ -31,7 +31,7 @@ from scipy.linalg import block_diag
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
@@ -477,7 +477,7 @@ def judge_modes(
     joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
-    return Judgement(conditions, facts, cost_of_residuals(extremal), slopes=scale)
+    return Judgement(conditions, facts, float(extremal.cost_of_residuals), slopes=scale)
 
 
 def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:

@@ -315,21 +315,14 @@ class QuadraticCost(Cost):
         return values
 
     def value_and_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the total cost, and the sum of the absolute values of its terms.
-
-        The quadratic part of one time is one term, as is each linear part of a component.
-        """
-        values = quadratic = self.stage_values(x, u)
-        for part in self._linear_terms(x, u):
-            quadratic = quadratic - part.sum(-1)
+        """Return the total cost, and the sum of its terms, each in absolute value; a time has one quadratic term."""
+        values = self.stage_values(x, u)
+        quadratic = values - sum(part.sum(-1) for part in self._linear_terms(x, u))
         return values.sum(-1), np.abs(quadratic).sum(-1) + self.sum_of_linear_terms(x, u)
 
     def sum_of_linear_terms(self, x: Array, u: Array) -> Array:
         """Return the sum of the absolute values of the linear terms."""
-        terms = np.zeros(x.shape[:-2])
-        for part in self._linear_terms(x, u):
-            terms += total(np.abs(part))
-        return terms
+        return sum((total(np.abs(part)) for part in self._linear_terms(x, u)), np.zeros(x.shape[:-2]))
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
