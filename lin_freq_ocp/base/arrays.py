@@ -38,8 +38,9 @@ def real_array(
             array = np.array(array, dtype=dtype)
     except (TypeError, ValueError, OverflowError):
         raise ProblemError(field, brief(value), expected, advice) from None
-    bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
-    if bad.any():
+    good = ~np.isnan(array) if allow_infinite else np.isfinite(array)
+    if not good.all():
+        bad = ~good
         where = "".join(f"[{i}]" for i in np.argwhere(bad)[0]) if array.ndim else ""
         raise ProblemError(
             f"{field}{where}", f"{array[bad].flat[0]}", "a finite number" if not allow_infinite else "a number"

@@ -239,8 +239,9 @@ def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, k
     """Return D over a box of one trajectory."""
     bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
     found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
-    numbers = map(float, (*found.residual_terms, found.rounding))
-    return Bound(float(found.value), kind, found.stage_gaps, *numbers, box.follows_from), found
+    dynamics, frequency, stages = map(float, found.residual_terms)
+    terms = dynamics, frequency, stages, float(found.rounding)
+    return Bound(float(found.value), kind, found.stage_gaps, *terms, box.follows_from), found
 
 
 def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:

@@ -168,8 +168,7 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
         if condition.relative > NEGLIGIBLE_SHARE * CONDITION_TOLERANCE and extremal.multipliers.eta_C == 1:
             worth = _worth(residual, scales, extremal) if worth is None else worth
             if worth is not None:
-                own = residual[chosen], scales[chosen], worth[chosen]
-                condition = _count_by_worth(condition, *own, least.level)
+                condition = _count_by_worth(condition, residual[chosen], scales[chosen], worth[chosen], least.level)
         conditions.append(condition)
     return conditions
 

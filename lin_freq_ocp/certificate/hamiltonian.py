@@ -197,9 +197,8 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    x, u = problem.state_tube, problem.control_tube
-    bounds = stack_signals(x.lower, u.lower), stack_signals(x.upper, u.upper)
-    return extremal_within(problem, trajectory, multipliers, bounds)
+    lower, upper = map(stack_signals, problem.state_tube.bounds, problem.control_tube.bounds)
+    return extremal_within(problem, trajectory, multipliers, (lower, upper))
 
 
 def extremal_within(
@@ -247,7 +246,7 @@ def _priced_terms(
     """Return the terms along a trajectory, which is (x, u) in extended precision."""
     priced: list[PricedTerm] = []
     for term in problem.terms:
-        on_term = multipliers.stage.get(term.name, np.zeros(term.shape))
+        on_term = multipliers.stage.get(term.name, np.zeros((*x.shape[:-2], *term.shape)))
         values, weights = term.map.values(x, u), term.penalty.subgradient(to_long_double(on_term), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)

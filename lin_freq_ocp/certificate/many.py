@@ -1,6 +1,6 @@
 """The judge of a batch: trajectories of one problem from many initial states, certified at once.
 
-The bound is that of ``bound.py``, computed on arrays with the trajectories as first axis. Conditions are those of
+Extremals and their bound are those of one trajectory, with the trajectories as first axis. Conditions are those of
 ``Certificate.proven_within``, with scales without their floors: a trajectory that passes here passes there. Callers
 judge the others one by one.
 """
@@ -78,27 +78,26 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
     problem, n, (lower, upper) = extremal.problem, extremal.problem.state_dim, extremal.bounds
     (x, u), least, most = split_signals(extremal.point, n), lower[..., :-1, n:], upper[..., :-1, n:]
     absent = (np.isinf(lower) | np.isinf(upper)) & (curvatures <= 0)
-    if not absent[..., :n].any() or not np.isfinite(least).all() or not np.isfinite(most).all():
+    if not absent.any() or not np.isfinite(least).all() or not np.isfinite(most).all():
         return lower, upper
     reach = np.maximum(np.abs(most - u), np.abs(u - least)).max(1)
     moved = np.abs(extremal.exact_residual.astype(np.float64)).max(1) + (RADIUS_MARGIN - 1) * np.abs(x).max(1)
     apart = np.abs(x[:, 0] - lower[:, 0, :n])
     radii = constant_radii(problem.linear, apart.T, np.hstack([reach, moved]).T, problem.horizon)
     radius = RADIUS_MARGIN * np.moveaxis(radii, 2, 0) + (RADIUS_MARGIN - 1) * np.abs(x)
-    low, high = lower.copy(), upper.copy()
-    low[..., :n] = np.where(absent[..., :n], np.maximum(lower[..., :n], x - radius), lower[..., :n])
-    high[..., :n] = np.where(absent[..., :n], np.minimum(upper[..., :n], x + radius), upper[..., :n])
-    return low, high
+    radius, point = stack_signals(radius, np.zeros_like(u)), extremal.point
+    low, high = np.maximum(lower, point - radius), np.minimum(upper, point + radius)
+    return np.where(absent, low, lower), np.where(absent, high, upper)
 
 
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    residual, moved = extremal.state_residual, problem.linear.motion_sizes(x, u)
-    checks = [(np.abs(residual).max(1), moved), (extremal.violation.max(1), np.abs(extremal.point).max(1))]
+    checks = [(np.abs(extremal.state_residual).max(1), problem.linear.motion_sizes(x, u))]
+    checks.append((extremal.violation.max(1), np.abs(extremal.point).max(1)))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))
-    for priced in (one for one in extremal.terms if one.term.hard):
-        checks.append((priced.term.penalty.violation(priced.values).max(1), priced.sizes.max(1)))
+    terms = (one for one in extremal.terms if one.term.hard)
+    checks += [(one.term.penalty.violation(one.values).max(1), one.sizes.max(1)) for one in terms]
     return np.all([(error <= CONDITION_TOLERANCE * scale).all(1) for error, scale in checks], axis=0)

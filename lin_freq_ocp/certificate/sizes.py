@@ -90,7 +90,7 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
         newly_reached = np.isfinite(least)
         needed = np.where(newly_reached, least, needed)
         reached = reached | newly_reached
-        if not newly_reached.any():
+        if not newly_reached.any() or reached.all():
             break
     return needed
 

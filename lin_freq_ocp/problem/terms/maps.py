@@ -205,7 +205,7 @@ class StageMap(MatrixMap):
         for matrix, signal in ((self.C, of_x), (self.D, of_u)):
             if matrix is not None:
                 pulled = times_vectors(np.swapaxes(matrix, -1, -2), weights)
-                np.add.at(signal, (..., self.times, slice(None)), pulled)
+                np.add.at(np.swapaxes(signal, 0, -2), self.times, np.swapaxes(pulled, 0, -2))
         return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
