@@ -8,6 +8,7 @@ term is a constraint, and its multipliers are subgradients of h there (normals, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -231,9 +232,9 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
-def frequency(extremal: Extremal, least: Floors) -> list[Condition]:
+def frequency(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
-    problem, at, n, conditions = extremal.problem, extremal.trajectory, len(least.rounding), list[Condition]()
+    problem, at, n = extremal.problem, extremal.trajectory, len(least.rounding)
     for label, name, signal, stopped, floor in (
         ("C-vi", "state frequency constraint", at.x[: problem.state_samples], problem.state_stop, least.z[:n]),
         ("C-vii", "control frequency constraint", at.u, problem.control_stop, least.z[n:]),
@@ -241,22 +242,18 @@ def frequency(extremal: Extremal, least: Floors) -> list[Condition]:
         magnitude = np.zeros(stopped.shape)
         if stopped.any():
             magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
-        scales = np.maximum(np.sqrt((signal**2).sum(0)), floor)
-        conditions.append(worst_condition(label, name, magnitude, scales))
-    return conditions
+        yield worst_condition(label, name, magnitude, np.maximum(np.sqrt((signal**2).sum(0)), floor))
 
 
-def membership(extremal: Extremal, least: Floors) -> list[Condition]:
+def membership(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """S-x, S-u: distance outside the set; compared with the largest value of the component."""
     n, scales = len(least.rounding), _scales(np.abs(extremal.point), least.z)
     of_x, of_u = split_signals(extremal.violation, n)
-    return [
-        worst_condition("S-x", "state in its set", of_x, scales[:n], rounding=least.rounding),
-        worst_condition("S-u", "control in its set", of_u, scales[n:]),
-    ]
+    yield worst_condition("S-x", "state in its set", of_x, scales[:n], rounding=least.rounding)
+    yield worst_condition("S-u", "control in its set", of_u, scales[n:])
 
 
-def normal_cones(extremal: Extremal, least: Floors) -> list[Condition]:
+def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """N-x, N-u: sigma(mu_t) - <mu_t, x_t> = 0; compared with the largest <|mu_t|, |x_t|>, or the cost.
 
     Absent bounds, and bounds at a distance above the size of the component, count as if they were at that distance.
@@ -266,13 +263,11 @@ def normal_cones(extremal: Extremal, least: Floors) -> list[Condition]:
     slack = np.where(normals > 0, upper - extremal.point, np.where(normals < 0, extremal.point - lower, 0.0))
     gaps = np.minimum(np.abs(weights * slack), weights * _scales(sizes, least.z))
     pairs = split_signals(gaps, n), split_signals(weights * sizes, n)
-    names, conditions = (("N-x", "state"), ("N-u", "control")), list[Condition]()
+    names = ("N-x", "state"), ("N-u", "control")
     for (label, signal), gap, terms in zip(names, *pairs, strict=True):
         scale, (t, component) = max(least.level, float(terms.sum(1).max())), first_largest(gap) if gap.any() else (0, 0)
         name = f"{signal} multiplier in the normal cone"
-        at = float(gap[t, component]), scale
-        conditions.append(Condition(label, name, *at, CONDITION_TOLERANCE, t, component))
-    return conditions
+        yield Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
 def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:

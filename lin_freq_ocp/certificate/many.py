@@ -98,6 +98,5 @@ def _feasible(extremal: Extremal) -> Mask:
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))
-    terms = (one for one in extremal.terms if one.term.hard)
-    checks += [(one.term.penalty.violation(one.values).max(1), one.sizes.max(1)) for one in terms]
+    checks += [(k.term.penalty.violation(k.values).max(1), k.sizes.max(1)) for k in extremal.terms if k.term.hard]
     return np.all([(error <= CONDITION_TOLERANCE * scale).all(1) for error, scale in checks], axis=0)
