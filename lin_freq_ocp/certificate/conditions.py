@@ -360,7 +360,7 @@ def worst_condition(
     """
     t = component = 0
     if residual.any():
-        relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
+        relative = residual / np.where(scales > 0, scales, np.inf)  # 0 without a scale
         t, component = first_largest(relative)
     scale = float(scales[component] if scales.ndim == 1 else scales[t, component])
     errors = 0.0 if rounding is None else float(rounding[component])
