@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals, total
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.reach import (
     Deviations,
@@ -35,6 +35,7 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+Number = Array | float  # of one trajectory, or an array (N,) of N of them
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
 NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
@@ -77,9 +78,13 @@ class Bound:
 def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0, 0.0, -slope / (np.maximum(curvature, 0.0) + 0.0))  # -0.0 becomes 0.0
+        free = slope / -(np.maximum(curvature, 0.0) + 0.0)  # -0.0 becomes 0.0
+        np.copyto(free, 0.0, where=slope == 0)
         v = np.minimum(np.maximum(free, lower), upper)
-        least = np.where(np.isinf(v), -np.inf, (slope + 0.5 * curvature * v) * v)
+        least = 0.5 * curvature * v
+        least += slope
+        least *= v
+        np.copyto(least, -np.inf, where=np.isinf(v))
         if not (curvature < 0).any():
             return least
         ends = [np.where(np.isinf(end), -np.inf, (slope + 0.5 * curvature * end) * end) for end in (lower, upper)]
@@ -95,9 +100,10 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     if curvatures is None:
         return None
     cost = extremal.cost
-    proven, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
+    proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     if cost - proven.value <= allowed:
         return proven
+    deviations = _deviations(found, curvatures, problem.state_dim)
     nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
     if nearby is not None:
         of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
@@ -121,8 +127,9 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
     problem, curvatures = extremal.problem, extremal.curvatures
     if curvatures is not None:
         cost = extremal.cost
-        _, deviations = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-        summed = _sum_of_terms(extremal, extremal.adjoint_terms, extremal.in_u_terms)
+        _, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
+        deviations = _deviations(found, curvatures, problem.state_dim)
+        summed = _sum_of_terms(extremal)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
@@ -139,7 +146,7 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
     sizes, (n,) and (m,), by default the largest that leaves half of D.
     """
     problem, at = extremal.problem, extremal.trajectory
-    uncurved = np.zeros_like(extremal.in_x), np.zeros_like(extremal.in_u)
+    uncurved = np.zeros_like(extremal.in_z)
     region = stated_bounds(problem)
     proven, _ = _evaluate(extremal, uncurved, region, 0.0, RIGOROUS)
     if proven.value <= 0:
@@ -187,54 +194,78 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not stage.any() and end == 0
 
 
-def _evaluate(extremal: Extremal, curvatures: Pair, box: Region, cost: float, kind: str) -> tuple[Bound, Deviations]:
-    """Return D over a box, and its losses on every component."""
-    x, u = extremal.trajectory.x, extremal.trajectory.u
-    slopes = extremal.eta_before - extremal.in_x, -extremal.in_u
-    terms = extremal.adjoint_terms, extremal.in_u_terms
-    unit = unit_rounding(extremal.problem)
-    stage_gaps, losses, steepest = np.zeros(len(x)), list[Array](), list[Array]()
-    for signal, exact, size, curvature, (lower, upper) in zip(
-        (x, u), slopes, terms, curvatures, (box.x, box.u), strict=True
-    ):
-        low, high, slope = lower - signal, upper - signal, exact.astype(np.float64)
-        error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
-        minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvature, low, high)
-        stage_gaps[: len(signal)] -= minimum.sum(1)
-        losses.append(-np.minimum(*pessimistic))
-        steepest.append(np.abs(slope) + error)
-    residual = extremal.x[1:] - extremal.problem.linear.successors(extremal.x, extremal.u)
-    dynamics_term = float((extremal.multipliers.eta * residual).sum())
-    frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = extremal.terms_gap
-    summed = _sum_of_terms(extremal, *terms) + float(sum(priced.gap_terms.sum() for priced in extremal.terms))
-    gap, certain = float(stage_gaps.sum()), float(sum(lost.sum() for lost in losses))
-    finite = bool(np.isfinite(certain))
-    others = abs(cost) + abs(dynamics_term) + abs(frequency_term) + abs(stage_term)
-    in_sums = unit * summed + ARITHMETIC_ROUNDING * (others + (abs(gap) if finite else 0.0))
-    without_losses = cost + dynamics_term + frequency_term - stage_term
-    value = min(without_losses - certain, box.level) - in_sums if finite else -np.inf
-    rounding = certain - gap + in_sums if finite else np.inf
-    bound = Bound(value, kind, stage_gaps, dynamics_term, frequency_term, stage_term, rounding, box.follows_from)
-    left = float(cost - without_losses) + in_sums
-    return bound, Deviations((steepest[0], steepest[1]), curvatures, (losses[0], losses[1]), left)
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """D over a box, and the parts of its difference from the cost; of N trajectories, with a leading axis.
 
-
-def _sum_of_terms(extremal: Extremal, in_x: Array, in_u: Array) -> float:
-    """Return the sum of the absolute values of the terms of J, <eta, dynamics residual>, <rho, frequency residual>.
-
-    Those of J are products of deviations from the references, and linear terms.
+    As in ``Bound``, whose terms of dynamics, frequency and stages are ``residual_terms``. ``certain`` are the losses of
+    each component, errors of the slopes included, ``steepest`` the slopes with these errors, and ``left`` is the cost
+    less the bound without these losses.
     """
-    cost, at = extremal.problem.quadratic, extremal.trajectory
-    terms = np.vdot(
-        np.abs(extremal.multipliers.eta), np.abs(np.broadcast_to(extremal.problem.linear.offset, at.x[1:].shape))
-    )
-    linear = (cost.q * at.x[:-1], cost.p * at.x[-1], cost.r * at.u)
-    terms += sum(float(np.abs(part).sum()) for part in linear if part.any())
-    sums = (in_x, in_u), extremal.cost_terms, (at.x, at.u), cost.deviations(at.x, at.u)
-    for all_terms, of_cost, values, deviations in zip(*sums, strict=True):
-        terms += np.vdot(all_terms - of_cost, np.abs(values)) + np.vdot(of_cost, np.abs(deviations))
-    return float(terms)
+
+    value: Array
+    rounding: Array
+    stage_gaps: Array
+    residual_terms: tuple[Number, ...]
+    certain: Array
+    steepest: Array
+    left: Array
+
+
+def evaluate_bound(
+    extremal: Extremal, curvatures: Array, bounds: Pair, cost: Number, cost_terms: Number, level: float = np.inf
+) -> Evaluation:
+    """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
+    slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
+    low, high = bounds[0] - extremal.point, bounds[1] - extremal.point
+    error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
+    minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
+    stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
+    dynamics_term = total(extremal.multipliers.eta * extremal.exact_residual)
+    frequency_term, stage_term = sum(extremal.frequency_terms), extremal.terms_gap
+    certain = total(losses)
+    finite = np.isfinite(certain)
+    gap = np.where(finite, stage_gaps.sum(-1), 0.0)
+    others = cost_terms + np.abs(dynamics_term) + np.abs(frequency_term) + np.abs(stage_term)
+    in_sums = unit * _sum_of_terms(extremal) + ARITHMETIC_ROUNDING * (others + np.abs(gap))
+    without_losses = cost + dynamics_term + frequency_term - stage_term
+    value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
+    rounding = np.where(finite, certain, np.inf) - gap + in_sums
+    left, terms = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
+    return Evaluation(value, rounding, stage_gaps, terms, losses, np.abs(slope) + error, left)
+
+
+def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Evaluation]:
+    """Return D over a box of one trajectory."""
+    bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
+    found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
+    dynamics, frequency, stages = map(float, found.residual_terms)
+    terms = dynamics, frequency, stages, float(found.rounding)
+    return Bound(float(found.value), kind, found.stage_gaps, *terms, box.follows_from), found
+
+
+def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:
+    """Return the losses of a bound on every component."""
+    steep, curved, lost = (split_signals(part, n) for part in (found.steepest, curvatures, found.certain))
+    return Deviations(steep, curved, lost, float(found.left))
+
+
+def _sum_of_terms(extremal: Extremal) -> Array:
+    """Return the sum of the absolute values of the terms of J - D beyond the losses.
+
+    Those are J, <eta, dynamics residual>, <rho, frequency residual>, and the gaps of terms. Those of J are products of
+    deviations from the references, and linear terms.
+    """
+    cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
+    terms = cost.sum_of_linear_terms(at.x, at.u)
+    if offset.any():
+        terms += total(np.abs(extremal.multipliers.eta * offset))
+    others, deviations = extremal.slope_terms - extremal.cost_terms, stack_signals(*cost.deviations(at.x, at.u))
+    for sizes, values in ((others, extremal.point), (extremal.cost_terms, deviations)):
+        terms = terms + np.einsum("...ij,...ij->...", sizes, np.abs(values))
+    for priced in extremal.terms:
+        terms = terms + priced.gap_terms.sum(-1)
+    return terms
 
 
 def unit_rounding(problem: OptimalControlProblem) -> float:
@@ -244,10 +275,11 @@ def unit_rounding(problem: OptimalControlProblem) -> float:
     return float(operations * np.finfo(np.longdouble).eps)
 
 
-def _cut_sets(problem: OptimalControlProblem, curvatures: Pair, largest: Pair, follows_from: str) -> Region:
+def _cut_sets(problem: OptimalControlProblem, curvatures: Array, largest: Pair, follows_from: str) -> Region:
     """Return the stated sets; components without curvature and with farther bounds are cut at ``largest``."""
     stated, pairs = stated_bounds(problem), list[Pair]()
-    for (lower, upper), curvature, size in zip((stated.x, stated.u), curvatures, largest, strict=True):
+    parts = split_signals(curvatures, problem.state_dim)
+    for (lower, upper), curvature, size in zip((stated.x, stated.u), parts, largest, strict=True):
         low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)
         pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
     return Region(pairs[0], pairs[1], np.inf, follows_from)

@@ -8,13 +8,14 @@ term is a constraint, and its multipliers are subgradients of h there (normals, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, first_largest
+from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, split_signals
 from lin_freq_ocp.certificate.bound import box_minimum
-from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, diagonal_curvature
+from lin_freq_ocp.certificate.hamiltonian import Extremal, PricedTerm, curvature_in_u
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.sizes import Floors
 from lin_freq_ocp.certificate.tolerances import (
@@ -27,7 +28,6 @@ from lin_freq_ocp.certificate.tolerances import (
     SCALE_FLOOR,
     TRIVIALITY,
 )
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 
@@ -106,24 +106,19 @@ class Condition:
 def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
     """Judge all conditions, in the order of the paper, with these least scales."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    level = least.level
-    mu, nu = extremal.multipliers.mu, extremal.multipliers.nu
     return (
         non_negativity(extremal),
         non_triviality(extremal),
         state_equation(extremal.state_residual, problem.equations.motion_sizes(x, u), least),
         *stationarity(extremal, least),
         *hamiltonian_maximum(extremal, least),
-        frequency("C-vi", "state frequency constraint", x[: problem.state_samples], problem.state_stop, least.x),
-        frequency("C-vii", "control frequency constraint", u, problem.control_stop, least.u),
-        _with_rounding(membership("S-x", "state in its set", x, problem.state_tube, least.x), least),
-        membership("S-u", "control in its set", u, problem.control_tube, least.u),
-        normal_cone("N-x", "state multiplier in the normal cone", x, mu, problem.state_tube, level, least.x),
-        normal_cone("N-u", "control multiplier in the normal cone", u, nu, problem.control_tube, level, least.u),
+        *frequency(extremal, least),
+        *membership(extremal, least),
+        *normal_cones(extremal, least),
         *(
             condition
             for priced, size in zip(extremal.terms, least.terms, strict=True)
-            for condition in term_conditions(priced, level, size)
+            for condition in term_conditions(priced, least.level, size)
         ),
     )
 
@@ -146,14 +141,8 @@ def non_triviality(extremal: Extremal) -> Condition:
 
 def state_equation(residual: Array, moved: Array, least: Floors) -> Condition:
     """C-iii: x_{t+1} = f_t(x_t, u_t); the residual (T, n) compared with the largest move of each component, (n,)."""
-    condition = worst_condition("C-iii", "state equation", np.abs(residual), np.maximum(moved, least.x))
-    return _with_rounding(condition, least)
-
-
-def _with_rounding(condition: Condition, least: Floors) -> Condition:
-    """Return a condition on states with the rounding errors of its worst component."""
-    component = condition.component
-    return condition if component is None else replace(condition, rounding=float(least.rounding[component]))
+    scales = np.maximum(moved, least.z[: len(moved)])
+    return worst_condition("C-iii", "state equation", np.abs(residual), scales, rounding=least.rounding)
 
 
 def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
@@ -162,24 +151,26 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
     C-v, to first order: D_u H_t = nu_t (and nu_t in N_U(u_t), which is N-u). Residuals count by their worth, a part of
     S, where that is smaller than their part of their scale.
     """
-    problem, at, (mu, nu) = extremal.problem, extremal.trajectory, (extremal.multipliers.mu, extremal.multipliers.nu)
-    curvatures = (extremal.curvatures if extremal.multipliers.eta_C == 1 else None) or (None, None)
-    conditions, last = list[Condition](), problem.horizon
-    times = [("C-iii", "adjoint equation", 1, last)] if last > 1 else []
-    times += [("C-iv", "transversality at 0", 0, 1), ("C-iv", "transversality at T", last, last + 1)]
-    in_x = extremal.eta_before - extremal.in_x + mu, _scales(extremal.adjoint_terms + np.abs(mu), least.in_x)
-    in_u = extremal.in_u - nu, _scales(extremal.in_u_terms + np.abs(nu), least.in_u)
-    for (difference, scales), curvature, tube, signal, blocks in (
-        (in_x, curvatures[0], problem.state_tube, at.x, times),
-        (in_u, curvatures[1], problem.control_tube, at.u, [("C-v", "Hamiltonian stationary in u", 0, last)]),
+    last, n, normals = extremal.problem.horizon, extremal.problem.state_dim, extremal.normals
+    residual = np.abs(extremal.slopes + normals).astype(np.float64)
+    scales = _scales(extremal.slope_terms + np.abs(normals), least.slopes)
+    worth: Array | None = None
+    conditions, of_x, of_u = list[Condition](), slice(0, n), slice(n, None)
+    for label, name, t, end, part in (
+        ("C-iii", "adjoint equation", 1, last, of_x),
+        ("C-iv", "transversality at 0", 0, 1, of_x),
+        ("C-iv", "transversality at T", last, last + 1, of_x),
+        ("C-v", "Hamiltonian stationary in u", 0, last, of_u),
     ):
-        residual = np.abs(difference).astype(np.float64)
-        for label, name, t, end in blocks:
-            condition = worst_condition(label, name, residual[t:end], scales[t:end], t)
-            if curvature is not None and condition.relative > NEGLIGIBLE_SHARE * CONDITION_TOLERANCE:
-                worth = _worth(residual, scales, curvature, tube, signal)[t:end]
-                condition = _count_by_worth(condition, residual[t:end], scales[t:end], worth, least.level)
-            conditions.append(condition)
+        if t == end:  # there is no time between the ends
+            continue
+        chosen = slice(t, end), part
+        condition = worst_condition(label, name, residual[chosen], scales[chosen], t)
+        if condition.relative > NEGLIGIBLE_SHARE * CONDITION_TOLERANCE and extremal.multipliers.eta_C == 1:
+            worth = _worth(residual, scales, extremal) if worth is None else worth
+            if worth is not None:
+                condition = _count_by_worth(condition, residual[chosen], scales[chosen], worth[chosen], least.level)
+        conditions.append(condition)
     return conditions
 
 
@@ -192,18 +183,22 @@ def _count_by_worth(condition: Condition, residual: Array, scales: Array, worth:
     return replace(condition, residual=share * level, scale=level) if share < condition.relative else condition
 
 
-def _worth(residual: Array, scales: Array, curvature: Array, tube: Box, signal: Array) -> Array:
+def _worth(residual: Array, scales: Array, extremal: Extremal) -> Array | None:
     """Return the cost that residuals s of stationarity explain, entry by entry: min(|s| w, s^2 / (2 m)).
 
     A trajectory of a convex problem that is stationary up to s is an optimum of the cost J - <s, (x, u)>. So its cost
     exceeds the optimal one by at most their sum, with the curvatures m and the distances w to the far bounds. A
     component that is fixed takes any multiplier: its residual is worth nothing if it is small, and is not priced else.
+    None if J is not convex.
     """
-    far = np.maximum(tube.upper - signal, signal - tube.lower)
+    curvature, (lower, upper), point = extremal.curvatures, extremal.bounds, extremal.point
+    if curvature is None:
+        return None
+    far = np.maximum(upper - point, point - lower)
     over_box = np.where(residual > 0, residual, 0.0) * np.where(residual > 0, far, 0.0)
     bent = np.divide(residual**2, 2 * curvature, out=np.full(residual.shape, np.inf), where=curvature > 0)
     fixed = np.where(residual <= CONDITION_TOLERANCE * scales, 0.0, np.inf)
-    return np.where(tube.fixed, fixed, np.minimum(over_box, np.where(residual > 0, bent, 0.0)))
+    return np.where(lower == upper, fixed, np.minimum(over_box, np.where(residual > 0, bent, 0.0)))
 
 
 def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
@@ -217,69 +212,62 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     with the slope D_u H - D'l+), plus the complementarity <l+, e - C x_t - D u_t>. Other terms of u_t add their gaps.
     """
     problem, u = extremal.problem, extremal.trajectory.u
-    curvature = diagonal_curvature(extremal.multipliers.eta_C * problem.quadratic.R)
+    curvature, n = curvature_in_u(problem.quadratic, extremal.multipliers.eta_C), problem.state_dim
     if curvature is None:
         return []
-    tube, reach = problem.control_tube, MAXIMISATION_REACH * least.u / SCALE_FLOOR
+    tube, reach = problem.control_tube, MAXIMISATION_REACH * least.z[n:] / SCALE_FLOOR
     low, high = np.maximum(tube.lower - u, -reach), np.minimum(tube.upper - u, reach)
-    rise = -box_minimum(-extremal.in_u.astype(np.float64), curvature, low, np.maximum(low, high))
+    slopes, in_u_terms = extremal.slopes[:-1, n:].astype(np.float64), extremal.slope_terms[:-1, n:]
+    rise = -box_minimum(slopes, curvature, low, np.maximum(low, high))
     rise = np.maximum(rise, 0.0)  # negative if u_t is outside U_t by a rounding error
     total = rise.sum(1)
     for priced in extremal.terms:
         times = priced.term.map.control_times
         if len(times):
             np.add.at(total, times, np.maximum(priced.gap, 0.0).sum(1))
-    terms = (extremal.in_u_terms * np.abs(u)).sum(1)
+    terms = (in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
     (t,) = first_largest(total)
     (component,) = first_largest(rise[t])
     return [Condition("C-v", "Hamiltonian maximal in u", float(total[t]), scale, CONDITION_TOLERANCE, t, component)]
 
 
-def frequency(label: str, name: str, signal: Array, stopped: Mask, least: Array) -> Condition:
+def frequency(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """C-vi, C-vii: the removed bins are zero; compared with the root mean square over all bins of the component."""
-    magnitude = np.zeros(stopped.shape)
-    if stopped.any():
-        magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
-    return worst_condition(label, name, magnitude, np.maximum(np.linalg.norm(signal, axis=0), least))
+    problem, at, n = extremal.problem, extremal.trajectory, len(least.rounding)
+    for label, name, signal, stopped, floor in (
+        ("C-vi", "state frequency constraint", at.x[: problem.state_samples], problem.state_stop, least.z[:n]),
+        ("C-vii", "control frequency constraint", at.u, problem.control_stop, least.z[n:]),
+    ):
+        magnitude = np.zeros(stopped.shape)
+        if stopped.any():
+            magnitude[stopped] = np.abs(np.fft.rfft(signal, axis=0)[stopped])
+        yield worst_condition(label, name, magnitude, np.maximum(np.sqrt((signal**2).sum(0)), floor))
 
 
-def membership(label: str, name: str, signal: Array, tube: Box, least: Array) -> Condition:
+def membership(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """S-x, S-u: distance outside the set; compared with the largest value of the component."""
-    return worst_condition(label, name, tube.violation(signal), _scales(np.abs(signal), least))
+    n, scales = len(least.rounding), _scales(np.abs(extremal.point), least.z)
+    of_x, of_u = split_signals(extremal.violation, n)
+    yield worst_condition("S-x", "state in its set", of_x, scales[:n], rounding=least.rounding)
+    yield worst_condition("S-u", "control in its set", of_u, scales[n:])
 
 
-def normal_cone(
-    label: str, name: str, signal: Array, normal: Array, tube: Box, level: float, least: Array
-) -> Condition:
+def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
     """N-x, N-u: sigma(mu_t) - <mu_t, x_t> = 0; compared with the largest <|mu_t|, |x_t|>, or the cost.
 
     Absent bounds, and bounds at a distance above the size of the component, count as if they were at that distance.
     """
-    sizes, weights = np.abs(signal), np.abs(normal)
-    gap = np.minimum(np.abs(tube.normal_gap_terms(signal, normal)), weights * np.maximum(sizes.max(0), least))
-    scale = max(level, float((weights * sizes).sum(1).max()))
-    t, component = first_largest(gap)
-    return Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
-
-
-def cost_of_residuals(extremal: Extremal) -> float:
-    """Return the residuals of the constraints times their multipliers, in units of the cost.
-
-    If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest feasible
-    trajectory, to first order. A residual may be small for its component and large for the cost. Residuals of one
-    constraint add up with their signs.
-    """
-    multipliers, (x, u) = extremal.multipliers, (extremal.trajectory.x, extremal.trajectory.u)
-    tubes = (x, multipliers.mu, extremal.problem.state_tube), (u, multipliers.nu, extremal.problem.control_tube)
-    parts = [multipliers.eta * extremal.state_residual, extremal.control_signal * u]
-    parts += [extremal.state_signal * x, *(np.abs(normal) * tube.violation(signal) for signal, normal, tube in tubes)]
-    parts += [
-        np.abs(priced.weights) * np.broadcast_to(priced.term.penalty.violation(priced.values), priced.weights.shape)
-        for priced in extremal.terms
-        if priced.term.hard
-    ]
-    return sum(abs(float(part.sum())) for part in parts)
+    normals, (lower, upper), n = extremal.normals, extremal.bounds, len(least.rounding)
+    sizes, weights = np.abs(extremal.point), np.abs(normals)
+    slack = np.where(normals > 0, upper - extremal.point, np.where(normals < 0, extremal.point - lower, 0.0))
+    gaps = np.minimum(np.abs(weights * slack), weights * _scales(sizes, least.z))
+    pairs = split_signals(gaps, n), split_signals(weights * sizes, n)
+    names = ("N-x", "state"), ("N-u", "control")
+    for (label, signal), gap, terms in zip(names, *pairs, strict=True):
+        scale, (t, component) = max(least.level, float(terms.sum(1).max())), first_largest(gap) if gap.any() else (0, 0)
+        name = f"{signal} multiplier in the normal cone"
+        yield Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
 def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:
@@ -363,10 +351,18 @@ def _scales(terms: Array, least: Array) -> Array:
     return np.maximum(terms.max(0, initial=0.0), least)
 
 
-def worst_condition(label: str, name: str, residual: Array, scales: Array, first: int = 0) -> Condition:
-    """Return the condition at its worst entry, relative to its scale; residual (times, components)."""
-    scales = np.broadcast_to(scales, residual.shape)
-    relative = np.divide(residual, scales, out=np.zeros(residual.shape, residual.dtype), where=scales > 0)
-    t, component = first_largest(relative)
-    at = float(residual[t, component]), float(scales[t, component])
-    return Condition(label, name, *at, CONDITION_TOLERANCE, first + t, component)
+def worst_condition(
+    label: str, name: str, residual: Array, scales: Array, first: int = 0, rounding: Array | None = None
+) -> Condition:
+    """Return the condition at its worst entry, relative to its scale; residual (times, components).
+
+    ``rounding`` are the rounding errors of the components, if known.
+    """
+    t = component = 0
+    if residual.any():
+        relative = residual / np.where(scales > 0, scales, np.inf)  # 0 without a scale
+        t, component = first_largest(relative)
+    scale = float(scales[component] if scales.ndim == 1 else scales[t, component])
+    errors = 0.0 if rounding is None else float(rounding[component])
+    at = float(residual[t, component]), scale
+    return Condition(label, name, *at, CONDITION_TOLERANCE, first + t, component, rounding=errors)

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from lin_freq_ocp.base.arrays import Array, to_long_double
+from lin_freq_ocp.base.arrays import Array, seal, split_signals, stack_signals, to_long_double, total
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.semidefinite import least_rise
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
@@ -59,30 +59,33 @@ class PricedTerm:
 
     @property
     def gap_terms(self) -> Array:
-        """Return the sums of the absolute values of the terms of the gaps, (groups,): rounding is relative to these."""
+        """Return the sums of the absolute values of the terms of the gaps, (..., groups): rounding is a part."""
         limits = np.broadcast_to(self.term.penalty.sizes(), self.values.shape)
-        return (np.abs(self.weights) * (self.sizes + limits)).sum(1) + np.abs(self.gap).sum(1)
+        return (np.abs(self.weights) * (self.sizes + limits)).sum(-1) + np.abs(self.gap).sum(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Extremal:
     """A trajectory with its multipliers, and the derivatives of the Hamiltonian there.
 
-    Signals and derivatives are in extended precision, as their terms cancel. Sums of absolute values are in double
-    precision.
+    Arrays of states and controls are stacked as z_t = (x_t, u_t), (T+1, n + m), with zeros for u_T. Those of N
+    trajectories have a leading axis, and what is a number of one trajectory is an array (N,). Signals and derivatives
+    are in extended precision, as their terms cancel. Sums of absolute values are in double precision.
 
     Attributes
     ----------
-    x : (T+1, n), u : (T, m)
+    bounds
+        The lower and the upper bounds of the sets.
+    z
         The trajectory.
-    state_signal : (T+1, n), control_signal : (T, m)
+    signal
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
-    in_x : (T+1, n), in_u : (T, m)
+    in_z
         D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
-    in_x_terms, in_u_terms
-        The sums of the absolute values of the terms of in_x and in_u. Their rounding errors are relative to these.
-    cost_terms : (T+1, n) and (T, m)
-        The parts of the quadratic cost in these sums.
+    in_z_terms
+        The sums of the absolute values of the terms of in_z. Its rounding errors are relative to these.
+    cost_terms
+        The part of the quadratic cost in these sums.
     terms : list of PricedTerm
         All terms of the problem except the quadratic cost, boxes and stop bands.
     """
@@ -90,52 +93,98 @@ class Extremal:
     problem: OptimalControlProblem
     trajectory: Trajectory
     multipliers: Multipliers
-    x: Array
-    u: Array
-    state_signal: Array
-    control_signal: Array
-    in_x: Array
-    in_u: Array
-    in_x_terms: Array
-    in_u_terms: Array
-    cost_terms: tuple[Array, Array]
+    bounds: tuple[Array, Array]
+    z: Array
+    signal: Array
+    in_z: Array
+    in_z_terms: Array
+    cost_terms: Array
     terms: list[PricedTerm]
 
     @cached_property
-    def eta_before(self) -> Array:
-        """Return eta_{t-1} for t = 0 .. T, shape (T+1, n), with 0 at t = 0."""
-        return np.concatenate([np.zeros((1, self.problem.state_dim)), self.multipliers.eta])
+    def point(self) -> Array:
+        """The trajectory in double precision."""
+        return stack_signals(self.trajectory.x, self.trajectory.u)
 
     @cached_property
-    def adjoint_terms(self) -> Array:
-        """Return |eta_{t-1}| + in_x_terms, (T+1, n): the absolute terms of eta_{t-1} - D_x H_t."""
-        return np.abs(self.eta_before) + self.in_x_terms
+    def violation(self) -> Array:
+        """The distances from the sets, component by component."""
+        lower, upper = self.bounds
+        return np.maximum(np.maximum(lower - self.point, self.point - upper), 0.0)
+
+    @cached_property
+    def normals(self) -> Array:
+        """The multipliers mu_t and nu_t."""
+        return stack_signals(self.multipliers.mu, self.multipliers.nu)
+
+    @cached_property
+    def slopes(self) -> Array:
+        """The slopes of l_t: eta_{t-1} - D_x H_t, with 0 for eta_{-1}, and -D_u H_t."""
+        slopes = -self.in_z
+        slopes[..., 1:, : self.problem.state_dim] += self.multipliers.eta
+        return slopes
+
+    @cached_property
+    def slope_terms(self) -> Array:
+        """The sums of the absolute values of the terms of the slopes."""
+        terms = self.in_z_terms.copy()
+        terms[..., 1:, : self.problem.state_dim] += np.abs(self.multipliers.eta)
+        return terms
 
     @cached_property
     def state_residual(self) -> Array:
-        """Return x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
+        """x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
         return state_residual(self.problem, self.trajectory)
 
     @cached_property
-    def curvatures(self) -> tuple[Array, Array] | None:
-        """Return lower bounds of the curvature in states (T+1, n) and controls (T, m); None if J is not convex."""
-        curvatures, eta_C = cost_curvatures(self.problem.quadratic, self.problem.horizon), self.multipliers.eta_C
-        return curvatures and (eta_C * curvatures[0], eta_C * curvatures[1])
+    def exact_residual(self) -> Array:
+        """The same in extended precision."""
+        x, u = split_signals(self.z, self.problem.state_dim)
+        return x[..., 1:, :] - self.problem.equations.successors(x, u)
 
     @cached_property
-    def terms_gap(self) -> float:
-        """Return the sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
-        return float(sum(priced.gap.sum() + priced.peak_price for priced in self.terms))
+    def curvatures(self) -> Array | None:
+        """Lower bounds of the curvature of l_t; None if J is not convex."""
+        curvatures = cost_curvatures(self.problem.quadratic, self.problem.horizon)
+        return None if curvatures is None else self.multipliers.eta_C * curvatures
+
+    @cached_property
+    def terms_gap(self) -> Array | float:
+        """The sum of the gaps h(v) + h*(lambda+) - <lambda+, v> of all terms."""
+        return sum(total(priced.gap) + priced.peak_price for priced in self.terms)
+
+    @cached_property
+    def frequency_terms(self) -> tuple[Array, Array]:
+        """<rho, frequency residual> of states and of controls."""
+        if not (self.multipliers.rho_x.any() or self.multipliers.rho_u.any()):
+            return np.zeros(self.point.shape[:-2]), np.zeros(self.point.shape[:-2])
+        of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
+        return total(of_x), total(of_u)
+
+    @property
+    def cost_of_residuals(self) -> Array:
+        """Return the residuals of the constraints times their multipliers, in units of the cost.
+
+        If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest
+        feasible trajectory, to first order. A residual may be small for its component and large for the cost. Residuals
+        of one constraint add up with their signs.
+        """
+        cost = total(np.abs(self.normals) * self.violation)
+        for part in (total(self.multipliers.eta * self.state_residual), *self.frequency_terms):
+            cost = cost + np.abs(part)
+        for priced in (one for one in self.terms if one.term.hard):
+            cost = cost + total(np.abs(priced.weights) * priced.term.penalty.violation(priced.values))
+        return cost
 
     @cached_property
     def cost(self) -> float:
-        """Return J."""
-        return self.problem.value(self.x, self.u)
+        """J."""
+        return self.problem.value(*split_signals(self.z, self.problem.state_dim))
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t) of linear dynamics, shape (T, n)."""
-    return trajectory.x[1:] - problem.equations.successors(trajectory.x, trajectory.u)
+    return trajectory.x[..., 1:, :] - problem.equations.successors(trajectory.x, trajectory.u)
 
 
 def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Extremal:
@@ -149,33 +198,47 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    T = problem.horizon
-    x, u, eta = to_long_double(trajectory.x), to_long_double(trajectory.u), to_long_double(multipliers.eta)
-    eta_C = multipliers.eta_C
-    signals = problem.in_time(to_long_double(multipliers.rho_x)), time_signal(to_long_double(multipliers.rho_u), T)
-    cost_x, cost_u = problem.quadratic.gradient(x, u)
-    in_x, in_u = -eta_C * cost_x - signals[0], -eta_C * cost_u - signals[1]
-    cost_x_terms, cost_u_terms = problem.quadratic.gradient_terms(trajectory.x, trajectory.u)
-    cost_terms = abs(eta_C) * cost_x_terms, abs(eta_C) * cost_u_terms
-    in_x_terms = cost_terms[0] + np.abs(multipliers.rho_x).sum(0)
-    in_u_terms = cost_terms[1] + np.abs(multipliers.rho_u).sum(0)
-    through_x, through_u = problem.equations.pull_back(eta)
-    terms_x, terms_u = problem.equations.pulled_sizes(multipliers.eta)
-    in_x[:-1] += through_x
-    in_u += through_u
-    in_x_terms[:-1] += terms_x
-    in_u_terms += terms_u
+    lower, upper = map(stack_signals, problem.state_tube.bounds, problem.control_tube.bounds)
+    return extremal_within(problem, trajectory, multipliers, (lower, upper))
+
+
+def extremal_within(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, bounds: tuple[Array, Array]
+) -> Extremal:
+    """Return the extremal of a trajectory, or of N trajectories, with these bounds; nothing is checked."""
+    n, eta_C, eta = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
+    x, u = to_long_double(trajectory.x), to_long_double(trajectory.u)
+    z = stack_signals(x, u)
+    signal, cost_terms = np.zeros_like(z), stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
+    cost_terms *= abs(eta_C)
+    in_z_terms = cost_terms.copy()
+    sizes = split_signals(in_z_terms, n)
+    in_z = stack_signals(*problem.quadratic.gradient(x, u))
+    in_z *= -eta_C
+    parts, in_time = split_signals(in_z, n), (problem.in_time, lambda rho: time_signal(rho, problem.horizon))
+    rhos = multipliers.rho_x, multipliers.rho_u
+    for part, own, size, rho, signal_of in zip(parts, split_signals(signal, n), sizes, rhos, in_time, strict=True):
+        if rho.any():
+            own[:] = signal_of(to_long_double(rho))
+            part -= own
+            size += np.abs(rho).sum(-2, keepdims=True)
     terms = _priced_terms(problem, trajectory, multipliers, x, u)
-    shapes = x.shape, u.shape
+    for part, size, through, through_size in zip(
+        (parts[0][..., :-1, :], parts[1]),
+        (sizes[0][..., :-1, :], sizes[1]),
+        problem.equations.pull_back(eta),
+        problem.equations.pulled_sizes(multipliers.eta),
+        strict=True,
+    ):
+        part += through
+        size += through_size
     for priced in terms:
-        pulled_x, pulled_u = priced.term.map.pull_back(priced.weights, shapes)
-        in_x -= pulled_x
-        in_u -= pulled_u
-        size_x, size_u = priced.term.map.pulled_sizes(priced.weights, shapes)
-        in_x_terms += size_x
-        in_u_terms += size_u
-    sizes = in_x_terms, in_u_terms, cost_terms
-    return Extremal(problem, trajectory, multipliers, x, u, *signals, in_x, in_u, *sizes, terms)
+        pulled = priced.term.map.pull_back(priced.weights, (x.shape, u.shape))
+        pulled_sizes = priced.term.map.pulled_sizes(priced.weights, (x.shape, u.shape))
+        for part, size, one, one_size in zip(parts, sizes, pulled, pulled_sizes, strict=True):
+            part -= one
+            size += one_size
+    return Extremal(problem, trajectory, multipliers, bounds, z, signal, in_z, in_z_terms, cost_terms, terms)
 
 
 def _priced_terms(
@@ -184,7 +247,7 @@ def _priced_terms(
     """Return the terms along a trajectory, which is (x, u) in extended precision."""
     priced: list[PricedTerm] = []
     for term in problem.terms:
-        on_term = multipliers.stage.get(term.name, np.zeros(term.shape))
+        on_term = multipliers.stage.get(term.name, np.zeros((*x.shape[:-2], *term.shape)))
         values, weights = term.map.values(x, u), term.penalty.subgradient(to_long_double(on_term), multipliers.eta_C)
         sizes = term.map.sizes(trajectory.x, trajectory.u)
         gap = term.penalty.gap(values, weights, multipliers.eta_C)
@@ -227,13 +290,19 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
 
 
 @lru_cache(maxsize=4)  # a loop judges plans of one cost, one after another
-def cost_curvatures(cost: QuadraticCost, horizon: int) -> tuple[Array, Array] | None:
-    """Return lower bounds of a cost's curvature in states (T+1, n) and controls (T, m); None if it is not convex."""
+def cost_curvatures(cost: QuadraticCost, horizon: int) -> Array | None:
+    """Return lower bounds of a cost's curvature, stacked, (T+1, n + m); None if it is not convex."""
     stage, terminal = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
     if stage is None or terminal is None:
         return None
     stage, n = np.broadcast_to(stage, (horizon, stage.shape[-1])), len(terminal)
-    return np.vstack([stage[:, :n], terminal]), stage[:, n:]
+    return seal(stack_signals(np.vstack([stage[:, :n], terminal]), stage[:, n:]))
+
+
+@lru_cache(maxsize=4)
+def curvature_in_u(cost: QuadraticCost, eta_C: float) -> Array | None:
+    """Return the ``diagonal_curvature`` of eta_C R."""
+    return diagonal_curvature(eta_C * cost.R)
 
 
 def diagonal_curvature(hessian: Array) -> Array | None:

@@ -169,7 +169,7 @@ def infeasibility_certificate(problem: OptimalControlProblem, ray: Multipliers) 
     start = problem.initial_box
     if not start.fixed.all() or bound.kind != RIGOROUS or proof_margin(problem, ray) <= CLEAR_MARGIN:
         return None
-    slope = -extremal_at(problem, _point_nearest_zero(problem), ray).in_x[0].astype(np.float64)
+    slope = -extremal_at(problem, _point_nearest_zero(problem), ray).in_z[0, : problem.state_dim].astype(np.float64)
     return InfeasibilityCertificate(start.lower, slope, bound.value)
 
 

@@ -202,8 +202,7 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> T
             continue
         for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
-            largest = np.abs(matrix).max(axis=1)
-            units = np.where(largest > 0, largest, 1.0)
+            units = _units_of(matrix, axis=1)
             matrix, limits = matrix / units[:, None], rows.e[group] / units
             slack = np.maximum(limits - matrix @ signals[t], 0.0)
             for i, row in enumerate(matrix):
@@ -285,18 +284,32 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
 
 
 def _radii_of_block(columns: Array, residual: Array, values: Array, unknown: Indices) -> Array | None:
-    """Return the radii of the unknown components of these rows alone; None if the rows do not bound them."""
+    """Return the radii of the unknown components of these rows alone; None if the rows do not bound them.
+
+    Rows and components are in units in which their largest coefficients are 1: a left inverse that is accurate in one
+    choice of units of the states may not be in another.
+    """
     if len(unknown) > len(columns):
         return None
-    Q, R = np.linalg.qr(columns[:, unknown])
+    block = columns[:, unknown]
+    of_rows = _units_of(block, axis=1)
+    units = _units_of(block / of_rows[:, None], axis=0)
+    block = block / of_rows[:, None] / units
+    Q, R = np.linalg.qr(block)
     if not np.diag(R).all():
         return None
     inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
-    if not np.abs(inverse @ columns[:, unknown] - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
+    if not np.abs(inverse @ block - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
         return None
     known = columns.any(axis=0) & ~np.isinf(values[0])
     bounds = values[:, known] @ np.abs(columns[:, known]).T + np.stack([residual, np.zeros_like(residual)])
-    return bounds @ (RADIUS_MARGIN * np.abs(inverse)).T
+    return bounds / of_rows @ (RADIUS_MARGIN * np.abs(inverse)).T / units
+
+
+def _units_of(coefficients: Array, axis: int) -> Array:
+    """Return the largest absolute value along an axis, 1 where all are zero."""
+    largest = np.abs(coefficients).max(axis=axis)
+    return np.where(largest > 0, largest, 1.0)
 
 
 def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, times_vectors, to_long_double
+from lin_freq_ocp.base.arrays import Array, split_signals, times_vectors, to_long_double
 from lin_freq_ocp.certificate.bound import (
     NEVER_NEGATIVE,
     NUMERICAL,
@@ -124,23 +124,24 @@ def _evaluate(
 ) -> Bound:
     """Return D over bounds of the controls."""
     problem, multipliers = extremal.problem, extremal.multipliers
-    x, u, unit = extremal.x, extremal.u, unit_rounding(problem)
+    unit, arrays = unit_rounding(problem), (extremal.z, extremal.in_z, extremal.in_z_terms)
+    (x, u), (in_x, in_u), (in_x_terms, in_u_terms) = (split_signals(part, problem.state_dim) for part in arrays)
     # mu at existing bounds, and these bounds
     mu, lower, upper = multipliers.mu, problem.state_tube.lower, problem.state_tube.upper
     above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
     normal, limits = np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
-    slope_x, residual = normal - extremal.in_x, x - response.states(u)
+    slope_x, residual = normal - in_x, x - response.states(u)
     through_u = problem.equations.pull_back(to_long_double(multipliers.eta))[1]
-    slope = (through_u - extremal.in_u + response.pull_back(slope_x)).astype(np.float64)
+    slope = (through_u - in_u + response.pull_back(slope_x)).astype(np.float64)
     lost = multipliers.eta_C * np.abs(residual[:-1]).astype(np.float64)
     Q, S = (np.abs(part) for part in (problem.quadratic.Q, problem.quadratic.S))
-    in_states = unit * (extremal.in_x_terms + np.abs(normal))
+    in_states = unit * (in_x_terms + np.abs(normal))
     in_states[:-1] += times_vectors(Q, lost)
     # response.pull_back of any weights of these magnitudes is at most the largest gain times their norm
     weights = (in_states + unit * np.abs(slope_x)).astype(np.float64)
     weights[0] += weights[-1]  # of one period, x_T repeats x_0
     through_states = np.abs(response.G).max(0).T @ np.linalg.norm(weights, axis=0)
-    error = unit * (extremal.in_u_terms + np.abs(through_u)) + through_states
+    error = unit * (in_u_terms + np.abs(through_u)) + through_states
     error = (error + times_vectors(np.swapaxes(S, -1, -2), lost)).astype(np.float64)
     error += ARITHMETIC_ROUNDING * np.abs(slope)
     low, high = box[0] - extremal.trajectory.u, box[1] - extremal.trajectory.u
@@ -150,9 +151,8 @@ def _evaluate(
     stage_gaps = -at_bounds.astype(np.float64)
     stage_gaps[:-1] -= minimum.sum(1)
     dynamics_term = -float((slope_x * residual).sum()) - 0.5 * float((lost * times_vectors(Q, lost)).sum())
-    frequency_term = float((extremal.control_signal * u).sum() + (extremal.state_signal * x).sum())
-    stage_term = extremal.terms_gap
-    summed = float((extremal.in_x_terms * np.abs(x)).sum() + (extremal.in_u_terms * np.abs(u)).sum())
+    frequency_term, stage_term = float(sum(extremal.frequency_terms)), float(extremal.terms_gap)
+    summed = float((in_x_terms * np.abs(x)).sum() + (in_u_terms * np.abs(u)).sum())
     summed += float((np.abs(normal) * (np.abs(x) + np.abs(limits))).sum())
     summed += float(sum(priced.gap_terms.sum() for priced in extremal.terms))
     certain, complementary = float(losses.sum()), float(at_bounds.sum())

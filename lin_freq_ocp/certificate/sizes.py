@@ -7,11 +7,12 @@ stand for no bound. Sizes change with the units of the components and with nothi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -23,6 +24,7 @@ from lin_freq_ocp.certificate.tolerances import (
     STATE_ROUNDING,
     ZERO_COMPONENT,
 )
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -37,25 +39,19 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
     is zero and there are no data, the size is that of the origin, or 1.
     """
-    n, m, cost = problem.state_dim, problem.control_dim, problem.quadratic
+    n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
-    in_data = np.maximum(offset, np.abs(cost.x_ref).reshape(-1, n).max(0))
+    in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
-        in_data = np.maximum(in_data, np.where(end.fixed, np.abs(end.lower), 0.0))
-    in_data = np.append(in_data, np.maximum(np.abs(cost.u_ref).reshape(-1, m).max(0), problem.level_sizes))
+        in_data[:n] = np.maximum(in_data[:n], np.where(end.fixed, np.abs(end.lower), 0.0))
     known = np.maximum(in_data, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
-    linear_cost = np.abs(cost.q).reshape(-1, n).max(0) + np.abs(cost.p), np.abs(cost.r).reshape(-1, m).max(0)
-    anchored = (in_data > 0) | (np.concatenate(linear_cost) > 0)
-    gain = np.hstack([A, B])
-    gain = np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
-    needed = _anchoring_sizes(problem.horizon * gain, known, anchored)
+    anchored = (in_data > 0) | (slopes > 0)
+    needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
     sizes = np.maximum(known, needed)
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
-        diagonals = (np.diagonal(part, axis1=-2, axis2=-1).reshape(-1, part.shape[-1]) for part in (cost.Q, cost.R))
-        curvature = np.concatenate([diagonal.max(0) for diagonal in diagonals])
-        total = _sum_of_terms(problem, trajectory) / problem.horizon
+        total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
     if not sizes.all() and problem.origin is not None:
@@ -64,12 +60,27 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     return sizes[:n], sizes[n:]
 
 
-def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
+@lru_cache(maxsize=4)  # the steps of a loop have one cost
+def _sizes_of_cost(cost: QuadraticCost) -> tuple[Array, Array, Array]:
+    """Return the largest references, linear costs and diagonal entries of the Hessian over times, each (n + m,)."""
+
+    def largest(*parts: Array) -> Array:
+        return np.concatenate([part.reshape(-1, part.shape[-1]).max(0) for part in parts])
+
+    slopes = largest(np.abs(cost.q), np.abs(cost.r))
+    slopes[: len(cost.p)] += np.abs(cost.p)
+    curvatures = largest(*(np.diagonal(part, axis1=-2, axis2=-1) for part in (cost.Q, cost.R)))
+    return largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes, curvatures
+
+
+def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: Mask) -> Array:
     """Return the values at which components change anchored components by their sizes, 0 where they change none.
 
-    ``effect`` (n, n + m) is the change of states within the horizon per unit of a component. Anchored components have
-    data; a component that acts on an anchored one anchors others in turn.
+    The change of states within the horizon per unit of a component is ``horizon`` times its gain. Anchored components
+    have data; a component that acts on an anchored one anchors others in turn.
     """
+    gain = np.hstack([A, B])
+    effect = horizon * np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
     effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
     for _ in known:
@@ -79,13 +90,20 @@ def _anchoring_sizes(effect: Array, known: Array, anchored: Mask) -> Array:
         newly_reached = np.isfinite(least)
         needed = np.where(newly_reached, least, needed)
         reached = reached | newly_reached
-        if not newly_reached.any():
+        if not newly_reached.any() or reached.all():
             break
     return needed
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:
-    """Return S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
+    """Return S, the sum of the absolute values of the terms of the cost; see ``cost_and_scale``."""
+    return cost_and_scale(problem, trajectory, sizes)[1]
+
+
+def cost_and_scale(
+    problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None
+) -> tuple[float, float]:
+    """Return J, and S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
 
     The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the
     cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
@@ -94,35 +112,38 @@ def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Si
     its entries with deviations. ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
-    pairs = zip((x, u), sizes or trajectory_sizes(problem, trajectory), strict=True)
-    in_x, in_u = (np.broadcast_to(DATA_ROUNDING * size, signal.shape) for signal, size in pairs)
+    of_x, of_u = sizes or trajectory_sizes(problem, trajectory)
+    in_x, in_u = np.broadcast_to(DATA_ROUNDING * of_x, x.shape), np.broadcast_to(DATA_ROUNDING * of_u, u.shape)
     magnitudes, levels = problem.quadratic.magnitudes(), problem.level_sizes
-    deviations = (np.abs(part) for part in problem.quadratic.deviations(x, u))
-    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(*deviations)
+    a, b = problem.quadratic.deviations(x, u)
+    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():
         rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
-    for term in problem.terms:
+    cost, total, priced = _cost_and_terms(problem, trajectory)
+    for term, given in zip(problem.terms, priced, strict=True):
         for sign in (-1, 1):
-            rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - term.cost(x, u)).sum())
-    return max(_sum_of_terms(problem, trajectory), rounding / GAP_TOLERANCE)
+            rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
+    return cost, max(total, rounding / GAP_TOLERANCE)
 
 
-def _sum_of_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the sum of the absolute values of the terms of the cost."""
+def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[float, float, list[Array]]:
+    """Return J, the sum of the absolute values of its terms, and what each of the problem's terms costs."""
     x, u = trajectory.x, trajectory.u
-    parts = problem.cost.formula_values(x, u), *(term.cost(x, u) for term in problem.terms)
-    return problem.quadratic.sum_of_terms(x, u) + sum(float(np.abs(part).sum()) for part in parts)
+    value, total = problem.quadratic.value_and_terms(x, u)
+    formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
+    cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
+    return cost, float(total) + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
 
 
 class Scales(NamedTuple):
     """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
 
-    The slopes, (T+1, n) and (T, m), are those for such sizes.
+    The slopes, (T+1, n + m) with zeros for u_T, are those for such sizes.
     """
 
     sizes: Sizes
     cost: float | None = None
-    slopes: tuple[Array | float, Array | float] = (0.0, 0.0)
+    slopes: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +152,13 @@ class Floors:
 
     Attributes
     ----------
-    x : (n,), u : (m,)
-        Of states and controls. For states at rest, x is at least their rounding divided by CONDITION_TOLERANCE.
+    z : (n + m,)
+        Of states and controls. For states at rest, it is at least their rounding divided by CONDITION_TOLERANCE.
     level : float
         Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
         over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
         Hamiltonian.
-    in_x : (T+1, n), in_u : (T, m)
+    slopes : (T+1, n + m)
         Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
         component or time says nothing of others.
     terms : tuple of (dim,)
@@ -146,11 +167,9 @@ class Floors:
         Rounding errors of moving states, of A times these, and of their coordinates; 0 for states at rest.
     """
 
-    x: Array
-    u: Array
+    z: Array
     level: float
-    in_x: Array
-    in_u: Array
+    slopes: Array
     terms: tuple[Array, ...]
     rounding: Array
 
@@ -163,24 +182,27 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
     (x, u), cost, slopes = scales
-    steady = np.ones((T + 1, 1)) * x, np.ones((T, 1)) * u
-    in_x, in_u = problem.quadratic.gradient_magnitudes(*steady)
-    in_x, in_u = eta_C * (in_x + slopes[0]), eta_C * (in_u + slopes[1])
+    size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
+    steep = eta_C * (stack_signals(*problem.quadratic.gradient_magnitudes(*steady)) + slopes)
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
-        level = stage = SCALE_FLOOR * float(max((extremal.adjoint_terms @ x).max(), (extremal.in_u_terms @ u).max()))
+        parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
+        level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(in_x * x).ravel(), (in_u * u).ravel(), *priced])
-        stage = SCALE_FLOOR * float(np.median(costs[costs > 0])) if costs.any() else 0.0
+        costs = np.concatenate([(steep * size).ravel(), *priced])
+        costs, stage = np.sort(costs[costs > 0]), 0.0
+        if len(costs):  # their median
+            stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
-    given = np.abs(extremal.trajectory.x) + (0.0 if start is None else np.abs(start))
+    at = np.abs(extremal.trajectory.x)
+    given = at if start is None else at + np.abs(start)
     moved = problem.equations.successor_sizes(given, extremal.trajectory.u)
     rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
-    resting = np.abs(extremal.trajectory.x).max(0) <= rounding
-    least = np.maximum(SCALE_FLOOR * x, np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
-    rounding = np.where(resting, 0.0, rounding)
-    in_x, in_u = np.where(in_x > 0, SCALE_FLOOR * in_x, stage / x), np.where(in_u > 0, SCALE_FLOOR * in_u, stage / u)
-    return Floors(least, SCALE_FLOOR * u, level, in_x, in_u, terms, rounding)
+    resting = at.max(0) <= rounding
+    least = SCALE_FLOOR * size
+    least[: len(x)] = np.maximum(least[: len(x)], np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
+    steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
+    return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))

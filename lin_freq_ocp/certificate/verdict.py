@@ -16,11 +16,11 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
-from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Scales, cost_and_scale, cost_scale, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -106,7 +106,8 @@ class SecondOrder:
 class Judgement:
     """The result of the judge of one kind of dynamics.
 
-    ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, None if not computed;
+    ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, and ``cost`` is J, None
+    if not computed;
     ``bound`` is a bound of another kind than that of the extremal; ``slopes`` (T, n + m) are the scales of the adjoint
     equation and of stationarity in u, of dynamics with modes.
     """
@@ -116,6 +117,7 @@ class Judgement:
     cost_of_residuals: float
     extremal: Extremal | None = None
     cost_scale: float | None = None
+    cost: float | None = None
     second_order: SecondOrder | None = None
     bound: Bound | None = None
     slopes: Array | None = None
@@ -347,7 +349,7 @@ def judge(
             applicable=judgement.borders is None or judgement.borders.applicable,
             normal=normal,
             conditions=judgement.conditions,
-            cost=problem.value(trajectory.x, trajectory.u),
+            cost=problem.value(trajectory.x, trajectory.u) if judgement.cost is None else judgement.cost,
             cost_scale=scale,
             worth_of_residuals=worth,
             bound=bound,
@@ -366,9 +368,9 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
     sizes = trajectory_sizes(problem, trajectory)
-    scale = cost_scale(problem, trajectory, sizes)
+    cost, scale = cost_and_scale(problem, trajectory, sizes)
     conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
-    return Judgement(conditions, None, cost_of_residuals(extremal), extremal, scale)
+    return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scale, cost)
 
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {

@@ -8,6 +8,7 @@ minimised but that change, and no multiplier is used: the cost of the repaired t
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from scipy import fft
@@ -15,6 +16,7 @@ from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
 from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -63,16 +65,13 @@ class _Repair:
         self.problem, self.x, self.u, self.stop = problem, x, u, problem.control_stop
         self.held_states, self.held = _at_bounds(problem.state_tube, x), _at_bounds(problem.control_tube, u)
         self.banded, n = self.stop.any(0), x.shape[1]
+        self.unmoved = self.held & ~self.banded
         t, i = np.nonzero(self.held_states[1:])  # x_0 does not change
         self.states, self.controls = (t + 1, i), np.nonzero(self.held & self.banded)
         self.bins = [
             (j, real_rows(problem.state_samples, stop)) for j, stop in enumerate(problem.state_stop.T) if stop.any()
         ]
-        linear = problem.linear
-        self.A = np.zeros((len(x), n, n))
-        self.A[:-1] = linear.A
-        self.breaks = break_times(linear.A, problem.horizon, PIECE_GROWTH)
-        self.matrix = simulation_matrix(self.A, self.breaks)
+        self.A, self.breaks, self.matrix = _pieces(problem.linear, problem.horizon)
         self.starts = len(self.breaks) * n
         self.on_x = self.starts + len(self.states[0]) + sum(len(rows) for _, rows in self.bins)
         self.count = self.on_x + len(self.controls[0])
@@ -170,12 +169,22 @@ class _Repair:
 
     def _project_bins(self, signals: Array) -> Array:
         """Return signals (T, m, k) without stopped bins, and without changes of other held controls."""
-        passed = np.where((self.held & ~self.banded)[..., None], 0.0, signals)
+        passed = np.where(self.unmoved[..., None], 0.0, signals) if self.unmoved.any() else signals.copy()
         if self.banded.any():
-            spectra = fft.rfft(passed[:, self.banded], axis=0)
-            spectra[self.stop[:, self.banded]] = 0.0
-            passed[:, self.banded] = fft.irfft(spectra, len(passed), axis=0)
+            chosen = slice(None) if self.banded.all() else self.banded
+            spectra = fft.rfft(passed[:, chosen], axis=0)
+            spectra[self.stop[:, chosen]] = 0.0
+            passed[:, chosen] = fft.irfft(spectra, len(passed), axis=0)
         return passed
+
+
+@lru_cache(maxsize=4)  # the steps of a loop have the same dynamics
+def _pieces(dynamics: LinearDynamics, horizon: int) -> tuple[Array, Indices, Array]:
+    """Return A_t, (T+1, n, n) with zero at T, the breaks, and the matrix of the simulation between them."""
+    A = np.zeros((horizon + 1, dynamics.state_dim, dynamics.state_dim))
+    A[:-1] = dynamics.A
+    breaks = break_times(dynamics.A, horizon, PIECE_GROWTH)
+    return A, breaks, simulation_matrix(A, breaks)
 
 
 def break_times(A: Array, horizon: int, growth: float) -> Indices:

@@ -162,10 +162,7 @@ class ProblemData:
     @cached_property
     def state_tube(self) -> Box:
         """X_0 .. X_T, bounds of shape (T+1, n): the state set of each time, with the initial and terminal sets."""
-        lower, upper = self.state_boxes.lower.copy(), self.state_boxes.upper.copy()
-        for t, end in zip((0, -1), self.ends, strict=True):
-            lower[t], upper[t] = end.lower, end.upper
-        return Box(lower, upper)
+        return self.state_boxes.with_ends(*self.ends)
 
     @cached_property
     def control_tube(self) -> Box:

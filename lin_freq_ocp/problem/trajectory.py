@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, assign, brief, complex_array, real_array, to_long_double
@@ -169,6 +170,21 @@ class Extremals:
     nu: Array
     rho_u: ComplexArray
     stage: Mapping[str, Array]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the signals of all trajectories, with their first axis."""
+        trajectory = object.__new__(Trajectory)
+        assign(trajectory, x=self.x, u=self.u)
+        return trajectory
+
+    @property
+    def multipliers(self) -> Multipliers:
+        """Return the multipliers of all trajectories, with their first axis; stopped bins of states have none."""
+        multipliers, none = object.__new__(Multipliers), np.zeros((1, self.x.shape[-1]), dtype=np.complex128)
+        signals = {"eta": self.eta, "mu": self.mu, "nu": self.nu, "rho_u": self.rho_u, "rho_x": none}
+        assign(multipliers, eta_C=1.0, **signals, stage=self.stage, weights=None, frequencies={})
+        return multipliers
 
 
 def _require_matrix(field: str, array: Array) -> None:

@@ -82,7 +82,7 @@ class SolverCache:
             return None
         reduced, solver = self._spectral_solver()
         try:
-            changed, lti = solver.changed_problem(change)
+            changed, lti = solver.changed_problem(change, None if reduced.links else problem)
         except (ProblemError, UnsupportedError):
             return None
         started = now()

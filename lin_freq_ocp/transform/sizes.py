@@ -27,7 +27,7 @@ KNOWN_SIZES: WeakKeyDictionary[OptimalControlProblem, tuple[Array, Array]] = Wea
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP."""
     cost, (x, u) = problem.quadratic, (trajectory.x, trajectory.u)
-    total = cost.sum_of_terms(x, u) + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    total = float(cost.value_and_terms(x, u)[1]) + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)

@@ -159,3 +159,17 @@ def test_the_judge_solves_by_numpy_alone():
     """SciPy has threads of its own: where both take turns in a loop, each waits for the other, 20 ms a time."""
     found = [path.name for path in Path(judging.__file__).parent.rglob("*.py") if OF_SCIPY.search(path.read_text())]
     assert found == []
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e5, 1e-5])
+def test_states_that_dynamics_determine_are_bounded_in_any_units(unit):
+    """Two free states without bounds and costs, which the bounded first one determines over three steps."""
+    A, units = np.array([[0.6, 0.5, 0.0], [-0.4, 0.7, 0.5], [0.2, -0.3, 0.8]]), np.array([1.0, unit, 1 / unit])
+    task = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(units[:, None] * A / units, units[:, None] * np.array([[0.0], [0.0], [1.0]])),
+        8,
+        lfo.QuadraticCost(q=[1.0, 0.0, 0.0], R=1.0),
+        state_set=lfo.Box([-1.0, None, None], [1.0, None, None]),
+    )
+    result = lfo.solve(task, "convex", throw=False)
+    assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")

@@ -156,19 +156,22 @@ def plain_spectrum(one: SpectrumMap, y: np.ndarray, first: int = 0) -> np.ndarra
 
 @given(SEEDS)
 @quick
-def test_a_repeated_term_is_that_of_every_trajectory(seed):
+def test_a_term_of_a_batch_is_that_of_every_trajectory(seed):
     rng = np.random.default_rng(seed)
     T, count = int(rng.integers(1, 8)), 3
     one = stage_map(rng, T)
     limits, weights = rng.standard_normal(one.shape), rng.uniform(0.1, 1.0, one.shape)
     penalty = HalfSpaces(limits if rng.random() < 0.5 else limits[0], weights if rng.random() < 0.5 else np.ones(()))
-    term = Term("rows", TermKind.STAGE_ROWS, one, penalty).repeated(count, T + 1)
-    parts = [signals(rng, T) for _ in range(count)]
-    x, u = np.concatenate([x for x, _ in parts]), np.concatenate([np.vstack([u, np.zeros(M)]) for _, u in parts])
-    np.testing.assert_allclose(term.map.values(x, u), np.concatenate([one.values(*part) for part in parts]))
-    expected = np.concatenate([penalty.cost(one.values(*part)) for part in parts])
-    np.testing.assert_allclose(term.cost(x, u), expected, atol=1e-14)
-    assert Term("sum", TermKind.STAGE_ROWS, sum_map(rng, T), penalty).repeated(count, T + 1) is None
+    term, parts = Term("rows", TermKind.STAGE_ROWS, one, penalty), [signals(rng, T) for _ in range(count)]
+    x, u = (np.stack(part) for part in zip(*parts, strict=True))
+    prices, shapes = rng.standard_normal((count, *one.shape)), (x.shape, u.shape)
+    assert term.takes_batches
+    np.testing.assert_allclose(term.map.values(x, u), [one.values(*part) for part in parts])
+    np.testing.assert_allclose(term.cost(x, u), [term.cost(*part) for part in parts], atol=1e-14)
+    pulled = zip(*(one.pull_back(price, (x[0].shape, u[0].shape)) for price in prices), strict=True)
+    for found, expected in zip(one.pull_back(prices, shapes), pulled, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-14)
+    assert not Term("sum", TermKind.STAGE_ROWS, sum_map(rng, T), penalty).takes_batches
 
 
 @pytest.mark.parametrize("make", MAPS)

@@ -31,7 +31,7 @@ from scipy.linalg import block_diag
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions, cost_of_residuals, state_equation
+from lin_freq_ocp.certificate.conditions import Condition, all_conditions, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
@@ -252,7 +252,7 @@ def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Ar
     (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
     y, unit = np.append(x[t], u[t]), np.eye(n + m)
     tubes, box_multipliers = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
-    near = CONDITION_TOLERANCE * (np.append(least.x, least.u) / SCALE_FLOOR + np.abs(y))
+    near = CONDITION_TOLERANCE * (least.z / SCALE_FLOOR + np.abs(y))
     upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
     lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
     normals, multipliers_of_normals = [unit[upper], -unit[lower]], [box_multipliers[upper], -box_multipliers[lower]]
@@ -290,17 +290,14 @@ def switching_stages(
 
 def required_slopes(extremal: Extremal) -> Array:
     """Return p_t, (T, n + m), the derivative of <eta_t, f_t> that an extremal of any dynamics requires."""
-    through_x, through_u = extremal.problem.linear.pull_back(to_long_double(extremal.multipliers.eta))
-    in_x = (extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] + through_x
-    return np.hstack([in_x, extremal.multipliers.nu - extremal.in_u + through_u]).astype(np.float64)
+    through = extremal.problem.linear.pull_back(to_long_double(extremal.multipliers.eta))
+    return ((extremal.slopes + extremal.normals)[:-1] + np.hstack(through)).astype(np.float64)
 
 
 def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
     """Return the scales of the adjoint equation and of stationarity in u, (T, n + m)."""
-    in_x = np.abs(extremal.eta_before) + extremal.in_x_terms + np.abs(extremal.multipliers.mu)
-    in_u = extremal.in_u_terms + np.abs(extremal.multipliers.nu)
-    sizes = [np.maximum(terms.max(0), floor) for terms, floor in ((in_x, least.in_x[:-1]), (in_u, least.in_u))]
-    scale = np.hstack(sizes).astype(np.float64)
+    terms = extremal.slope_terms + np.abs(extremal.normals)
+    scale = np.maximum(terms.max(0), least.slopes[:-1]).astype(np.float64)
     return np.where(scale > 0, scale, 1.0)  # without any terms there is no residual
 
 
@@ -449,7 +446,8 @@ def judge_modes(
             weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, scales, problem.origin)
-    least = replace(least, u=np.maximum(least.u, problem.level_sizes))  # be the trajectory zero or not
+    levels = np.append(np.zeros(problem.state_dim), problem.level_sizes)
+    least = replace(least, z=np.maximum(least.z, levels))  # be the trajectory zero or not
     along = problem.with_dynamics(piecewise_affine(problem).along(sequence))
     motion = along.equations.motion_sizes(trajectory.x, trajectory.u)
     dynamics_condition = state_equation(state_residual(along, trajectory), motion, least)
@@ -470,17 +468,16 @@ def judge_modes(
     stages = switching_stages(extremal, least, arrays, active, gaps)
     others = all(condition.passed for condition in (*linear, active_mode) if condition.name not in OF_WEIGHTS)
     # the adjoint equation and stationarity in u at all times with a single mode
-    n, scale, single = problem.state_dim, stationarity_scale(extremal, least), np.ones(problem.horizon, dtype=bool)
+    scale, single = stationarity_scale(extremal, least), np.ones(problem.horizon, dtype=bool)
     single[[stage.time for stage in stages]] = False
-    in_x = np.abs(extremal.eta_before - extremal.in_x + extremal.multipliers.mu)[:-1] / scale[:, :n]
-    in_u = np.abs(extremal.in_u - extremal.multipliers.nu) / scale[:, n:]
-    residual = max(float(part[single].max(initial=0.0)) for part in (in_x, in_u))
+    relative = np.abs(extremal.slopes + extremal.normals)[:-1] / scale
+    residual = float(relative[single].max(initial=0.0))
     elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
     facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
-    return Judgement(conditions, facts, cost_of_residuals(extremal), slopes=scale)
+    return Judgement(conditions, facts, float(extremal.cost_of_residuals), slopes=scale)
 
 
 def region_distance(problem: OptimalControlProblem, trajectory: Trajectory, sizes: tuple[Array, Array]) -> Array:

@@ -125,7 +125,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
     cost = cost_scale(stripped, trajectory, (x, u)) + float(values.sum())
-    return Scales((np.append(x, stage), u), cost, (slopes[:, : n + 1], slopes[:-1, n + 1 :]))
+    return Scales((np.append(x, stage), u), cost, slopes)
 
 
 def judged_modes(
@@ -228,8 +228,8 @@ def with_errors_of_tangents(
         lost += float(np.where(weights > 0, weights * values, 0.0).sum())
         steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
     steep /= unit_rounding(extremal.problem)
-    in_x_terms, in_u_terms = extremal.in_x_terms + steep[:, :n], extremal.in_u_terms + steep[:-1, n:]
-    return replace(extremal, in_x_terms=in_x_terms, in_u_terms=in_u_terms), lost
+    steep[-1, n:] = 0.0  # there is no u_T
+    return replace(extremal, in_z_terms=extremal.in_z_terms + steep), lost
 
 
 def _rounding_errors(formulas: Sequence[Formula], y: Array, times: Indices) -> tuple[Array, Array]:

@@ -337,15 +337,15 @@ class LeafJudge:
             after = np.where(edges, lengths[:, t] + after[:, None], np.inf).min(axis=2)
         rounding = np.where(boxes.allowed[..., None], sizes, 0.0).max(axis=(2, 3)).sum(axis=1)
         extremals = parts.extremals
-        end_slope = np.array([e.eta_before[-1] - e.in_x[-1] for e in extremals]).astype(np.float64)
+        end_slope = np.array([e.slopes[-1, :last] for e in extremals]).astype(np.float64)
         end_box = boxes.low[:, -1, 0, :last], boxes.high[:, -1, 0, :last]
         final, largest = self._hessians[1].least(eta_C, end_slope, *end_box)
         values = np.empty(len(leaves))
         for k, extremal in enumerate(extremals):
             eta, gaps, cost = extremal.multipliers.eta, extremal.terms_gap, self._cost if eta_C else 0.0
-            size_x = np.abs(extremal.eta_before[-1]) + extremal.in_x_terms[-1]
+            size_x = extremal.slope_terms[-1, :last]
             at_centre = float((eta * centre.x[1:]).sum())
-            at_centre += float((extremal.control_signal * centre.u).sum() + (extremal.state_signal * centre.x).sum())
+            at_centre += sum(extremal.frequency_terms)
             terms = float(rounding[k]) + float(size_x.astype(np.float64) @ largest[k]) + abs(float(final[k]))
             terms += abs(cost) + abs(gaps) + float((np.abs(eta) * np.abs(centre.x[1:])).sum()) + abs(at_centre)
             terms += float(sum(term.gap_terms.sum() for term in extremal.terms))
@@ -363,7 +363,7 @@ class LeafJudge:
         (of_stage, of_end), boxes, extremal = self._hessians, parts.boxes, parts.extremals[0]
         slope, low, high = self._slopes(parts)[0][0], boxes.low[0, :, :, None], boxes.high[0, :, :, None]
         v = box_minimiser(slope, eta_C * of_stage.hessian, low[:-1], high[:-1])
-        slope = (extremal.eta_before[-1] - extremal.in_x[-1]).astype(np.float64)
+        slope = extremal.slopes[-1, :n].astype(np.float64)
         last = box_minimiser(slope, eta_C * of_end.hessian, low[-1, 0, 0, :n], high[-1, 0, 0, :n])
         return Minimisers(self._edges(boxes)[0], v + self._y[:, None, None], last + self._centre.x[-1])
 
@@ -399,8 +399,7 @@ class LeafJudge:
     def _slopes(self, parts: _LeafParts) -> tuple[Array, Array]:
         """Return the slopes of phi_t(i, j) at the centre and their terms' sizes, (leaves, T, modes, modes | 1, k)."""
         n, extremals = self._shape[2], parts.extremals
-        at_centre = [np.hstack([e.eta_before[:-1] - e.in_x[:-1], -e.in_u]) for e in extremals]
-        terms = [np.hstack([np.abs(e.eta_before[:-1]) + e.in_x_terms[:-1], e.in_u_terms]) for e in extremals]
+        at_centre, terms = [e.slopes[:-1] for e in extremals], [e.slope_terms[:-1] for e in extremals]
         slope, size = (np.array(part).astype(np.float64)[:, :, None, None] for part in (at_centre, terms))
         slope = slope - parts.ahead @ self._maps + parts.region @ self._rows
         size = size + np.abs(parts.ahead) @ self._sizes[0] + parts.region @ self._sizes[1]

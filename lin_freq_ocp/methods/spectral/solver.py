@@ -30,6 +30,8 @@ from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.transform.reductions import Change
 
+ChangedProblem = tuple[OptimalControlProblem, Lti]
+
 
 @dataclass(frozen=True, eq=False)
 class SpectralSolution(Candidate):
@@ -209,11 +211,11 @@ class SpectralSolver:
                         answer = second
                 return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
 
-    def changed_problem(self, change: Change) -> tuple[OptimalControlProblem, Lti]:
-        """Return the changed problem and its form in ``units``; ProblemError if its structure is another one."""
+    def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
+        """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
         if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
             raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
-        problem = change.apply(self.problem)
+        problem = known or change.apply(self.problem)
         if problem is self.problem:
             return self.problem, self._lti
         initial_state, terminal_state = change.initial_state, change.terminal_state

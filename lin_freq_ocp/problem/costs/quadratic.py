@@ -25,6 +25,7 @@ from lin_freq_ocp.base.arrays import (
     seal,
     times_vectors,
     to_shape,
+    total,
     with_columns,
     with_rows,
 )
@@ -229,12 +230,12 @@ class QuadraticCost(Cost):
     @property
     def zero(self) -> bool:
         """Whether all its terms are zero."""
-        return not self._nonzero
+        return self._nonzero.isdisjoint(WEIGHTS)
 
     @cached_property
     def _nonzero(self) -> frozenset[str]:
-        """The names of the matrices and vectors that are not zero."""
-        return frozenset(name for name in WEIGHTS if np.any(getattr(self, name)))
+        """The names of the fields that are not zero."""
+        return frozenset(name for name in AXES if np.any(getattr(self, name)))
 
     def describe(self) -> str:
         """Return the nonzero terms as a formula; empty if there are none."""
@@ -315,24 +316,32 @@ class QuadraticCost(Cost):
         )
 
     def deviations(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return x - x_ref, shape (T+1, n), and u - u_ref, shape (T, m)."""
-        return x - self.x_ref, u - self.u_ref
+        """Return x - x_ref, (..., T+1, n), and u - u_ref, (..., T, m)."""
+        return x - self.x_ref if "x_ref" in self._nonzero else x, u - self.u_ref if "u_ref" in self._nonzero else u
 
     def stage_values(self, x: Array, u: Array) -> Array:
-        """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (T+1,)."""
+        """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (..., T+1)."""
         a, b = self.deviations(x, u)
-        values = np.empty(len(x), dtype=np.result_type(a, b))
-        values[:-1] = (0.5 * b * times_vectors(self.R, b)).sum(1)
+        inner, last = a[..., :-1, :], a[..., -1, :]
+        values = np.empty(a.shape[:-1], dtype=np.result_type(a, b))
+        values[..., :-1] = (0.5 * b * times_vectors(self.R, b)).sum(-1)
         if "Q" in self._nonzero or "S" in self._nonzero:
-            values[:-1] += (a[:-1] * (0.5 * times_vectors(self.Q, a[:-1]) + times_vectors(self.S, b))).sum(1)
-        values[-1] = 0.5 * a[-1] @ self.P @ a[-1]
-        return values + sum(linear.sum(1) for linear in self._linear_terms(x, u))
+            of_x = 0.5 * times_vectors(self.Q, inner)
+            values[..., :-1] += (inner * (of_x + times_vectors(self.S, b) if "S" in self._nonzero else of_x)).sum(-1)
+        values[..., -1] = np.vecdot(0.5 * last @ self.P, last)
+        for linear in self._linear_terms(x, u):
+            values += linear.sum(-1)
+        return values
 
-    def sum_of_terms(self, x: Array, u: Array) -> float:
-        """Return the sum of the absolute values of the terms; the quadratic part of one time is one term."""
-        linear = self._linear_terms(x, u)
-        quadratic = self.stage_values(x, u) - sum(part.sum(1) for part in linear)
-        return float(np.abs(quadratic).sum() + sum(np.abs(part).sum() for part in linear))
+    def value_and_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the total cost, and the sum of its terms, each in absolute value; a time has one quadratic term."""
+        values = self.stage_values(x, u)
+        quadratic = values - sum(part.sum(-1) for part in self._linear_terms(x, u))
+        return values.sum(-1), np.abs(quadratic).sum(-1) + self.sum_of_linear_terms(x, u)
+
+    def sum_of_linear_terms(self, x: Array, u: Array) -> Array:
+        """Return the sum of the absolute values of the linear terms."""
+        return sum((total(np.abs(part)) for part in self._linear_terms(x, u)), np.zeros(x.shape[:-2]))
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
@@ -340,12 +349,12 @@ class QuadraticCost(Cost):
         return squares.value(*map(np.abs, self.deviations(x, u)))
 
     def _linear_terms(self, x: Array, u: Array) -> list[Array]:
-        """Return q'x_t and p'x_T, and r'u_t, entry by entry, (T+1, n) and (T+1, m), where they are not zero."""
+        """Return q'x_t and p'x_T, and r'u_t, entry by entry, (..., T+1, n) and (..., T+1, m), unless they are zero."""
         parts = list[Array]()
         if "q" in self._nonzero or "p" in self._nonzero:
-            parts.append(np.concatenate([x[:-1] * self.q, x[-1:] * self.p]))
+            parts.append(np.concatenate([x[..., :-1, :] * self.q, x[..., -1:, :] * self.p], axis=-2))
         if "r" in self._nonzero:
-            parts.append(np.concatenate([u * self.r, np.zeros((1, u.shape[1]))]))
+            parts.append(np.concatenate([u * self.r, np.zeros_like(u[..., :1, :])], axis=-2))
         return parts
 
     def value(self, x: Array, u: Array) -> float:
@@ -353,14 +362,17 @@ class QuadraticCost(Cost):
         return float(self.stage_values(x, u).sum())
 
     def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the gradients in x, shape (T+1, n), and in u, shape (T, m)."""
+        """Return the gradients in x, (..., T+1, n), and in u, (..., T, m)."""
         a, b = self.deviations(x, u)
-        in_x, in_u = np.empty(a.shape, a.dtype), times_vectors(self.R, b) + self.r
-        in_x[:-1] = times_vectors(self.Q, a[:-1]) + self.q
-        in_x[-1] = self.P @ a[-1] + self.p
+        inner, last = a[..., :-1, :], a[..., -1, :]
+        in_x, in_u = np.empty(a.shape, a.dtype), times_vectors(self.R, b)
+        in_x[..., :-1, :], in_x[..., -1, :] = times_vectors(self.Q, inner), last @ self.P.T + self.p
+        if "q" in self._nonzero or "r" in self._nonzero:
+            in_x[..., :-1, :] += self.q
+            in_u += self.r
         if "S" in self._nonzero:
-            in_x[:-1] += times_vectors(self.S, b)
-            in_u += times_vectors(np.swapaxes(self.S, -1, -2), a[:-1])
+            in_x[..., :-1, :] += times_vectors(self.S, b)
+            in_u += times_vectors(np.swapaxes(self.S, -1, -2), inner)
         return in_x, in_u
 
     def magnitudes(self) -> QuadraticCost:

@@ -262,8 +262,8 @@ class LinearDynamics(StateEquations):
         )
 
     def successors(self, x: Array, u: Array) -> Array:
-        """Return f_t(x_t, u_t) for all t < T; x is (T+1, n) or (T, n), u is (T, m)."""
-        return times_vectors(self.A, x[: len(u)]) + times_vectors(self.B, u) + self.offset
+        """Return f_t(x_t, u_t) for all t < T; x is (..., T+1, n) or (..., T, n), u is (..., T, m)."""
+        return times_vectors(self.A, x[..., : u.shape[-2], :]) + times_vectors(self.B, u) + self.offset
 
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
@@ -277,7 +277,7 @@ class LinearDynamics(StateEquations):
         """Return the larger of |x_t| and the change by B and d in a step; terms of A x that cancel play no part."""
         plain = self.magnitudes()
         moved = times_vectors(plain.B, np.abs(u)) + plain.offset
-        return np.maximum(np.abs(x).max(0), moved.max(0))
+        return np.maximum(np.abs(x).max(-2), moved.max(-2))
 
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
@@ -295,8 +295,8 @@ class LinearDynamics(StateEquations):
     def gains(self) -> tuple[Array, Array, Array]:
         """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
         plain = self.magnitudes()
-        A, B = (matrix if matrix.ndim == 2 else matrix.max(0) for matrix in (plain.A, plain.B))
-        return A, B, plain.offset if plain.offset.ndim == 1 else plain.offset.max(0)
+        A, B, d = plain.A, plain.B, plain.offset
+        return A if A.ndim == 2 else A.max(0), B if B.ndim == 2 else B.max(0), d if d.ndim == 1 else d.max(0)
 
     def translated(self, origin: Array) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""

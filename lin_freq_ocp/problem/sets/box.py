@@ -148,6 +148,12 @@ class Box(ConvexSet):
         """Return the box of one time, of bounds (times, n)."""
         return _box_of_checked(self.lower[t], self.upper[t])
 
+    def with_ends(self, first: Box, last: Box) -> Box:
+        """Return the box, of bounds (times, n), with those of other boxes at the first and at the last time."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        lower[0], upper[0], lower[-1], upper[-1] = *first.bounds, *last.bounds
+        return _box_of_checked(freeze(lower), freeze(upper))
+
     @property
     def fixed(self) -> Mask:
         """Where the box leaves no freedom: lower == upper."""

@@ -437,10 +437,10 @@ def bins_far_from_passed(stopped: Mask, bins: float) -> Mask:
 
 
 def time_signal(rho: ComplexArray, length: int) -> Array:
-    """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (N//2 + 1, components)."""
+    """Return (R' rho)_t = sum_k Re(rho_k exp(2 pi i k t / N)), N = length, for rho (..., N//2 + 1, components)."""
     if not rho.any():
-        return np.zeros((length, rho.shape[1]), dtype=rho.real.dtype)
-    return real_signal(rho.T, length).T
+        return np.zeros((*rho.shape[:-2], length, rho.shape[-1]), dtype=rho.real.dtype)
+    return np.swapaxes(real_signal(np.swapaxes(rho, -1, -2), length), -1, -2)
 
 
 @dataclass(frozen=True, eq=False, init=False)

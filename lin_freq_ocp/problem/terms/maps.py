@@ -45,6 +45,7 @@ class AffineMap(ABC):
     """
 
     constants: ClassVar[tuple[str, ...]] = ()  # the fields that only the values at x = 0, u = 0 depend on
+    takes_batches: ClassVar[bool] = False  # whether signals and values may have leading axes, for many trajectories
 
     def same_rows(self, other: AffineMap) -> bool:
         """Whether another map differs from this one in ``constants`` at most, so that L is the same."""
@@ -89,13 +90,6 @@ class AffineMap(ABC):
     @abstractmethod
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
-
-    def repeated(self, count: int, samples: int) -> AffineMap | None:
-        """Return the map of ``count`` trajectories, each of so many states and controls, one after another.
-
-        None if the map cannot be repeated. A control at the last of the states does not act.
-        """
-        return None
 
     def stage_form(self, n: int, m: int) -> tuple[Array, Array] | None:
         """Return M, (groups or 1, dim, n + m), and c, (groups, dim), with v = M (x_t, u_t) + c for every group.
@@ -177,6 +171,7 @@ class MatrixMap(AffineMap):
 class StageMap(MatrixMap):
     """v_t = C_t x_t + D_t u_t + c_t at some times, a group for each."""
 
+    takes_batches: ClassVar[bool] = True
     times: Indices  # (groups,), within 0 .. T without D, else within 0 .. T-1
     C: Array | None  # (dim, n) or (groups, dim, n)
     D: Array | None  # (dim, m) or (groups, dim, m)
@@ -202,14 +197,15 @@ class StageMap(MatrixMap):
         v = np.broadcast_to(self.constant, self.shape).astype(np.result_type(x, u))
         for matrix, signal in ((self.C, x), (self.D, u)):
             if matrix is not None:
-                v = v + times_vectors(matrix, signal[self.times])
+                v = v + times_vectors(matrix, signal[..., self.times, :])
         return v
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         of_x, of_u = (np.zeros(shape, dtype=weights.dtype) for shape in shapes)
         for matrix, signal in ((self.C, of_x), (self.D, of_u)):
             if matrix is not None:
-                np.add.at(signal, self.times, times_vectors(np.swapaxes(matrix, -1, -2), weights))
+                pulled = times_vectors(np.swapaxes(matrix, -1, -2), weights)
+                np.add.at(np.swapaxes(signal, 0, -2), self.times, np.swapaxes(pulled, 0, -2))
         return of_x, of_u
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
@@ -221,11 +217,6 @@ class StageMap(MatrixMap):
         """Return C and D, (groups or 1, dim, n + m), and their columns among all states and controls."""
         of_x, of_u = self.times[:, None] * n + np.arange(n), self.times[:, None] * m + np.arange(m)
         return self.stage_form(n, m)[0], np.hstack([of_x, (horizon + 1) * n + of_u])[:, None]
-
-    def repeated(self, count: int, samples: int) -> StageMap:
-        C, D = (part if part is None or part.ndim == 2 else np.tile(part, (count, 1, 1)) for part in (self.C, self.D))
-        times = (self.times + samples * np.arange(count)[:, None]).ravel()
-        return StageMap(times, C, D, np.tile(np.broadcast_to(self.constant, self.shape), (count, 1)))
 
     def stage_form(self, n: int, m: int) -> tuple[Array, Array]:
         parts = [

@@ -22,7 +22,7 @@ L is the largest limit l_j, so that s has the unit of the values.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,6 +37,7 @@ DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual no
 class HalfSpaces(Penalty):
     """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite."""
 
+    takes_batches: ClassVar[bool] = True
     limit: Array  # (groups, dim) or (dim,); inf where there is none
     weight: Array  # price per unit of violation, inf for a hard limit; broadcasts to (groups, dim)
 
@@ -96,10 +97,6 @@ class HalfSpaces(Penalty):
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
         return np.zeros_like(c), replace(self, limit=(to_long_double(self.limit) - c).astype(np.float64))
-
-    def repeated(self, count: int) -> Penalty:
-        limit, weight = (part if part.ndim < 2 else np.tile(part, (count, 1)) for part in (self.limit, self.weight))
-        return replace(self, limit=limit, weight=weight)
 
     def stacked(self, parts: list[Any]) -> Penalty:
         weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])

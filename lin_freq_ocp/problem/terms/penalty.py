@@ -20,6 +20,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -49,6 +50,8 @@ class ConicForm:
 
 class Penalty(ABC):
     """h(v) = sum of weight * max(excess, 0), a convex function of values (groups, dim); infinite weights are hard."""
+
+    takes_batches: ClassVar[bool] = False  # whether values may have leading axes, for many trajectories
 
     @property
     @abstractmethod
@@ -101,7 +104,7 @@ class Penalty(ABC):
 
     def cost(self, v: Array) -> Array:
         """Return h(v) of every group, (groups,), without the hard part."""
-        return (self._prices * np.maximum(self.excess(v), 0.0)).sum(1)
+        return (self._prices * np.maximum(self.excess(v), 0.0)).sum(-1)
 
     def violation(self, v: Array) -> Array:
         """Return the violation of hard limits, zero or above, (groups, dim) or (groups, 1)."""
@@ -158,10 +161,6 @@ class Penalty(ABC):
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
         """Return the constant of the affine map and the penalty if the limits absorb the constant, if they can."""
         return c, self
-
-    def repeated(self, count: int) -> Penalty | None:
-        """Return the penalty of ``count`` times the groups, one after another; None if it cannot be repeated."""
-        return None
 
     def stacked(self, parts: list[Penalty]) -> Penalty:
         """Return one penalty of several groups, one for each of the parts, which share a signature."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -98,10 +98,10 @@ class Term:
         """Return (groups, dim)."""
         return self.map.shape
 
-    def repeated(self, count: int, samples: int) -> Term | None:
-        """Return the term of ``count`` trajectories, one after another; see ``AffineMap.repeated``."""
-        values, penalty = self.map.repeated(count, samples), self.penalty.repeated(count)
-        return None if values is None or penalty is None else replace(self, map=values, penalty=penalty)
+    @property
+    def takes_batches(self) -> bool:
+        """Whether its values, prices and gaps may be those of many trajectories, with a leading axis."""
+        return self.map.takes_batches and self.penalty.takes_batches
 
     def cost(self, x: Array, u: Array) -> Array:
         """Return the cost of each group, (groups,), or that of all groups, (1,)."""
