@@ -6,12 +6,14 @@ Run by .ci/run after docs/build.sh: python -m pytest docs/test_site.py
 from pathlib import Path
 
 import pytest
+
 from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.browsers import screen
 
 DOCS = Path(__file__).parent
-PAGES = [str(path.relative_to(DOCS).with_suffix("")) for path in sorted([*DOCS.glob("*.md"), *DOCS.glob("[ht]*/*.md")])]
+FILES = [path for folder in (".", "how_to", "tutorials") for path in sorted((DOCS / folder).glob("*.md"))]
+PAGES = [str(path.relative_to(DOCS).with_suffix("")) for path in FILES]
 NOT_SET = """
 const faults = ".math:not(:has(mjx-container)), mjx-merror, mtext[mathcolor=red]"  // the last: unknown commands
 return [...document.querySelectorAll(faults)].map(formula => formula.textContent)
