@@ -12,7 +12,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs" / "how_to").glob("*.md") if path.stem != "index")]
+GUIDES = sorted((ROOT / "docs" / "how_to").glob("*.md"))
+PAGES = [ROOT / "README.md", *(path for path in GUIDES if path.stem != "index")]
+CODE = re.compile(r"^(```|:::).*?^\1 *$|`[^`]+`|\]\([^)]*\)", re.DOTALL | re.MULTILINE)
+FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$]+)\$", re.DOTALL)
+AS_TEXT = re.compile(r"\b(?:eta|mu|nu|rho|lambda|theta|xi|alpha|phi|psi)(?:_|\b)|[<>]=|\b[A-Za-z]_[\w{]|\w\^")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -32,3 +36,13 @@ def test_files_named_by_a_page_exist(page):
     named = [name for name in re.findall(r"`([a-z_/]+\.py)`", text) if "/" in name]
     assert len(named) > 10
     assert [name for name in named if not (ROOT / "lin_freq_ocp" / name).exists() and not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", [*sorted((ROOT / "docs").glob("*.md")), *GUIDES], ids=lambda page: page.stem)
+def test_mathematics_is_written_as_formulas(page):
+    text = CODE.sub("", page.read_text(encoding="utf-8"))
+    assert AS_TEXT.findall(FORMULA.sub("", text)) == []
+    for formula in (displayed or inline for displayed, inline in FORMULA.findall(text)):
+        assert formula.count("{") == formula.count("}"), formula
+        assert formula.count(r"\begin") == formula.count(r"\end"), formula
+        assert "\n\n" not in formula, formula

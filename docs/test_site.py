@@ -1,0 +1,31 @@
+"""The built site in a browser with the width of a phone.
+
+Run by .ci/run after docs/build.sh: python -m pytest docs/test_site.py
+"""
+
+from pathlib import Path
+
+import pytest
+
+from helpers.browsers import browser as browser
+from helpers.browsers import chromium as chromium
+from helpers.browsers import screen
+
+DOCS = Path(__file__).parent
+FILES = [path for folder in (".", "how_to", "tutorials") for path in sorted((DOCS / folder).glob("*.md"))]
+PAGES = [str(path.relative_to(DOCS).with_suffix("")) for path in FILES]
+NOT_SET = """
+const faults = ".math:not(:has(mjx-container)), mjx-merror, mtext[mathcolor=red]"  // the last: unknown commands
+return [...document.querySelectorAll(faults)].map(formula => formula.textContent)
+"""
+WIDTHS = "const page = document.querySelector('.content'); return [page.scrollWidth, page.clientWidth]"
+
+
+@pytest.mark.parametrize("page", [*PAGES, "genindex"])
+def test_a_page_fits_a_phone_and_its_formulas_are_set(browser, page):
+    screen(browser, 400)
+    browser.get((DOCS / "_build" / "html" / f"{page}.html").as_uri())
+    browser.execute_async_script("Promise.resolve(window.MathJax?.startup?.promise).then(arguments[0])")
+    assert browser.execute_script(NOT_SET) == []
+    wanted, available = browser.execute_script(WIDTHS)
+    assert wanted == available <= 400
