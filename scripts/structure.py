@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_499,
-    "code lines": 41_659,
-    "code lines, linear part": 20_914,
+    "shipped lines": 44_405,
+    "code lines": 41_340,
+    "code lines, linear part": 20_595,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
-    "files": 306,
+    "files": 304,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,
@@ -67,10 +67,10 @@ LIMITS: dict[str, float] = {
     "files entered by a solve": 48,
     "functions entered by a solve": 384,
     "calls of a solve": 768,
-    "modules that tests import": 80,
-    "modules that tests import past a door": 52,
+    "modules that tests import": 77,
+    "modules that tests import past a door": 49,
     "exceptions of doors, missing or unused": 0,
-    "attributes that tests replace by path": 30,
+    "attributes that tests replace by path": 29,
     "private attributes that tests read": 13,
     "imports through the door": 0,
     "files in circles": 0,
@@ -100,11 +100,9 @@ PAST_DOORS = {
         certificate.hamiltonian certificate.rays methods.hybrid.search.branch_and_bound
         methods.hybrid.search.multipliers problem.measures program.units""",
     "the test is one of the whole module": """
-        base.cones base.interrupts certificate.peaks files.problem_tables methods.native_code
-        methods.structured.kkt.kernels""",
+        base.cones base.interrupts certificate.peaks files.problem_tables methods.native_code""",
     "a file next to the module is read, or a name of another library in the module is replaced": """
-        methods.condensed.native methods.hybrid.search.path_native methods.structured.kkt.recursions
-        pages.figures.look proof.enclosure""",
+        methods.hybrid.search.path_native pages.figures.look proof.enclosure""",
     "names of one test": """
         batch.many testing""",
     "a program of its own": """

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +20,9 @@ from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 
 PURPOSE = "the answer in C could not be compiled, Python computes it"
 COMPILE = f'exec {compiler()} "$@"'
+SOURCES = ("kernel.c", "path.c", "loops.c")
+STRICT = "-std=c99 -O1 -Wall -Wextra -Wpedantic -Wno-unknown-pragmas -Werror".split()
+SINGLE = ("-DLFO_REAL=float", "-DLFO_SQRT=sqrt")  # numbers of single precision, for generated controllers
 WRITE_NO_LIBRARY = 'for last; do case "$last" in *.so) echo no library > "$last";; esac; done'
 
 pytestmark = [
@@ -193,6 +197,14 @@ def test_without_any_folder_there_is_one_warning(load, monkeypatch, tmp_path):
     with pytest.warns(RuntimeWarning, match="Set XDG_CACHE_HOME to a folder that can be written") as seen:
         assert load() is None
     assert len(seen) == 1
+
+
+@pytest.mark.parametrize(("source", "flags"), [*((source, ()) for source in SOURCES), ("kernel.c", SINGLE)])
+def test_every_source_is_strict_c99(source, flags, tmp_path):
+    (path,) = Path(native_code.__file__).parent.rglob(source)
+    command = [compiler(), *STRICT, *flags, "-c", str(path), "-o", str(tmp_path / "object")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_interrupted_compilation_leaves_nothing(load, cache, monkeypatch):
