@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_405,
-    "code lines": 41_340,
-    "code lines, linear part": 20_595,
+    "shipped lines": 44_399,
+    "code lines": 41_336,
+    "code lines, linear part": 20_591,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
     "files": 304,

@@ -19,7 +19,7 @@ typedef ptrdiff_t integer;
 typedef struct { /* the stages and their factors; L and P_{T+1} are zero before, and P0 is the factor of a block of P_0 */
   integer stages, n, k, count; /* T + 1, the sizes of x and w, and how many entries of x_0 are free */
   const integer *free;
-  const double *A, *B, *Phi;
+  const double *A, *B;
   double *K, *L, *Ac, *P, *P0;
 } lfo_regulator;
 
@@ -136,28 +136,28 @@ static void cost_to_go(const double *Phi, const double *P, const double *K, cons
     for (integer j = 0; j < i; j++) out[j * n + i] = out[i * n + j];
 }
 
-/* Whether all pivots of a stage are above rounding, relative to its own curvature. */
-static int is_curved(const double *L, const double *Phi, integer n, integer k, double least) {
-  for (integer j = 0; j < k; j++) {
-    double pivot = L[j * k + j] * L[j * k + j];
-    if (!(pivot > least * fabs(Phi[(n + j) * (n + k + 1)]))) return 0;
-  }
-  return 1;
+/* Whether a pivot is above rounding, relative to an entry of the diagonal of Phi. */
+static int is_curved(double root, const double *Phi, integer i, integer nz, double least) {
+  return root * root > least * fabs(Phi[i * (nz + 1)]);
 }
 
-/* Fill the factors. Return 0 at the first stage that is not curved, if ``curved`` is not negative. work ((n + k), n). */
-int lfo_factor(const lfo_regulator *s, double *work, double least, double curved) {
-  integer n = s->n, k = s->k, nn = n * n, zz = (n + k) * (n + k);
+/* Fill the factors; if ``curved`` is not negative, up to the first pivot that is not above so many times the curvature of
+   its stage. Return whether there is none. work ((n + k), n). */
+int lfo_factor(const lfo_regulator *s, const double *Phi, double *work, double least, double curved) {
+  integer n = s->n, k = s->k, nz = n + k, count = s->count, nn = n * n, zz = nz * nz;
   for (integer t = s->stages - 1; t >= 0; t--) {
-    const double *Phi = s->Phi + t * zz, *after = s->P + (t + 1) * nn;
+    const double *own = Phi + t * zz, *after = s->P + (t + 1) * nn;
     double *K = s->K + t * k * n, *L = s->L + t * k * k, *Ac = s->Ac + t * nn;
-    gains(s->A + t * nn, s->B + t * n * k, Phi, after, K, L, Ac, work, n, k, least);
-    if (curved >= 0 && !is_curved(L, Phi, n, k, curved)) return 0;
-    cost_to_go(Phi, after, K, Ac, s->P + t * nn, work, n, k);
+    gains(s->A + t * nn, s->B + t * n * k, own, after, K, L, Ac, work, n, k, least);
+    for (integer j = 0; j < k; j++)
+      if (curved >= 0 && !is_curved(L[j * (k + 1)], own, n + j, nz, curved)) return 0;
+    cost_to_go(own, after, K, Ac, s->P + t * nn, work, n, k);
   }
-  for (integer i = 0; i < s->count; i++)
-    for (integer j = 0; j <= i; j++) s->P0[i * s->count + j] = s->P[s->free[i] * n + s->free[j]];
-  cholesky(s->P0, s->count, least);
+  for (integer i = 0; i < count; i++)
+    for (integer j = 0; j <= i; j++) s->P0[i * count + j] = s->P[s->free[i] * n + s->free[j]];
+  cholesky(s->P0, count, least);
+  for (integer j = 0; j < count; j++)
+    if (curved >= 0 && !is_curved(s->P0[j * (count + 1)], Phi, s->free[j], nz, curved)) return 0;
   return 1;
 }
 
@@ -203,11 +203,10 @@ void lfo_solve(const lfo_regulator *s, const double *r, const double *c, const d
   }
 }
 
-/* out = H + G'W^-2 G for G (rows, nz) of each stage; cone j has the rows ends[j] .. ends[j+1] - 1, of which
+/* out = H + G'W^-2 G for G (rows, nz) of each stage; the last rows are cones of these sizes, of which
    G'W^-2 G = (2 q q' - G'J G)/eta^2. A weight of zero says that there is no such row. work (nz). */
-void lfo_gram(integer stages, integer rows, integer nz, integer cones, const double *H, const double *G,
-              const double *weights, const double *points, const integer *ends, double *out, double *work) {
-  integer linear = ends[0];
+void lfo_gram(integer stages, integer rows, integer nz, integer linear, integer cones, const double *H, const double *G,
+              const double *weights, const double *points, const integer *sizes, double *out, double *work) {
   COPY(out, H, stages * nz * nz);
   for (integer t = 0; t < stages; t++) {
     const double *weight = weights + t * (linear + cones), *w = points + t * (rows - linear) - linear;
@@ -218,13 +217,13 @@ void lfo_gram(integer stages, integer rows, integer nz, integer cones, const dou
       for (integer a = 0; a < nz; a++) /* most rows are bounds of one entry */
         if (Gt[i * nz + a] != 0) add(total + a * nz, weight[i] * Gt[i * nz + a], Gt + i * nz, nz);
     }
-    for (integer j = 0; j < cones; j++) {
+    for (integer j = 0, first = linear; j < cones; first += sizes[j++]) {
       double squared = weight[linear + j];
       if (squared == 0) continue;
       CLEAR(work, nz);
-      for (integer i = ends[j]; i < ends[j + 1]; i++) {
+      for (integer i = first; i < first + sizes[j]; i++) {
         const double *row = Gt + i * nz;
-        double sign = i == ends[j] ? 1 : -1;
+        double sign = i == first ? 1 : -1;
         add(work, sign * w[i], row, nz);
         for (integer a = 0; a < nz; a++) add(total + a * nz, -sign * squared * row[a], row, nz);
       }

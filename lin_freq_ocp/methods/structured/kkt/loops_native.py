@@ -38,11 +38,11 @@ class FactoredStages(ctypes.Structure):
     """lfo_regulator of loops.c."""
 
     _fields_ = [(name, ctypes.c_ssize_t) for name in ("stages", "n", "k", "count")] + [
-        (name, ctypes.c_void_p) for name in ("free", "A", "B", "Phi", "K", "L", "Ac", "P", "P0")
+        (name, ctypes.c_void_p) for name in ("free", "A", "B", "K", "L", "Ac", "P", "P0")
     ]
 
 
-ARGUMENTS = {"factor": "pR dd", "solve": "pRRR RRR R", "gram": "ssss RRRR I R R", "forward": "ssss RRR I R RR"}
+ARGUMENTS = {"factor": "pRR dd", "solve": "pRRR RRR R", "gram": "sssss RRRR I R R", "forward": "ssss RRR I R RR"}
 ARGUMENTS |= {"backward": "ssss RRR I R RRR"}
 """The arguments of each function: a structure, sizes, arrays of reals or integers, doubles."""
 
@@ -64,14 +64,9 @@ class CompiledRegulator(Regulator):
         free = np.flatnonzero(~fixed)
         K, L, Ac = np.empty((stages, k, n)), np.zeros((stages, k, k)), np.empty((stages, n, n))
         P, P0 = np.zeros((stages + 1, n, n)), np.zeros((len(free), len(free)))
-        self._arrays = free, A, B, Phi, K, L, Ac, P, P0
+        self._arrays = free, A, B, K, L, Ac, P, P0
         self._stages = FactoredStages(*B.shape, len(free), *(array.ctypes.data for array in self._arrays))
-        self.complete = bool(library.lfo_factor(self._stages, np.empty((n + k, n)), PIVOT, curved))
-
-    @property
-    def first_pivots(self) -> Array:
-        """Return the pivots of the free states of the first stage."""
-        return np.diag(self._arrays[-1]) ** 2
+        self.complete = bool(library.lfo_factor(self._stages, Phi, np.empty((n + k, n)), PIVOT, curved))
 
     def solve(self, r: Array, c: Array, x0: Array) -> tuple[Array, Array, Array]:
         """Return y, eta and lam0."""
@@ -81,7 +76,7 @@ class CompiledRegulator(Regulator):
 
     def gains(self) -> Gains:
         """Return the gains and factors of the Riccati recursion."""
-        _, _, B, _, K, L, Ac, P, _ = self._arrays
+        _, _, B, K, L, Ac, P, _ = self._arrays
         return Gains(B, K, L, Ac, P[0], self._fixed)
 
 
@@ -102,14 +97,13 @@ class CompiledLoops:
 
     def is_convex(self, A: Array, B: Array, Phi: Array, fixed: Mask) -> bool:
         """Return whether the problem is strictly convex on its dynamics."""
-        factors = CompiledRegulator(self._library, A, B, Phi, fixed, CURVED)
-        curvature = np.abs(np.diag(Phi[0])[: len(fixed)][~fixed])
-        return factors.complete and bool((factors.first_pivots > CURVED * curvature).all())
+        return CompiledRegulator(self._library, A, B, Phi, fixed, CURVED).complete
 
     def gram(self, H: Array, G: Array, weights: Array, points: Array, cones: tuple[int, ...]) -> Array:
         """Return H + G'W^-2 G."""
-        ends, out = np.cumsum([G.shape[1] - sum(cones), *cones]), np.empty(H.shape)
-        self._library.lfo_gram(*G.shape, len(cones), H, G, weights, points, ends, out, np.empty(G.shape[2]))
+        sizes, linear, out = np.array(cones, dtype=np.intp), G.shape[1] - sum(cones), np.empty(H.shape)
+        given = *G.shape, linear, len(cones), H, G, weights, points, sizes
+        self._library.lfo_gram(*given, out, np.empty(G.shape[2]))
         return out
 
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
