@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 44_399,
-    "code lines": 41_336,
-    "code lines, linear part": 20_591,
+    "shipped lines": 44_408,
+    "code lines": 41_345,
+    "code lines, linear part": 20_600,
     "code lines, hybrid": 8_619,
     SHARE_SAID: 19.5,  # at least
     "files": 304,
