@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_039,
-    "code lines": 42_199,
-    "code lines, linear part": 21_378,
-    "code lines, hybrid": 8_619,
+    "shipped lines": 45_201,
+    "code lines": 42_138,
+    "code lines, linear part": 21_196,
+    "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
     "files": 311,
     "folders": 42,
@@ -67,10 +67,10 @@ LIMITS: dict[str, float] = {
     "files entered by a solve": 48,
     "functions entered by a solve": 381,
     "calls of a solve": 753,
-    "modules that tests import": 80,
-    "modules that tests import past a door": 52,
+    "modules that tests import": 77,
+    "modules that tests import past a door": 49,
     "exceptions of doors, missing or unused": 0,
-    "attributes that tests replace by path": 30,
+    "attributes that tests replace by path": 29,
     "private attributes that tests read": 13,
     "imports through the door": 0,
     "files in circles": 0,
@@ -100,11 +100,9 @@ PAST_DOORS = {
         certificate.hamiltonian certificate.rays methods.hybrid.search.branch_and_bound
         methods.hybrid.search.multipliers problem.measures program.units""",
     "the test is one of the whole module": """
-        base.cones base.interrupts certificate.peaks files.problem_tables methods.native_code
-        methods.structured.kkt.kernels""",
+        base.cones base.interrupts certificate.peaks files.problem_tables methods.native_code""",
     "a file next to the module is read, or a name of another library in the module is replaced": """
-        methods.condensed.native methods.hybrid.search.path_native methods.structured.kkt.recursions
-        pages.figures.look proof.enclosure""",
+        methods.hybrid.search.path_native pages.figures.look proof.enclosure""",
     "names of one test": """
         batch.many testing""",
     "a program of its own": """

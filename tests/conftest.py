@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
+from helpers.compilers import no_compiler as no_compiler
 from helpers.drawings import BLANK, UnmovedPanels
 from helpers.drawings import blank as blank
 from helpers.drawings import images as images

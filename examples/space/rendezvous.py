@@ -7,7 +7,7 @@ A satellite approaches another one in an elliptic orbit with a slowly changing t
 The chaser starts 10 km behind its target and meets it after 4 h. Both thrusts are at most
 0.1 mm/s^2, with no frequencies above 0.3 mHz, and the radial distance is at most 0.8 km.
 The dynamics vary in time, so the structured interior-point method solves the problem.
-Without numba, the sparse program takes less time and is solved instead.
+Without a C compiler, the sparse program takes less time and is solved instead.
 """
 
 import lin_freq_ocp as lfo

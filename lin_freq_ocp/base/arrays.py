@@ -115,7 +115,7 @@ def positive_number(field: str, value: object) -> float:
     return float(number)
 
 
-def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, Any]:
+def known_entries(field: str, entries: object, keys: Sequence[str]) -> dict[str, object]:
     """Require a mapping with these keys only; None is an empty one."""
     if entries is not None and not isinstance(entries, Mapping):
         raise ProblemError(field, type(entries).__name__, f"a mapping with {' and '.join(keys)}")

@@ -236,3 +236,26 @@ class Cone:
         diagonal = np.arange(w.shape[1])
         square[:, diagonal, diagonal] += np.where(diagonal == 0, -1.0, 1.0)
         return self.eta[:, i, None, None] ** 2 * square
+
+    @property
+    def head_ratio(self) -> Array:
+        """Return the entries of W^2 of the only cone next to its first one, divided by that, (N, d)."""
+        head, v = self.w[:, :1], self.w[:, 1:]
+        return 2 * head * v / (2 * head**2 - 1)
+
+    @property
+    def tail_square(self) -> Array:
+        """Return W^2 of the only cone, (N, d, d), once the head is eliminated.
+
+        With w = (w_0, v), the closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)) stays definite; a difference would not.
+        """
+        v, square = self.w[:, 1:], self.eta[:, 0, None, None] ** 2
+        moved = (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :]
+        return square * (np.eye(v.shape[1]) - moved)
+
+    @property
+    def tail_inverse_root(self) -> Array:
+        """Return the symmetric root of the inverse of ``tail_square``, (I + 2 v v')^(1/2)/eta."""
+        v = self.w[:, 1:]
+        along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
+        return (np.eye(v.shape[1]) + along[:, None, None] * v[:, :, None] * v[:, None, :]) / self.eta[:, 0, None, None]

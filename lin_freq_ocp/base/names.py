@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +11,7 @@ from lin_freq_ocp.base.arrays import Array, brief, printable, real_array
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import short_name
 
-ByName = Mapping[str, Any]  # values by the names of components
+ByName = Mapping[str, object]  # values by the names of components
 
 
 def component_names(field: str, stated: str | Sequence[str] | None, count: int, letter: str) -> tuple[str, ...]:

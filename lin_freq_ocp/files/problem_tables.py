@@ -227,12 +227,10 @@ DYNAMICS = Value(_read_dynamics, _write_dynamics)
 
 def _finite_set_values(finite: FiniteSet) -> FileTable:
     """Return the keys of a finite set; a component without levels is a table with its bounds."""
-    levels = [{"lower": one.lower, "upper": one.upper} if isinstance(one, Box) else one for one in finite.levels]
-    return {
-        "levels": [{} if one is None else one for one in levels],
-        "costs": finite.costs,
-        "duty_cycles": finite.duty_cycles or None,
-    }
+    ends = [dict(zip(("lower", "upper"), component.ends, strict=True)) for component in finite.components]
+    each = [one.values if len(one.values) else ends[i] for i, one in enumerate(finite.components)]
+    levels = finite.levels if finite.single else each
+    return {"levels": levels, "costs": finite.costs, "duty_cycles": finite.duty_cycles or None}
 
 
 SCHEMA = 2  # version of the layout; earlier ones are read, as what was added since is optional

@@ -30,13 +30,13 @@ class SolveOptions:
         Relative residuals to stop at; None for those of the method.
     time_limit : float or None
         Seconds from the call on.
-    compiled : bool or None
-        Whether loops are compiled; None: where compilation saves time.
+    compiled : bool
+        Whether loops run in C, where there is a compiler.
     """
 
     tolerance: float | None = None
     time_limit: float | None = None
-    compiled: bool | None = None
+    compiled: bool = True
 
 
 DEFAULTS = SolveOptions()

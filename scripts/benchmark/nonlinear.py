@@ -53,7 +53,7 @@ def held(problem: lfo.OptimalControlProblem, share: float) -> lfo.Trajectory:
     return lfo.simulate(problem, tube.lower + share * (tube.upper - tube.lower))
 
 
-def ours(problem: lfo.OptimalControlProblem, start: lfo.Trajectory, compiled: bool | None) -> tuple[float, str, int]:
+def ours(problem: lfo.OptimalControlProblem, start: lfo.Trajectory, compiled: bool) -> tuple[float, str, int]:
     """Return cost, end and steps of the barrier method."""
     model = SmoothModel.at(problem, start)
     answer = Barrier(model, loops(compiled)).run(model.assembly.point(start))
@@ -74,7 +74,7 @@ def timed(runs: dict[str, Callable[[], Value]], repeats: int) -> dict[str, tuple
     return best
 
 
-def rows(name: str, repeats: int, compiled: bool | None) -> Iterator[list[str]]:
+def rows(name: str, repeats: int, compiled: bool) -> Iterator[list[str]]:
     """Yield the cells of one problem, a row for each start."""
     build, given = CASES[name]
     problem = build(**given)
@@ -131,7 +131,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--plain", action="store_true", help="The loops by NumPy and LAPACK.")
     options = parser.parse_args(arguments)
     table = Table("problem", "start", title="processor seconds of one local optimum")
-    compiled = False if options.plain else None
+    compiled = not options.plain
     for heading in ("ours", "steps", "IPOPT", "steps", "cost", "IPOPT's, relative", "worst", "solve"):
         table.add_column(heading, justify="right")
     loops(compiled)  # compiled before anything is timed

@@ -23,7 +23,7 @@ from benchmark.record import Record, build_parser
 from benchmark.structured_cases import CASES
 from benchmark.structured_layers import table_of
 from lin_freq_ocp.methods.structured import solver
-from lin_freq_ocp.methods.structured.kkt import kernels, recursions
+from lin_freq_ocp.methods.structured.kkt import recursions
 
 Solve = Callable[[], lfo.results.Result]
 
@@ -45,7 +45,7 @@ def timed(solves: dict[str, Solve], repeats: int) -> dict[str, tuple[float, lfo.
 def by_arrays(problem: lfo.OptimalControlProblem) -> lfo.results.Result:
     """Solve without compiled loops."""
     own = solver.loops
-    solver.loops = lambda compiled=None, wait=True: recursions.loops(False)
+    solver.loops = lambda compiled: recursions.loops(False)
     try:
         return lfo.solve(problem, method="structured", throw=False)
     finally:
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--layers", action="store_true")
     given = parser.parse_args(arguments)
-    kernels.KERNELS.prepare()  # compiled before the first clock starts
+    recursions.loops()  # compiled before the first clock starts
     with Record(given.write) as record:
         record.show(table_of(given.repeats) if given.layers else compared(given))
 

@@ -29,7 +29,7 @@ def both_sweeps(regulator: dense.Regulator, channels: Indices, R: Array, E: Arra
 
 
 LAYERS = {
-    "compiled loops": (solver, "loops", lambda compiled=None, wait=True: recursions.loops(False)),
+    "compiled loops": (solver, "loops", lambda compiled: recursions.loops(False)),
     "correctors": (embedding, "CORRECTORS", 0),
     "longer last steps": (embedding, "MOST_FRACTION", embedding.FRACTION),
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),

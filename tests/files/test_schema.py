@@ -121,7 +121,7 @@ BAD: dict[str, tuple[str, Any]] = {
     "offset a number": ("dynamics.offset", 1.0),
     "sampling time zero": ("dynamics.sampling_time", 0.0),
     "continuous no truth value": ("dynamics.continuous", 1),
-    "names no list": ("dynamics.state_names", "position"),
+    "names no list": ("dynamics.state_names", 1.0),
     "names twice": ("dynamics.state_names", ["x", "x"]),
     "name blank": ("dynamics.control_names", [" "]),
     "cost no table": ("cost", 1.0),

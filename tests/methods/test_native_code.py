@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +20,15 @@ import pytest
 from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 
 PURPOSE = "the answer in C could not be compiled, Python computes it"
-COMPILE = f'exec {compiler()} "$@"'
+COMPILER = compiler()
+COMPILE = f'exec {COMPILER} "$@"'
+SOURCES = ("kernel.c", "path.c", "loops.c")
+STRICT = "-std=c99 -O1 -Wall -Wextra -Wpedantic -Wno-unknown-pragmas -Werror".split()
+SINGLE = ("-DLFO_REAL=float", "-DLFO_SQRT=sqrt")  # numbers of single precision, for generated controllers
 WRITE_NO_LIBRARY = 'for last; do case "$last" in *.so) echo no library > "$last";; esac; done'
 
 pytestmark = [
-    pytest.mark.skipif(compiler() is None, reason="no C compiler"),
+    pytest.mark.skipif(COMPILER is None, reason="no C compiler"),
     pytest.mark.skipif(os.name != "posix", reason="a shell script as a compiler"),
 ]
 
@@ -163,6 +169,16 @@ def test_without_a_compiler_nothing_is_said_or_written(load, cache, monkeypatch)
     assert not cache.exists()
 
 
+@pytest.mark.parametrize("behaviour", [None, "exit 3"], ids=["no compiler", "one that fails"])
+def test_the_library_of_the_wheel_is_loaded_where_nothing_compiles(behaviour, load, sources, monkeypatch):
+    source = sources / "answer.c"
+    target = sources / f"answer-{native_code.SYSTEM}.so"
+    subprocess.run([COMPILER, *native_code.PORTABLE, str(source), "-o", str(target)], check=True)
+    if behaviour is None:
+        monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert [load(behaviour or "").answer() for _ in range(2)] == [42, 42]  # without a warning, which would be an error
+
+
 def test_a_terminal_is_told_once(load, capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     load()
@@ -193,6 +209,14 @@ def test_without_any_folder_there_is_one_warning(load, monkeypatch, tmp_path):
     with pytest.warns(RuntimeWarning, match="Set XDG_CACHE_HOME to a folder that can be written") as seen:
         assert load() is None
     assert len(seen) == 1
+
+
+@pytest.mark.parametrize(("source", "flags"), [*((source, ()) for source in SOURCES), ("kernel.c", SINGLE)])
+def test_every_source_is_strict_c99(source, flags, tmp_path):
+    (path,) = Path(native_code.__file__).parent.rglob(source)
+    command = [COMPILER, *STRICT, *flags, "-c", str(path), "-o", str(tmp_path / "object")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_interrupted_compilation_leaves_nothing(load, cache, monkeypatch):

@@ -63,7 +63,6 @@ def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
 
 
 def test_every_way_back_of_the_package_has_its_cases():
-    pytest.importorskip("numba")  # which a module of the structured method imports
     for module in pkgutil.walk_packages(lin_freq_ocp.__path__, "lin_freq_ocp."):
         if module.name.startswith(("lin_freq_ocp.transform", "lin_freq_ocp.methods", "lin_freq_ocp.solving")):
             importlib.import_module(module.name)

@@ -229,9 +229,9 @@ def structured_first(problem: OptimalControlProblem) -> str:
     signals = problem.state_dim, problem.control_dim
     if any(len(term.map.locations) and term.map.spectrum_form(*signals) is None for term in problem.terms):
         return "close frequencies of a mask cost the sparse program digits"
-    rows, compiled = dense_rows(problem), can_compile()
-    if rows.entries >= (DENSE_ENTRIES if compiled else PLAIN_ENTRIES):
+    rows = dense_rows(problem)
+    if rows.entries >= PLAIN_ENTRIES or (rows.entries >= DENSE_ENTRIES and can_compile()):
         return f"the sparse program would have {rows.count} dense rows"
-    if compiled and rows.variables >= VARIABLES:
+    if rows.variables >= VARIABLES and can_compile():
         return f"the sparse program would have {rows.variables} variables"
     return ""

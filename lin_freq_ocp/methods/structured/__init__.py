@@ -6,8 +6,8 @@ from lin_freq_ocp.base import lazy_exports
 __all__, __getattr__ = lazy_exports(__name__, {
     "active": "MOST_NUMBERS RowResponses TRIES solve_active", "assembly": "assemble_stages choose_origin",
     "choice": "LARGEST_BYTES RANGE_SPACE_BYTES Sizes choose_kkt_solver sizes_of step_seconds", "kkt.dense": "OpenLoop",
-    "embedding": "CORRECTORS EmbeddedPoint Embedding End Targets", "kkt.compilation": "Kernels jit",
-    "kkt.kernels": "CompiledLoops KERNELS", "kkt.recursions": "BandedLoops can_compile loops",
+    "embedding": "CORRECTORS EmbeddedPoint Embedding End Targets",
+    "kkt.recursions": "BandedLoops can_compile loops",
     "kkt.null_space": "Coefficients NullSpace NullSpaceSolver Slacks break_times sort_rows unit_scale",
     "kkt.range_space": "CouplingResponse LowRankSolver RangeSpaceSolver fine_rows range_space_solver",
     "kkt.reduced": "CLIP DenseReduced LEAST_REST TwoLevel clip", "rows": "assign_slots stage_rows",

@@ -50,7 +50,7 @@ def solve_structured(
     started = now()
     targets = _targets(options)
     end, assembly = targets.end, (stage_cache or StageCache()).assembly(problem)
-    recursions = loops(options.compiled, wait=time_limit is None)
+    recursions = loops(options.compiled)
     setup = now() - started
     needed = 0.0 if time_limit is None else LATE * step_seconds(assembly.stages, recursions)
     if time_limit is not None and now() + needed > end:
@@ -82,7 +82,7 @@ def solve_from_warm_start(
         return None
     require_convex(problem)
     time_limit, started, targets = options.time_limit, now(), _targets(options)
-    assembly, recursions = stage_cache.assembly(problem), loops(options.compiled, wait=time_limit is None)
+    assembly, recursions = stage_cache.assembly(problem), loops(options.compiled)
     stages, near = assembly.stages, stage_cache.warm_start
     if near is None or stages.cones or stages.coupling.balls:
         return None
@@ -101,6 +101,10 @@ class StageCache:
         self.warm_start: Trajectory | None = None  # a trajectory near the next answer
         self._assembly: Assembly | None = None
         self._rows: tuple[Assembly, bool, RowResponses] | None = None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return what another process needs; the responses are made anew: those in C hold addresses."""
+        return {**vars(self), "_rows": None}
 
     def assembly(self, problem: OptimalControlProblem) -> Assembly:
         """Return the stages of a problem: those of the last one with other numbers, if nothing else differs."""

@@ -19,7 +19,7 @@ from functools import cached_property
 from itertools import product
 from math import gcd, lcm, prod
 from operator import or_
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -295,7 +295,7 @@ class FiniteSet(ConvexSet):
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
-Stated = Array | Box | Mapping[str, Any] | None  # levels or costs of a component; a box or None of one without levels
+Stated = Array | Box | Mapping[str, float] | None  # levels or costs of a component; a box or None of one without levels
 
 
 def _sequences(field: str, stated: object) -> tuple[list[Stated], bool]:
@@ -303,7 +303,7 @@ def _sequences(field: str, stated: object) -> tuple[list[Stated], bool]:
     expected = "a sequence of numbers, or one sequence for each component"
     if isinstance(stated, str) or not isinstance(stated, (Sequence, np.ndarray)):
         raise ProblemError(field, brief(stated), expected)
-    entries: list[Any] = list(stated)
+    entries = list(stated)
     if not entries:
         raise ProblemError(field, "none", "at least two levels" if field.endswith("levels") else expected)
     free = [entry is None or isinstance(entry, (Box, Mapping)) for entry in entries]
@@ -339,13 +339,15 @@ def _levels(name: str, values: Stated, costs: Stated) -> Levels:
     return Levels(freeze(increasing), freeze(price[order]))
 
 
-def _no_levels(name: str, stated: Box | Mapping[str, Any] | None, costs: Stated) -> NoLevels:
+def _no_levels(name: str, stated: Box | Mapping[str, float] | None, costs: Stated) -> NoLevels:
     """Return a component without levels, within a box of one component or the bounds of a mapping."""
     if costs is not None and not (isinstance(costs, np.ndarray) and not costs.any()):
         raise ProblemError(f"FiniteSet.costs{name}", brief(costs), "none, as the component has no levels")
     with located_at(f"FiniteSet.levels{name}", "Box"):
-        box = stated if isinstance(stated, Box) else Box(**known_entries("Box", stated, ("lower", "upper")))
-        box = box.at_dimension(1, "Box")
+        if isinstance(stated, Mapping):
+            known_entries("Box", stated, ("lower", "upper"))
+            stated = Box(stated.get("lower"), stated.get("upper"))
+        box = (Box() if stated is None else stated).at_dimension(1, "Box")
         if box.lower.ndim > 1:
             raise ProblemError("Box", "bounds over time", "one bound of each side")
         return NoLevels(np.zeros(0), np.zeros(0), Box(box.lower.item(), box.upper.item()))

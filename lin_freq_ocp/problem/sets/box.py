@@ -318,7 +318,7 @@ def _box_of_checked(lower: Array, upper: Array) -> Box:
     return box
 
 
-def _bound(side: str, value: Bound, absent: float) -> Array:
+def _bound(side: str, value: object, absent: float) -> Array:
     bound = real_array(f"Box.{side}", _without_none(value, absent), allow_infinite=True)
     if (bound == -absent).any():
         raise ProblemError(f"Box.{side}", f"{-absent}", f"a number, or None or {absent} for no bound")
@@ -328,11 +328,12 @@ def _bound(side: str, value: Bound, absent: float) -> Array:
 def _bounds_by_name(lower: Bound | ByName, upper: Bound | ByName) -> tuple[tuple[str, ...], Array, Array]:
     """Return names and their bounds, (names,) or (times, names); one mapping alone has pairs."""
     if upper is None and isinstance(lower, Mapping):
-        for name, pair in lower.items():
+        stated, lower, upper = lower, dict[str, object](), dict[str, object]()
+        for name, pair in stated.items():
             if not isinstance(pair, (list, tuple)) or len(pair) != 2:
                 advice = "For one bound, the other is None."
                 raise ProblemError(f"Box[{name!r}]", brief(pair), "a pair (lower, upper)", advice)
-        lower, upper = ({name: pair[i] for name, pair in lower.items()} for i in range(2))
+            lower[name], upper[name] = pair
     components = tuple(dict.fromkeys(name for side in (lower, upper) if isinstance(side, Mapping) for name in side))
     if not components:
         raise ProblemError("Box", "a mapping without names", "bounds of at least one component")

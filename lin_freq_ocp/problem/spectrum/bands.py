@@ -409,8 +409,6 @@ def stopped_bins(
             expected = "a band, MagnitudeBound, EnergyBound or LinearConstraint"
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
             raise ProblemError(where, brief(band), expected, advice)
-        if not isinstance(band, Band):
-            continue
         columns = component_indices(where, band.component, component_names)
         alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
         stopped[:, columns] |= alone[:, None]

@@ -70,6 +70,10 @@ class FrequencyConstraint(ABC):
         """Return a copy with other fields."""
         return with_fields(self, **fields)
 
+    def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
+        """Return which bins k = 0 .. length//2 of ``length`` samples it removes."""
+        return np.zeros(length // 2 + 1, dtype=bool)
+
     @property
     def title(self) -> str:
         """Return the kind of constraint in words."""

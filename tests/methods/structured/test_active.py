@@ -1,5 +1,6 @@
 """Solves again and again by the active rows, against the embedding."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,7 @@ from lin_freq_ocp.solving import Request, SolverCache
 from lin_freq_ocp.transform import Change, translation_of
 from tests.methods.structured.examples import spectrum, stages
 
-COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="numba does not compile"))]
+COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(not can_compile(), reason="no C compiler"))]
 
 
 def coupled(seed):
@@ -87,7 +88,7 @@ def test_answers_are_those_of_the_embedding(seed, compiled):
 @pytest.mark.parametrize("seed", seeds(range(4)))
 def test_both_kinds_of_loops_find_the_same_to_rounding(seed):
     if not can_compile():
-        pytest.skip("numba does not compile")
+        pytest.skip("no C compiler")
     problem = stages(seed, bound=0.8, coupling=coupled(seed))
     near = np.zeros(problem.h.shape)
     plain, fast = (
@@ -166,6 +167,14 @@ def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
         assert found.certificate.gap < 1e-9
     assert len(ends) == 10
     assert None not in ends
+
+
+def test_what_is_kept_can_be_copied():
+    problem = touching()
+    kept = SolverCache(translation_of(problem))
+    expected = [again(kept, Change([0.01 * k, 1.0])).trajectory.u for k in range(3)][-1]
+    kept.stage_cache = pickle.loads(pickle.dumps(kept.stage_cache))
+    np.testing.assert_allclose(again(kept, Change([0.02, 1.0])).trajectory.u, expected, atol=1e-5)
 
 
 def test_references_are_exchanged():

@@ -17,7 +17,7 @@ from lin_freq_ocp.methods.structured import can_compile, solve_structured
 @pytest.fixture(params=["compiled", "plain"])
 def compiled(request):
     if request.param == "compiled" and not can_compile():
-        pytest.skip("numba does not compile")
+        pytest.skip("no C compiler")
     return request.param == "compiled"
 
 

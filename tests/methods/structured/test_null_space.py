@@ -28,7 +28,7 @@ GROWTHS = (0.0, 12.0, -5.0)
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
     if request.param == "compiled" and not can_compile():
-        pytest.skip("numba does not compile")
+        pytest.skip("no C compiler")
     return loops(request.param == "compiled")
 
 

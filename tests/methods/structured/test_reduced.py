@@ -23,7 +23,7 @@ class Counted(TwoLevel):
 @pytest.fixture(params=["compiled", "arrays"])
 def chosen(request):
     if request.param == "compiled" and not can_compile():
-        pytest.skip("numba does not compile")
+        pytest.skip("no C compiler")
     return loops(request.param == "compiled")
 
 

@@ -166,7 +166,7 @@ def test_a_step_solves_its_system(side, free):
 @pytest.mark.parametrize("seed", [0, 3])
 def test_the_optimum_is_clarabels(side, seed, compiled):
     if compiled and not can_compile():
-        pytest.skip("numba does not compile")
+        pytest.skip("no C compiler")
     problem = soft_stages(seed, cones=(3,) if seed else ())
     system, answer = embedded(problem, compiled, side)
     assert answer.end is End.OPTIMAL

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, Derivatives, SmoothModel
@@ -155,7 +155,7 @@ class BarrierPoint:
         self.left: Values = [values - right for values, right in rows]
         for i, s in point.s.items():
             self.left[i] = (self.left[i] + s) * self.cones[i].present
-        self._gradient = loops.times(objective.H, point.y) + objective.h
+        self._gradient = times_vectors(objective.H, point.y) + objective.h
         self._dual = self._gradient + self.system.adjoint(point.z)
         self.theta = sum(float(np.abs(part).sum()) for part in self.left)
 
@@ -175,7 +175,7 @@ class BarrierPoint:
         objective, barrier = self._objective, mu * sum(cone.log_determinant(s[i]) for i, cone in self.cones.items())
         if objective.exact is not None:
             return objective.exact(y) - barrier
-        cost = 0.5 * float(np.vdot(y, self._loops.times(objective.H, y))) + float(np.vdot(objective.h, y))
+        cost = 0.5 * float(np.vdot(y, times_vectors(objective.H, y))) + float(np.vdot(objective.h, y))
         return cost + objective.constant - barrier
 
     def measure(self, mu: float) -> Measure:
@@ -505,7 +505,7 @@ def smooth_optimum(
     """
     model = SmoothModel.at(problem, start)
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)
-    barrier = Barrier(model, loops(wait=end == np.inf), end, *first)
+    barrier = Barrier(model, loops(), end, *first)
     answer = barrier.run(model.assembly.point(start))
     if answer.end is End.UNDEFINED:
         return None, answer.end
@@ -520,7 +520,7 @@ def smooth_optimum(
             again = None if assembly is None else replace(model, assembly=assembly)
         if again is None:
             break
-        after = Barrier(again, loops(wait=end == np.inf), end, *weights).run(again.assembly.point(trajectory))
+        after = Barrier(again, loops(), end, *weights).run(again.assembly.point(trajectory))
         if barrier.unequal and after.end is not End.OPTIMAL:
             answer = replace(answer, end=after.end if after.end is End.INTERRUPTED else answer.end)
             break

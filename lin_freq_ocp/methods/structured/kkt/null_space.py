@@ -22,7 +22,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, SystemSolution
 from lin_freq_ocp.methods.structured.stages import CoupledRows, SpectrumRows, Stages
@@ -74,12 +74,12 @@ class NullSpaceSolver:
         y[0, :n] = np.where(space.fixed, x0, 0.0)
         y[:, n:] = space.coefficients.particular(f)
         y, ends = space.simulate(np.zeros(space.size), y, c)
-        of_v = space.gradient(core + self._loops.times(self._Phi, y))
+        of_v = space.gradient(core + times_vectors(self._Phi, y))
         right = np.concatenate([np.zeros(space.continuity), f[space.chosen]])
         v, nu = self._reduced.solve(-of_v, right - space.values(y, ends))
         y, _ = space.simulate(v, y, c)
         of_y, prices = space.price_rows(nu)
-        of_y += core + self._loops.times(self._Phi, y)
+        of_y += core + times_vectors(self._Phi, y)
         p, gw, _ = self._loops.backward(space.A, space.B, of_y, space.breaks, prices)
         coupling = np.zeros(len(f))
         coupling[space.chosen] = nu[space.continuity :]
@@ -336,7 +336,7 @@ class NullSpace:
     def curvature(self, Phi: Array, v: Array) -> Array:
         """Return the gradient in v of 1/2 y'Phi y."""
         y, _ = self.simulate(v)
-        return self.gradient(self.loops.times(Phi, y))
+        return self.gradient(times_vectors(Phi, y))
 
     def values(self, y: Array, ends: Array) -> Array:
         """Return the values of the rows for y whose simulations start from zero."""

@@ -1,4 +1,4 @@
-"""Linear algebra over stages: its interface, and the loops by NumPy and LAPACK; kernels.py has the compiled ones.
+"""Linear algebra over stages: its interface, and the loops by NumPy and LAPACK; loops.c has those in C.
 
 Stages t = 0 .. T, y_t = (x_t, w_t) with n states and k further entries, nz = n + k. A, B and Phi have T+1 stages; A_T
 and B_T are zero, so that w_T is eliminated like every other. A regulator is the factored problem
@@ -13,43 +13,14 @@ In both implementations, ``OpenLoop`` (dense.py) does the open-loop sweeps for m
 
 from __future__ import annotations
 
-import os
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.structured.kkt.dense import CURVED, PIVOT, Gains, Regulator
-
-if TYPE_CHECKING:
-    from lin_freq_ocp.methods.structured.kkt.kernels import CompiledLoops
-
-
-Loops: TypeAlias = "BandedLoops | CompiledLoops"
-"""The loops over stages; both classes have the methods of ``BandedLoops``, which say what they return."""
-
-
-def can_compile() -> bool:
-    """Whether numba is installed, and its environment variable NUMBA_DISABLE_JIT does not switch it off."""
-    return find_spec("numba") is not None and os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
-
-
-def loops(compiled: bool | None = None, wait: bool = True) -> Loops:
-    """Return the compiled loops, or those by NumPy and LAPACK.
-
-    By default, the loops are compiled if numba can do so. Without ``wait``, they are the compiled ones only if
-    nothing remains to be compiled.
-    """
-    if compiled is False or (compiled is None and not can_compile()):
-        return BandedLoops()
-    from lin_freq_ocp.methods.structured.kkt.kernels import KERNELS, CompiledLoops
-
-    if compiled is None and not wait and not KERNELS.ready:
-        return BandedLoops()
-    KERNELS.prepare()
-    return CompiledLoops()
+from lin_freq_ocp.methods.structured.kkt.loops_native import CompiledLoops, loops_library
 
 
 class BandedLoops:
@@ -101,14 +72,6 @@ class BandedLoops:
             first += size
         return out
 
-    def times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t v_t, (T+1, rows), for M (T+1, rows, columns) and v (T+1, columns)."""
-        return np.einsum("tij,tj->ti", matrices, vectors)
-
-    def transposed_times(self, matrices: Array, vectors: Array) -> Array:
-        """Return M_t'v_t, (T+1, columns), for v (T+1, rows)."""
-        return np.einsum("tij,ti->tj", matrices, vectors)
-
     def forward(self, A: Array, B: Array, c: Array, breaks: Indices, starts: Array, y: Array) -> Array:
         """Write in y (T+1, nz) the states x_1 .. x_T that follow from its x_0 and w; starts (K, n), c (T+1, n).
 
@@ -139,6 +102,21 @@ class BandedLoops:
         gw = gradient[:, n:].copy()
         gw[:-1] += np.einsum("tji,tj->ti", B[:-1], costates[1:])
         return costates, gw, gstarts
+
+
+Loops: TypeAlias = BandedLoops | CompiledLoops
+"""The loops over stages; both classes have the methods of ``BandedLoops``, which say what they return."""
+
+
+def can_compile() -> bool:
+    """Whether the loops run in C."""
+    return loops_library() is not None
+
+
+def loops(compiled: bool = True) -> Loops:
+    """Return the loops in C; those by NumPy and LAPACK without a compiler, or if they are asked for."""
+    library = loops_library() if compiled else None
+    return BandedLoops() if library is None else CompiledLoops(library)
 
 
 def simulation_matrix(A: Array, breaks: Indices) -> Array:
@@ -184,7 +162,7 @@ class BandedRegulator(Regulator):
         return unknowns[:, n:].copy(), eta, np.where(self._fixed, unknowns[0, :n], 0.0)
 
     def gains(self) -> Gains:
-        """Return the gains of the Riccati recursion, which kernels.py derives."""
+        """Return the gains of the Riccati recursion, which loops.c derives."""
         if self._gains is None:
             B, Phi, AB = self._B, self._Phi, np.concatenate([self._A, self._B], axis=2)
             stages, n, k = B.shape

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as la
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, times_vectors
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, OpenLoop
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, break_times
 from lin_freq_ocp.methods.structured.kkt.system import largest
@@ -258,7 +258,7 @@ class TwoLevel:
         y, _ = space.simulate(v)
         of_large, of_rows = np.split(nu, [len(large.times)])
         of_y, prices = space.price_rows(of_rows)
-        of_y += space.loops.times(self._clipped, y)
+        of_y += times_vectors(self._clipped, y)
         np.add.at(of_y, large.times, of_large[:, None] * large.directions)
         return space.gradient(of_y, prices)
 

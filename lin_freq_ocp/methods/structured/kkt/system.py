@@ -23,7 +23,7 @@ from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, times_vectors
 from lin_freq_ocp.base.cones import Cone
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.stages import Stages
@@ -64,9 +64,9 @@ class System:
     def rows(self, y: Array) -> Values:
         """Return A y."""
         n = self.stages.states
-        dynamics = -self.loops.times(self._AB, y)
+        dynamics = -times_vectors(self._AB, y)
         dynamics[:-1] += y[1:, :n]
-        of_stages = self.loops.times(self._G, y)
+        of_stages = times_vectors(self._G, y)
         return [dynamics, np.where(self._fixed, y[0, :n], 0.0), of_stages, *self.coupled(y)]
 
     def coupled(self, y: Array) -> Values:
@@ -86,8 +86,8 @@ class System:
     def adjoint(self, z: Values) -> Array:
         """Return A'z, (T+1, n + k)."""
         n, eta = self.stages.states, z[DYNAMICS]
-        result = self.loops.transposed_times(self._G, z[STAGES])
-        result -= self.loops.transposed_times(self._AB, eta)
+        result = times_vectors(self._G.swapaxes(1, 2), z[STAGES])
+        result -= times_vectors(self._AB.swapaxes(1, 2), eta)
         result[1:, :n] += eta[:-1]
         result[0, :n] += np.where(self._fixed, z[INITIAL], 0.0)
         if self.coupling.count:
@@ -99,7 +99,7 @@ class System:
 
     def curvature(self, y: Array) -> Array:
         """Return P y."""
-        return self.loops.times(self.stages.H, y)
+        return times_vectors(self.stages.H, y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +169,8 @@ class StepSystem:
         Phi = self._loops.gram(stages.H, stages.G, *system.cones[STAGES].inverse_squares, stages.cones)
         np.einsum("tii->ti", Phi)[:] += REGULARISATION
         balls = list(zip(system.coupling.balls, self._ball_cones(), strict=True))
-        squares = [_value_compliance(cone) if part.heads is None else cone.block_squares(0) for part, cone in balls]
-        roots = [_value_root(cone) for part, cone in balls if part.heads is None]
+        squares = [cone.tail_square if part.heads is None else cone.block_squares(0) for part, cone in balls]
+        roots = [cone.tail_inverse_root for part, cone in balls if part.heads is None]
         unequal = system.cones[INEQUALITIES].w[:, 0] ** 2 if INEQUALITIES in system.cones else np.zeros(0)
         equations = np.full(system.coupling.equation_count, DUAL_REGULARISATION + self._compliance)
         return self._solver.factor(Phi, Compliance(np.concatenate([equations, unequal]), tuple(squares), tuple(roots)))
@@ -198,15 +198,15 @@ class StepSystem:
     def _solve_once(self, of_y: Array, of_z: Values) -> tuple[Array, Values]:
         system, stages = self.system, self.system.stages
         cone = system.cones[STAGES]
-        gradient = -of_y - self._loops.transposed_times(stages.G, cone.scaled(of_z[STAGES], -2))
+        gradient = -of_y - times_vectors(stages.G.swapaxes(1, 2), cone.scaled(of_z[STAGES], -2))
         f = [of_z[EQUATIONS], of_z[INEQUALITIES][:, 0]]
         for part, ball_cone, rows in zip(system.coupling.balls, self._ball_cones(), of_z[BALLS:], strict=True):
             right = -rows
             if part.heads is None:
-                right = right[:, 1:] + _head_ratio(ball_cone) * rows[:, :1]
+                right = right[:, 1:] + ball_cone.head_ratio * rows[:, :1]
             f.append(right.ravel())
         step = self._solver.solve(gradient, of_z[DYNAMICS], of_z[INITIAL], np.concatenate(f))
-        of_stages = cone.scaled(self._loops.times(stages.G, step.y) - of_z[STAGES], -2)
+        of_stages = cone.scaled(times_vectors(stages.G, step.y) - of_z[STAGES], -2)
         # the duals of all rows that couple times, with those of the eliminated heads of hard balls
         counts = [len(of_z[EQUATIONS]), len(of_z[INEQUALITIES])]
         equations, unequal, rest = np.split(step.coupling, np.cumsum(counts))
@@ -217,7 +217,7 @@ class StepSystem:
             z = -values.reshape(-1, dim)
             if part.heads is None:
                 w, eta = ball_cone.w, ball_cone.eta[:, 0]
-                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (_head_ratio(ball_cone) * z).sum(1)
+                head = -rows[:, 0] / (eta**2 * (2 * w[:, 0] ** 2 - 1)) - (ball_cone.head_ratio * z).sum(1)
                 z = np.column_stack([head, z])
             duals.append(z)
         return step.y, duals
@@ -232,28 +232,6 @@ class StepSystem:
 
     def _ball_cones(self) -> list[Cone]:
         return [self.system.cones[BALLS + i] for i in range(len(self.system.coupling.balls))]
-
-
-def _value_compliance(cone: Cone) -> Array:
-    """Return the compliance of the values of hard balls, (balls, d, d), once their heads are eliminated.
-
-    The closed form eta^2 (I - 2 v v'/(1 + 2 |v|^2)), w = (w_0, v), stays definite; a difference of matrices would not.
-    """
-    v, square = cone.w[:, 1:], cone.eta[:, 0, None, None] ** 2
-    return square * (np.eye(v.shape[1]) - (2 / (1 + 2 * (v * v).sum(1)))[:, None, None] * v[:, :, None] * v[:, None, :])
-
-
-def _value_root(cone: Cone) -> Array:
-    """Return the symmetric root of its inverse, (I + 2 v v')^(1/2)/eta."""
-    v = cone.w[:, 1:]
-    along = 2 / (1 + np.sqrt(1 + 2 * (v * v).sum(1)))
-    return (np.eye(v.shape[1]) + along[:, None, None] * v[:, :, None] * v[:, None, :]) / cone.eta[:, 0, None, None]
-
-
-def _head_ratio(cone: Cone) -> Array:
-    """Return the entries of W^2 next to its first one, divided by that, (balls, d)."""
-    head, v = cone.w[:, :1], cone.w[:, 1:]
-    return 2 * head * v / (2 * head**2 - 1)
 
 
 def largest(parts: Values) -> float:

@@ -1,0 +1,36 @@
+"""Machines without a C compiler, or with one that fails."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import contextmanager, nullcontext
+
+import pytest
+
+from lin_freq_ocp.methods import compiled_library
+from lin_freq_ocp.methods.hybrid import path_library
+
+
+@pytest.fixture(params=["", "/bin/false"], ids=["no compiler", "one that fails"])
+def no_compiler(request, tmp_path):
+    """Return a context in which nothing compiles; a compiler that fails is one warning with these words."""
+    compiler = request.param
+
+    @contextmanager
+    def let_nothing_compile(words):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_CACHE_HOME", str(tmp_path))
+            patch.setenv("CC", compiler)
+            patch.setattr(shutil, "which", lambda name: compiler if name == compiler else None)
+            forget_libraries()
+            with pytest.warns(RuntimeWarning, match=words) if compiler else nullcontext():
+                yield
+
+    yield let_nothing_compile
+    forget_libraries()
+
+
+def forget_libraries():
+    """Let the next use load the libraries anew."""
+    compiled_library.cache_clear()
+    path_library.cache_clear()
