@@ -208,7 +208,7 @@ BAD: dict[str, tuple[str, Any]] = {
         [{"kind": "linear_constraint", "coefficients": [[[1.0]]]}],
     ),
     "outputs with a typo": ("output_spectrum.names", ["y"]),
-    "outputs with names that are no list": ("output_spectrum.output_names", "y"),
+    "outputs with names that are no list": ("output_spectrum.output_names", 1.0),
     "reference without key": ("dynamics.A", {"npz": "data.npz"}),
     "reference with a typo": ("dynamics.A", {"npz": "data.npz", "key": "A", "row": 1}),
     "reference of no text": ("dynamics.A", {"npz": 3, "key": "A"}),

@@ -234,10 +234,10 @@ def cost_errors(
     multiplier against a bound that does not exist belongs to that slope.
     """
     lifted = extremal_at(problem, at, multipliers)
-    products, slope = [part.gap.ravel() for part in lifted.terms], 0.0
+    products, slope, n = [part.gap.ravel() for part in lifted.terms], 0.0, problem.state_dim
     for here, there, normal, tube, residual in (
-        (at.x, other.x, multipliers.mu, problem.state_tube, lifted.eta_before - lifted.in_x),
-        (at.u, other.u, multipliers.nu, problem.control_tube, -lifted.in_u),
+        (at.x, other.x, multipliers.mu, problem.state_tube, lifted.slopes[:, :n]),
+        (at.u, other.u, multipliers.nu, problem.control_tube, lifted.slopes[:-1, n:]),
     ):
         normal = np.where(np.isfinite(np.where(normal > 0, tube.upper, tube.lower)), normal, 0.0)
         products.append(tube.normal_gap_terms(here, normal).ravel())
