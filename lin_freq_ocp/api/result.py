@@ -12,7 +12,7 @@ from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.certificate.hybrid.tree import TreeBound
-from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities
+from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities_of
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
 from lin_freq_ocp.files.summary import result_summary, save_json
@@ -79,7 +79,7 @@ class Result(Outcome):
         """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if not solved."""
         if not self.status.solved or self.multipliers is None:
             raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
-        return sensitivities(self.problem, self.multipliers)
+        return sensitivities_of(self.problem, self.multipliers)
 
     @property
     def tree(self) -> ModeTree | None:

@@ -129,7 +129,7 @@ class BetweenSamples:
         return text
 
 
-def between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> BetweenSamples | None:
+def bounds_between_samples(problem: OptimalControlProblem, trajectory: Trajectory) -> BetweenSamples | None:
     """Return the largest violation of every state bound over all instants of a continuous plant.
 
     Within a period a bound that depends on time is the wider one of both samples. The bounds of the ends play no part.

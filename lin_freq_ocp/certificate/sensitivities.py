@@ -79,7 +79,7 @@ class Sensitivities:
         return html_table("Derivatives of the optimal cost", self.rows)
 
 
-def sensitivities(problem: OptimalControlProblem, multipliers: Multipliers) -> Sensitivities:
+def sensitivities_of(problem: OptimalControlProblem, multipliers: Multipliers) -> Sensitivities:
     """Return the derivatives of the optimal cost by the data, from the multipliers of an optimum.
 
     Parameters

@@ -14,7 +14,7 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
+from lin_freq_ocp.certificate.between_samples import BetweenSamples, bounds_between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
@@ -184,7 +184,7 @@ class Certificate:
     @cached_property
     def between_samples(self) -> BetweenSamples | None:
         """The state bounds between the samples, by ``certify``; None without a continuous plant or state bounds."""
-        return None if self.subject is None else between_samples(*self.subject)
+        return None if self.subject is None else bounds_between_samples(*self.subject)
 
     @property
     def lower_bound(self) -> float | None:

@@ -39,7 +39,7 @@ class IntervalJets:
     curvatures: Interval
 
 
-def jets(
+def jets_of(
     formulas: Sequence[Formula],
     y: Array,
     selections: Mapping[Formula, Array] | None = None,

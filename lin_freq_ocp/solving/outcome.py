@@ -11,7 +11,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.between_samples import BetweenSamples, between_samples
+from lin_freq_ocp.certificate.between_samples import BetweenSamples, bounds_between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
@@ -222,7 +222,7 @@ class Outcome:
     @cached_property
     def between_samples(self) -> BetweenSamples | None:
         """The state bounds between the samples; None without a continuous plant, state bounds or a trajectory."""
-        return None if self.trajectory is None else between_samples(self.problem, self.trajectory)
+        return None if self.trajectory is None else bounds_between_samples(self.problem, self.trajectory)
 
     @cached_property
     def readings(self) -> tuple[Reading, ...]:

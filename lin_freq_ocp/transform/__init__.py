@@ -4,10 +4,10 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "level_rows": "few_between_levels", "limits": "Limit changed_fields constraints drop_limits numbers",
+    "level_rows": "few_between_levels rows_of_levels",
+    "limits": "Limit all_limits changed_fields constraints drop_limits numbers",
     "reductions": "Change Reduced Reduction reduce_problem",
-    "response_curvature": "BinCurvature bin_curvature",
     "reformulations": "RATE_LIMIT far_origin rate_limit sampled_masks semi_infinite_terms translated_by translation_of",
-    "sizes": "stated_sizes",
+    "response_curvature": "BinCurvature bin_curvature", "sizes": "stated_sizes",
 })
 # fmt: on

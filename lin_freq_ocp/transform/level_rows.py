@@ -75,12 +75,12 @@ def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
         return None
     shares = control_set.shares(u)
     between = sum(int(np.count_nonzero(share.max(axis=1) < 1 - AT_LEVEL)) for share in shares)
-    rows, cost = level_rows(problem), problem.quadratic
+    rows, cost = rows_of_levels(problem), problem.quadratic
     needed = None if rows is None else _rank(_of_spans(rows, _spans(control_set, u)))
     return LevelUse(tuple(shares), between, needed, between > 0 and bool(cost.R.any() or cost.S.any()))
 
 
-def level_rows(problem: OptimalControlProblem) -> Array | None:
+def rows_of_levels(problem: OptimalControlProblem) -> Array | None:
     """Return R, (rows, T, m), of all constraints on u but its levels; None if some are no linear rows.
 
     None, too, if the cost is no sum over single samples, or the initial state is free.
@@ -121,7 +121,7 @@ class FewBetweenLevels(Reduced):
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return an optimum with at most as many entries between levels as there are rows."""
-        rows, control_set, u = level_rows(self.given), _set_of_levels(self.given), reduced.u
+        rows, control_set, u = rows_of_levels(self.given), _set_of_levels(self.given), reduced.u
         if rows is None or control_set is None:
             return reduced
         spans, shares, levels = _spans(control_set, u), control_set.shares(u), control_set.levels_of(u.shape[1])

@@ -422,7 +422,7 @@ class EntryLimit(TermLimit):
         return entries
 
 
-def limits(problem: OptimalControlProblem) -> list[Limit]:
+def all_limits(problem: OptimalControlProblem) -> list[Limit]:
     """Return the limits of a problem: ends, bounds, joint rows, stop bands, sets and frequency constraints."""
     named: dict[tuple[str, int], list[str]] = {}  # one for each entry of a field
     for term in problem.terms:
@@ -449,7 +449,7 @@ def of_source(problem: OptimalControlProblem, source: tuple[str, int], name: str
 
 def constraints(problem: OptimalControlProblem) -> list[Limit]:
     """Return the hard constraints, dynamics apart, in parts that can be relaxed one by one."""
-    return [part for limit in limits(problem) if limit.constrains for part in limit.parts]
+    return [part for limit in all_limits(problem) if limit.constrains for part in limit.parts]
 
 
 def drop_limits(problem: OptimalControlProblem, dropped: Collection[Limit]) -> OptimalControlProblem:
@@ -461,7 +461,7 @@ def drop_limits(problem: OptimalControlProblem, dropped: Collection[Limit]) -> O
 
 def numbers(problem: OptimalControlProblem) -> dict[str, Number]:
     """Return all numbers of the limits of a problem by their keys."""
-    found = {number.key: number for limit in limits(problem) for number in limit.numbers()}
+    found = {number.key: number for limit in all_limits(problem) for number in limit.numbers()}
     cutoff = _cutoff(problem)
     if cutoff is None:
         return found

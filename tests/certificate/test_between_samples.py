@@ -13,8 +13,7 @@ import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.schemas import RESULT, faults, printed
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate import LARGEST_REACH, REACH
-from lin_freq_ocp.certificate.between_samples import between_samples
+from lin_freq_ocp.certificate import LARGEST_REACH, REACH, bounds_between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
 from lin_freq_ocp.files import certificate_summary, result_summary
 from lin_freq_ocp.pages import finding_of
@@ -67,7 +66,7 @@ def state_at(problem, trajectory, time):
 
 def require_right(problem, trajectory):
     """Compare all peaks with dense sampling, and the state at their times with an integrator."""
-    found, peaks = between_samples(problem, trajectory), dense_peaks(problem, trajectory)
+    found, peaks = bounds_between_samples(problem, trajectory), dense_peaks(problem, trajectory)
     boxes = problem.state_boxes
     for bound in found.bounds:
         i, sign = bound.component, 1 if bound.side == "upper" else -1
@@ -156,7 +155,7 @@ def test_units_and_the_origin_change_no_verdict():
     result = solved("scanner", {})
     problem, (x, u) = result.problem, (result.trajectory.x, result.trajectory.u)
     plant, h = problem.dynamics.plant, problem.sampling_time
-    first, units = between_samples(problem, result.trajectory), np.array([1e-6, 1e3])
+    first, units = bounds_between_samples(problem, result.trajectory), np.array([1e-6, 1e3])
     dynamics = lfo.LinearDynamics.from_continuous(
         units[:, None] * plant.A / units / 1e-3, units[:, None] * plant.B / 1e-3, 1e-3 * h
     )
@@ -164,7 +163,7 @@ def test_units_and_the_origin_change_no_verdict():
     scaled = lfo.OptimalControlProblem(
         dynamics, problem.horizon, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(boxes.lower * units, boxes.upper * units)
     )
-    again = between_samples(scaled, lfo.Trajectory(x * units, u))
+    again = bounds_between_samples(scaled, lfo.Trajectory(x * units, u))
     for one, other in zip(first.bounds, again.bounds, strict=True):
         assert other.relative == pytest.approx(one.relative, rel=1e-7)
         assert other.time == pytest.approx(1e-3 * one.time, rel=1e-4)
@@ -174,7 +173,7 @@ def test_units_and_the_origin_change_no_verdict():
         state_set=lfo.Box(boxes.lower + origin, boxes.upper + origin),
     )  # fmt: skip
     assert moved.dynamics.plant is not None
-    far = between_samples(moved, lfo.Trajectory(x + origin, u))
+    far = bounds_between_samples(moved, lfo.Trajectory(x + origin, u))
     assert far.worst.relative == pytest.approx(first.worst.relative, rel=1e-6)
 
 
@@ -188,7 +187,7 @@ def test_rate_limits_leave_the_states_of_the_plant():
 def test_within_a_period_the_wider_bound_counts():
     problem = two_masses(20)
     trajectory = lfo.solve(problem).trajectory
-    worst = between_samples(problem, trajectory).worst
+    worst = bounds_between_samples(problem, trajectory).worst
     k = int(worst.time / problem.sampling_time)
     limits = np.full((21, 4), np.inf)
     limits[:, 1] = 0.0115
@@ -220,13 +219,13 @@ def test_nothing_is_said_without_a_plant_with_held_controls_and_state_bounds():
     scanner = lfo.library.scanner()
     trajectory = lfo.solve(scanner).trajectory
     plain = lfo.LinearDynamics(scanner.dynamics.A, scanner.dynamics.B, sampling_time=1e-4)
-    assert between_samples(replace(scanner, dynamics=plain), trajectory) is None
-    assert between_samples(replace(scanner, state_set=None), trajectory) is None
+    assert bounds_between_samples(replace(scanner, dynamics=plain), trajectory) is None
+    assert bounds_between_samples(replace(scanner, state_set=None), trajectory) is None
     modulated = lfo.FiniteSet([-1.0, 0.0, 1.0], duty_cycles=True)
-    assert between_samples(replace(scanner, control_set=modulated, control_spectrum=None), trajectory) is None
+    assert bounds_between_samples(replace(scanner, control_set=modulated, control_spectrum=None), trajectory) is None
     steep = lfo.LinearDynamics.from_continuous([[-1.1 * LARGEST_REACH]], [[1.0]], 1.0)
     stiff = lfo.OptimalControlProblem(steep, 2, lfo.QuadraticCost(R=1.0), state_set=lfo.Box(-1, 1))
-    assert between_samples(stiff, lfo.Trajectory(np.zeros((3, 1)), np.zeros((2, 1)))) is None
+    assert bounds_between_samples(stiff, lfo.Trajectory(np.zeros((3, 1)), np.zeros((2, 1)))) is None
 
 
 def test_a_stiff_plant_is_bounded_from_above():
@@ -240,8 +239,7 @@ def test_a_solve_does_not_compute_it(monkeypatch):
     def refuse(problem, trajectory):
         raise AssertionError("computed within a solve")
 
-    monkeypatch.setattr("lin_freq_ocp.solving.outcome.between_samples", refuse)
-    monkeypatch.setattr("lin_freq_ocp.certificate.verdict.between_samples", refuse)
+    substitute(monkeypatch, "certificate.bounds_between_samples", refuse)
     result = lfo.solve(lfo.library.scanner())
     certificate = lfo.certify(result.problem, result)
     for subject in (result, certificate):
@@ -300,7 +298,7 @@ def single_bound(A, B, step, x, u, lower=None, upper=None):
     """Return the peak of the upper bound of a plant over one period."""
     plant, box = lfo.LinearDynamics.from_continuous(A, B, step), lfo.Box(lower, upper)
     problem = lfo.OptimalControlProblem(plant, 1, lfo.QuadraticCost(R=1.0), state_set=box)
-    bounds = between_samples(problem, lfo.simulate(problem, [u], x)).bounds
+    bounds = bounds_between_samples(problem, lfo.simulate(problem, [u], x)).bounds
     return next(bound for bound in bounds if bound.side == "upper")
 
 
@@ -335,7 +333,7 @@ def test_a_bound_far_above_the_simulation_is_told(frequency, loose):
     plant = lfo.LinearDynamics.from_continuous([[0, frequency], [-frequency, 0]], [[0.0], [1.0]], 1.0)
     box = lfo.Box([-1, -9], [1, 9])
     problem = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), state_set=box)
-    found = between_samples(problem, lfo.simulate(problem, np.zeros((2, 1)), [0.5, 0.5]))
+    found = bounds_between_samples(problem, lfo.simulate(problem, np.zeros((2, 1)), [0.5, 0.5]))
     assert (max(bound.at_most for bound in found.bounds) > 10) == loose
     assert found.simulated == (("x_0", "x_1") if loose else ())
     assert str(found).startswith("all state bounds hold between the samples")
@@ -358,7 +356,7 @@ def test_within_a_period_the_wider_bound_of_both_samples_counts(side):
     limits = [side * value for value in (1.0, 0.0, 1.0)]
     boxes = [lfo.Box(None, limit) if side > 0 else lfo.Box(limit, None) for limit in limits]
     problem = lfo.OptimalControlProblem(plant, 2, lfo.QuadraticCost(R=1.0), state_set=boxes)
-    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [side])).bounds
+    (bound,) = bounds_between_samples(problem, lfo.simulate(problem, [[-side], [side]], [side])).bounds
     assert bound.violation <= 0
-    (bound,) = between_samples(problem, lfo.simulate(problem, [[-side], [side]], [2 * side])).bounds
+    (bound,) = bounds_between_samples(problem, lfo.simulate(problem, [[-side], [side]], [2 * side])).bounds
     assert bound.violation == pytest.approx(1.0)

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex, least_curvature
-from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.formulas.jets import jets_of, values_of
 from lin_freq_ocp.formulas.text import formula_from_text
 
 T = 4
@@ -65,13 +65,13 @@ def test_what_is_said_of_a_formula_holds_at_random_points(text, half):
         if convex:
             assert (values[2] <= (values[0] + values[1]) / 2 + 1e-9 * (1 + np.abs(values[2]))).all()
         if "abs" not in text:
-            hessians = jets([formula], a, times=at).curvatures[:, 0]
+            hessians = jets_of([formula], a, times=at).curvatures[:, 0]
             smallest = np.linalg.eigvalsh(hessians - np.diag(np.where(np.isfinite(least[t]), least[t], -1e9)))
             assert (smallest[:, 0] >= -1e-9 * np.abs(hessians).max()).all()
         if convex:
             box = np.full((T, 2), half)
             curvature = convex_curvature(formula, -box, box)
-            smallest = np.linalg.eigvalsh(jets([formula], a, times=at).curvatures[:, 0] - np.diag(curvature[t]))
+            smallest = np.linalg.eigvalsh(jets_of([formula], a, times=at).curvatures[:, 0] - np.diag(curvature[t]))
             assert (curvature >= 0).all()
             assert (smallest[:, 0] >= -1e-9 * np.abs(hessians).max()).all()
 

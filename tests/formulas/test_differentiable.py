@@ -19,7 +19,7 @@ from lin_freq_ocp.batch import fingerprint
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
 from lin_freq_ocp.formulas.nodes import nodes_in_order
 from lin_freq_ocp.formulas.text import formula_from_text
 
@@ -86,7 +86,7 @@ def test_norms_within_and_around_are_kinks_as_in_formulas():
     assert {kink.time for kink in result.certificate.borders.norms} == {1, 2}
     assert result.certificate.worst.relative <= 1e-10
     around = lfo.norm([product(X[:1], U)[0], X[1]])
-    assert jets([around], np.array([[3.0, 8.0, 2.0]])).slopes[0, 0] == pytest.approx([0.6 * 2, 0.8, 0.6 * 3])
+    assert jets_of([around], np.array([[3.0, 8.0, 2.0]])).slopes[0, 0] == pytest.approx([0.6 * 2, 0.8, 0.6 * 3])
 
 
 def test_maxima_of_functions_make_modes():
@@ -107,7 +107,7 @@ def as_function(formula, hessian):
     """Return a formula of X and U as a function with derivatives."""
 
     def part(name):
-        return lambda x, u: getattr(jets([formula], np.append(x, u)[None]), name)[0]
+        return lambda x, u: getattr(jets_of([formula], np.append(x, u)[None]), name)[0]
 
     return lfo.DifferentiableFunction(part("values"), part("slopes"), part("curvatures") if hessian else None)
 
@@ -122,11 +122,11 @@ def test_functions_of_formulas_have_the_derivatives_of_the_whole_formula(seed):
         parts = tuple(made[argument] for argument in node.arguments)
         made.setdefault(node, replace(node, arguments=parts))
     y = rng.uniform(-1, 1, (4, 3))
-    exact = jets([made[outer]], y)
+    exact = jets_of([made[outer]], y)
     function = as_function(outer, True)
     np.testing.assert_allclose(values_of(list(function(inner[:2], inner[2:])), y), exact.values, rtol=1e-13)
     for hessian, accuracy in ((True, 1e-12), (False, 1e-8)):
-        found = jets(list(as_function(outer, hessian)(inner[:2], inner[2:])), y)
+        found = jets_of(list(as_function(outer, hessian)(inner[:2], inner[2:])), y)
         np.testing.assert_allclose(found.values, exact.values, rtol=1e-13)
         np.testing.assert_allclose(found.slopes, exact.slopes, atol=1e-12 * (1 + np.abs(exact.slopes).max()))
         size = 1 + np.abs(exact.curvatures).max()
@@ -169,7 +169,7 @@ def test_functions_of_many_points_and_functions_that_use_one_buffer_are_the_same
         check_at=[([0.3], [0.7])],
     )
     y = np.random.default_rng(0).uniform(1, 2, (5, 3))
-    one, other = (jets(list(function(X[:1], U)), y) for function in (plain, whole))
+    one, other = (jets_of(list(function(X[:1], U)), y) for function in (plain, whole))
     np.testing.assert_allclose(one.values, other.values, rtol=1e-14)
     np.testing.assert_allclose(one.slopes, other.slopes, rtol=1e-14)
     np.testing.assert_allclose(one.curvatures, other.curvatures, atol=1e-8)
@@ -180,13 +180,15 @@ def test_where_a_function_is_not_defined_no_mode_holds():
         return math.sqrt(x[0]) if x[0] >= 0 else math.nan
 
     function = lfo.DifferentiableFunction(root, lambda x, u: [[0.5 / math.sqrt(x[0]) if x[0] >= 0 else math.nan, 0]])
-    made = jets(list(function(X[:1], U)), np.array([[4.0, 0, 0], [-1.0, 0, 0], [0.0, 0, 0]]))  # at 0: ZeroDivisionError
+    made = jets_of(
+        list(function(X[:1], U)), np.array([[4.0, 0, 0], [-1.0, 0, 0], [0.0, 0, 0]])
+    )  # at 0: ZeroDivisionError
     assert made.values[0, 0] == 2
     assert made.slopes[0, 0, 0] == 0.25
     assert np.isnan([made.values[1, 0], made.slopes[1, 0, 0], made.slopes[2, 0, 0]]).all()
-    edge = jets(list(function(X[:1], U)), np.array([[1e-6, 0, 0]]))  # differences to the left leave the domain
+    edge = jets_of(list(function(X[:1], U)), np.array([[1e-6, 0, 0]]))  # differences to the left leave the domain
     assert np.isfinite(edge.curvatures).all()
-    nothing = jets(list(function([np.log(X[0])], U)), np.array([[-1.0, 0, 0]]))  # its argument is no number
+    nothing = jets_of(list(function([np.log(X[0])], U)), np.array([[-1.0, 0, 0]]))  # its argument is no number
     assert np.isnan(nothing.values).all()
     problem = lfo.OptimalControlProblem(
         lfo.PiecewiseSmoothDynamics([SmoothMode(function)], 1, 1), 1, lfo.QuadraticCost(R=1.0), initial_state=[1.0]
@@ -346,7 +348,7 @@ def test_functions_of_casadi_become_formulas_where_these_have_its_operations(cas
     np.testing.assert_allclose(values_of(formulas, y), [made(row[:2], row[2:]) for row in y], rtol=1e-14)
     again = [formula_from_text("f", exact_text(one), (2, 1)) for one in formulas]
     np.testing.assert_array_equal(values_of(again, y), values_of(formulas, y))
-    found, exact = jets(formulas, y), made.derivatives_at(y[:, :2], y[:, 2:])
+    found, exact = jets_of(formulas, y), made.derivatives_at(y[:, :2], y[:, 2:])
     np.testing.assert_allclose(found.slopes, exact[1], rtol=1e-11, atol=1e-13)
     np.testing.assert_allclose(found.curvatures, exact[2], rtol=1e-10, atol=1e-12)
 
@@ -359,7 +361,7 @@ def test_other_functions_of_casadi_have_its_derivatives(casadi):
     assert made.title == "power"
     assert [str(one) for one in made(X, U)] == [f"Formula(power(x_0, x_1, u_0)[{i}])" for i in range(3)]
     exact = np.array([[u0 * math.cosh(a), 0, math.sinh(a)] for a, u0 in ((0.3, 1.7), (1.0, 2.0))])
-    found = jets(list(made(X, U)), np.array([[0.3, 0.8, 1.7], [1.0, 1.0, 2.0]]))
+    found = jets_of(list(made(X, U)), np.array([[0.3, 0.8, 1.7], [1.0, 1.0, 2.0]]))
     np.testing.assert_allclose(found.slopes[:, 0], exact, rtol=1e-14)
     assert found.curvatures[:, 2, 1, 1] == pytest.approx([2.5 * 1.5 * 0.8**0.5, 2.5 * 1.5])
     sent = pickle.loads(pickle.dumps(made))
@@ -428,6 +430,6 @@ def test_other_things_of_casadi_are_refused(casadi, make, words):
 def test_who_says_so_gets_a_function_with_absolute_values_as_a_smooth_one(casadi):
     made = lfo.from_casadi(lambda x, u: casadi.fabs(x[0]) ** 3 + u[0], 1, 1, smooth=True)
     assert isinstance(made(X[:1], U)[0], Formula)
-    found = jets(list(made(X[:1], U)), np.array([[-2.0, 0.0, 1.0], [0.0, 0.0, 1.0]]))
+    found = jets_of(list(made(X[:1], U)), np.array([[-2.0, 0.0, 1.0], [0.0, 0.0, 1.0]]))
     assert found.slopes[:, 0, 0].tolist() == [-12.0, 0.0]
     made.check_derivatives([([-0.4], [1.0]), ([0.9], [1.0])])

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
-from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
 from lin_freq_ocp.formulas.operations import scalar_functions
 from lin_freq_ocp.formulas.text import formula_from_text
 
@@ -21,17 +21,17 @@ def test_a_function_has_its_derivatives_and_enclosures(name):
     formula = function(0.45 * (X[0] + U[0]) + CENTRES.get(name, 0.0))
     rng, h = np.random.default_rng(0), 1e-5
     y = rng.uniform(-0.95, 0.95, (200, 2))
-    found = jets([formula], y)
+    found = jets_of([formula], y)
     expected = function(0.45 * y[:, 0] + 0.45 * y[:, 1] + CENTRES.get(name, 0.0))
     np.testing.assert_allclose(found.values[:, 0], expected, rtol=1e-12, atol=1e-14)
     for j, step in enumerate(h * np.eye(2)):
-        above, below = jets([formula], y + step), jets([formula], y - step)
+        above, below = jets_of([formula], y + step), jets_of([formula], y - step)
         np.testing.assert_allclose((above.values - below.values) / (2 * h), found.slopes[..., j], rtol=1e-6, atol=1e-7)
         differences = (above.slopes - below.slopes) / (2 * h)
         np.testing.assert_allclose(differences, found.curvatures[..., j], rtol=1e-5, atol=1e-6)
     r = rng.choice([0.0, 1e-3, 0.3], (200, 1))
     boxes, inside = interval_jets([formula], y - r, y + r), y + r * rng.uniform(-1, 1, y.shape)
-    at = jets([formula], inside)
+    at = jets_of([formula], inside)
     defined = np.isfinite(at.values[:, 0])
     for part in ("values", "slopes", "curvatures"):
         (lower, upper), values = getattr(boxes, part), getattr(at, part)
@@ -47,7 +47,10 @@ def test_boxes_beyond_the_domain_hold_what_is_defined(name):
     rng = np.random.default_rng(1)
     centre, r = rng.uniform(-4, 4, (300, 1)), rng.choice([1e-3, 0.5, 3.0], (300, 1))
     lower, upper = np.hstack([centre - r, 0 * r]), np.hstack([centre + r, 0 * r])
-    boxes, at = interval_jets([formula], lower, upper), jets([formula], lower + rng.random((300, 1)) * (upper - lower))
+    boxes, at = (
+        interval_jets([formula], lower, upper),
+        jets_of([formula], lower + rng.random((300, 1)) * (upper - lower)),
+    )
     defined = np.isfinite(at.values[:, 0]) & np.isfinite(at.slopes).all(axis=(1, 2))
     for part in ("values", "slopes", "curvatures"):
         low, high = getattr(boxes, part)
@@ -59,10 +62,10 @@ def test_boxes_beyond_the_domain_hold_what_is_defined(name):
 def test_an_angle_has_its_quadrant():
     formula = np.arctan2(X[0], U[0])
     y, h = np.random.default_rng(2).normal(size=(50, 2)), 1e-5
-    found = jets([formula], y)
+    found = jets_of([formula], y)
     np.testing.assert_array_equal(found.values[:, 0], np.arctan2(y[:, 0], y[:, 1]))
     for j, step in enumerate(h * np.eye(2)):
-        above, below = jets([formula], y + step), jets([formula], y - step)
+        above, below = jets_of([formula], y + step), jets_of([formula], y - step)
         differences = (above.slopes - below.slopes) / (2 * h)
         np.testing.assert_allclose(differences, found.curvatures[..., j], rtol=1e-4, atol=1e-4)
         away = (np.abs(y[:, 0]) > 2 * h) | (y[:, 1] > 0)  # it jumps at the negative half of the axis

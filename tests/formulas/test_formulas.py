@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from helpers.seeds import examples, seeds
 from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.formulas.jets import jets_of, values_of
 from lin_freq_ocp.formulas.nodes import nodes_in_order, text_of
 from lin_freq_ocp.formulas.text import MOST_LEVELS, formula_from_text
 
@@ -25,7 +25,7 @@ def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, 
     formula = random_formula(np.random.default_rng(seed), size, [*X, *U])
     y = np.random.default_rng(seed + 1).uniform(-1, 1, (3, N + M))
     numbers = random_formula(np.random.default_rng(seed), size, list(y.T))
-    found = jets([formula], y)
+    found = jets_of([formula], y)
     again = formula_from_text("f", exact_text(formula), (N, M))
     np.testing.assert_array_equal(values_of([again], y), values_of([formula], y))
     np.testing.assert_allclose(found.values[:, 0], numbers, rtol=1e-12, atol=1e-14)
@@ -34,7 +34,7 @@ def test_a_formula_is_what_numpy_makes_of_numbers_and_has_its_derivatives(seed, 
     scale = 1 + np.abs(found.curvatures).max() + np.abs(found.slopes).max()
     for j in range(N + M):
         shift = h * np.eye(N + M)[j]
-        above, below = jets([formula], y + shift), jets([formula], y - shift)
+        above, below = jets_of([formula], y + shift), jets_of([formula], y - shift)
         slopes, curvatures = ((one - other) / (2 * h) for one, other in zip(_parts(above), _parts(below), strict=True))
         assert np.abs(slopes - found.slopes[..., j]).max() <= 1e-6 * scale**2
         assert np.abs(curvatures - found.curvatures[..., j]).max() <= 1e-6 * scale**3
@@ -47,11 +47,11 @@ def _parts(found):
 def test_norms_have_the_derivative_that_is_selected():
     q = lfo.norm([X[0], 2 * X[1]])
     y = np.array([[0.0, 0.0, 1.0], [3.0, 2.0, 1.0]])
-    plain = jets([q], y)
+    plain = jets_of([q], y)
     assert plain.values[:, 0].tolist() == [0.0, 5.0]
     np.testing.assert_allclose(plain.slopes[1, 0], [0.6, 1.6, 0.0])
     assert not plain.slopes[0].any()
-    chosen = jets([q], y, {q: np.array([[0.3, -0.4], [np.nan, np.nan]])})
+    chosen = jets_of([q], y, {q: np.array([[0.3, -0.4], [np.nan, np.nan]])})
     np.testing.assert_allclose(chosen.slopes[0, 0], [0.3, -0.8, 0.0])
     np.testing.assert_allclose(chosen.slopes[1], plain.slopes[1])
     assert not chosen.curvatures[0].any()

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
 from lin_freq_ocp.formulas import Formula
 from lin_freq_ocp.formulas.intervals import add, exponential, inverse, multiply, outward, scale
-from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
 from lin_freq_ocp.formulas.nodes import text_of
 from lin_freq_ocp.formulas.operations import OPERATIONS, ScalarFunction
 from lin_freq_ocp.formulas.text import formula_from_text, read_definitions
@@ -52,10 +52,10 @@ def test_an_added_function_is_text(softplus):
 
 def test_an_added_function_has_derivatives_and_enclosures(softplus):
     y, h = np.random.default_rng(1).normal(size=(20, 2)), 1e-5
-    found, boxes = jets([softplus], y), interval_jets([softplus], y - 0.1, y + 0.1)
+    found, boxes = jets_of([softplus], y), interval_jets([softplus], y - 0.1, y + 0.1)
     np.testing.assert_allclose(found.values[:, 0], 2 * y[:, 0] + np.log1p(np.exp(y[:, 0])) * y[:, 1], rtol=1e-12)
     for j, step in enumerate(h * np.eye(2)):
-        above, below = jets([softplus], y + step), jets([softplus], y - step)
+        above, below = jets_of([softplus], y + step), jets_of([softplus], y - step)
         np.testing.assert_allclose((above.values - below.values) / (2 * h), found.slopes[..., j], atol=1e-8)
         np.testing.assert_allclose((above.slopes - below.slopes) / (2 * h), found.curvatures[..., j], atol=1e-8)
     for inside, (lower, upper) in (

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
-from lin_freq_ocp.formulas.jets import interval_jets, jets, values_of
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
 from lin_freq_ocp.formulas.text import formula_from_text, listed_formulas
 
 MASSES = [2.0, -1.0, 0.5]
@@ -22,7 +22,7 @@ def test_a_formula_is_that_of_its_time():
     y = np.random.default_rng(0).normal(size=(3, 2))
     expected = [(1 + t) * y[t, 0] ** 2 + MASSES[t] * np.sin(y[t, 1]) for t in range(3)]
     np.testing.assert_allclose(values_of(traced(), y)[:, 0], expected)
-    np.testing.assert_allclose(jets(traced(), y).slopes[:, 0, 0], [2 * (1 + t) * y[t, 0] for t in range(3)])
+    np.testing.assert_allclose(jets_of(traced(), y).slopes[:, 0, 0], [2 * (1 + t) * y[t, 0] for t in range(3)])
     at = np.array([2])
     np.testing.assert_allclose(values_of(traced(), y[:1], at)[:, 0], 3 * y[0, 0] ** 2 + 0.5 * np.sin(y[0, 1]))
 

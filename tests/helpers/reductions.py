@@ -17,7 +17,7 @@ from lin_freq_ocp.methods import absorb_cost
 from lin_freq_ocp.methods.spectral import SoftBounds, priced_bounds, row_form, soft_bins
 from lin_freq_ocp.problem import HARD, FrequencyConstraint, HalfSpaces, StageMap, SumMap, Term
 from lin_freq_ocp.sets import Polyhedron, Soft
-from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
+from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
 from lin_freq_ocp.transform import (
     RATE_LIMIT,
     Reduction,
@@ -228,7 +228,7 @@ REDUCTIONS = {
         cost_as_state, {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")}
     ),
     "fixed modes": Entry(
-        lambda problem: fixed_modes(problem, lfo.solve(problem).sequence),
+        lambda problem: fix_modes(problem, lfo.solve(problem).sequence),
         {"a wall": partial(lfo.library.pendulum_with_wall, horizon=4), "levels": with_levels},
     ),
 }

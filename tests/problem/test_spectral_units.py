@@ -18,8 +18,7 @@ from lin_freq_ocp.comparison.trajectories import controls_of
 from lin_freq_ocp.files import result_summary
 from lin_freq_ocp.loop.step_problem import excess
 from lin_freq_ocp.pages import answer_data, comparison_rows, faults, held_panels, result_data, spectra_figure
-from lin_freq_ocp.transform import translation_of
-from lin_freq_ocp.transform.limits import limits
+from lin_freq_ocp.transform import all_limits, translation_of
 
 N, STEP, HZ = 20, 1e-3, 50.0  # one period of 50 Hz: order k is bin k
 T = np.arange(N)
@@ -168,7 +167,7 @@ def test_a_band_shows_its_value_nearest_to_the_limit():
 )
 def test_a_repair_is_in_the_unit_of_the_limit(bound, amount, words):
     given = problem(bound)
-    (limit,) = (limit for limit in limits(given) if limit.field == "control_spectrum" and limit.constrains)
+    (limit,) = (limit for limit in all_limits(given) if limit.field == "control_spectrum" and limit.constrains)
     relaxed = limit.relaxed(given, amount)
     assert limit.words(relaxed, amount, np.zeros(0)).startswith(words)
     assert relaxed.control_spectrum[0].highest == pytest.approx(bound.highest + amount)

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.known_optima import solved
 from helpers.seeds import turn
 from lin_freq_ocp import library
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import jets_of
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 POLE, A = I_REF * R, exp(-R * TC / L)
@@ -85,7 +85,7 @@ def test_the_derivative_of_the_second_mode_by_the_voltage():
         assert slope == pytest.approx((c * i - d * POLE) / (v - POLE) ** 2, rel=1e-6)
         assert slope < 0 < (c * i + d * POLE) / (v - POLE) ** 2
         mode = library.buck_converter().dynamics.modes[1]
-        assert jets(mode.f, np.array([[i, v]])).slopes[0, 0, 1] == pytest.approx(slope, rel=1e-6)
+        assert jets_of(mode.f, np.array([[i, v]])).slopes[0, 0, 1] == pytest.approx(slope, rel=1e-6)
 
 
 def test_the_cases_of_the_maximum_are_swapped():

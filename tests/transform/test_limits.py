@@ -11,8 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.seeds import turn
 from lin_freq_ocp.problem import HARD, FrequencyConstraint, NormBall, StageMap, SumMap, Term
 from lin_freq_ocp.testing import check_terms
-from lin_freq_ocp.transform import changed_fields, constraints, numbers
-from lin_freq_ocp.transform.limits import limits
+from lin_freq_ocp.transform import all_limits, changed_fields, constraints, numbers
 
 T = 12
 PLANT = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]], state_names=["position [m]", "speed [m/s]"])
@@ -128,7 +127,7 @@ def test_numbers_move_the_fields_that_they_name():
 def test_bounds_that_depend_on_time_give_way_and_have_no_number():
     upper = np.linspace(1.0, 2.0, T)[:, None]
     given = problem(control_set=lfo.Box(-upper, upper))
-    bound = next(limit for limit in limits(given) if limit.name == "control bound on u_0")
+    bound = next(limit for limit in all_limits(given) if limit.name == "control bound on u_0")
     assert bound.relaxed(given, 0.5).control_tube.upper == pytest.approx(upper + 0.5)
     assert "bound.0" not in numbers(given)
 

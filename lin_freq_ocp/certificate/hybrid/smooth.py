@@ -33,7 +33,7 @@ from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajector
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
-from lin_freq_ocp.formulas.jets import interval_jets, jets
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of
 from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
@@ -103,7 +103,7 @@ def _end_hessian(problem: OptimalControlProblem, trajectory: Trajectory) -> Arra
     """Return the Hessian of the terminal cost by a formula, (n, n)."""
     n, terminal = problem.state_dim, problem.cost.formulas[1]
     last = np.append(trajectory.x[-1], np.zeros(problem.control_dim))[None]
-    return np.zeros((n, n)) if terminal is None else jets([terminal], last).curvatures[0, 0, :n, :n]
+    return np.zeros((n, n)) if terminal is None else jets_of([terminal], last).curvatures[0, 0, :n, :n]
 
 
 def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
@@ -163,7 +163,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         curvature = convex_curvature(formula, lower[times], upper[times])
         if curvature is None:
             return None
-        slopes[times], curved[times] = jets([formula], points[times]).slopes[:, 0], curvature
+        slopes[times], curved[times] = jets_of([formula], points[times]).slopes[:, 0], curvature
     declared, proven, of_rows = list[str](), list[PathConstraint](), 0.0
     for one in problem.path_constraints:
         tangents = one.linearised(trajectory.x, trajectory.u)
@@ -237,7 +237,7 @@ def _rounding_errors(formulas: Sequence[Formula], y: Array, times: Indices) -> t
 
     They are infinite where a function has no enclosures.
     """
-    at = jets(formulas, y, times=times)
+    at = jets_of(formulas, y, times=times)
     try:
         found = interval_jets(formulas, y, y, curved=False, time=times)
     except UnsupportedError:

@@ -12,7 +12,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, positive_integer
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.base.phrases import first_few, split_unit
-from lin_freq_ocp.formulas.jets import Jets, jets, values_of
+from lin_freq_ocp.formulas.jets import Jets, jets_of, values_of
 from lin_freq_ocp.formulas.nodes import (
     Formula,
     evaluate,
@@ -331,7 +331,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     ) -> ModeJets:
         """Return all modes with derivatives at points y = (x, u), (points, n + m), and times as for ``jets``."""
         parts = [
-            tuple(jets(getattr(mode, part), y, selections, times) for mode in self.modes)
+            tuple(jets_of(getattr(mode, part), y, selections, times) for mode in self.modes)
             for part in ("f", "region", "domain")
         ]
         return ModeJets(parts[0], parts[1], parts[2])
@@ -371,7 +371,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         y = np.hstack([x[: len(u)], u])
         active: dict[Formula, Mask] = {}
         for norm in self.norms:
-            size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+            size = np.linalg.norm(jets_of(norm.arguments, y).values, axis=1)
             active[norm] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
         return active
 
@@ -385,7 +385,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             return replace(node, dimensions=(n, m + 1), arguments=tuple(arguments))
 
         f = evaluate(self.modes[mode].f, with_variable)
-        slopes = jets(f, np.append(y, values_of([norm], y[None], times)[0])[None], times=times).slopes
+        slopes = jets_of(f, np.append(y, values_of([norm], y[None], times)[0])[None], times=times).slopes
         return float(eta @ slopes[0, :, k])
 
     def linear_at(self, x: Array, u: Array) -> LinearDynamics:

@@ -32,7 +32,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_TEXT, number, plural, price
-from lin_freq_ocp.formulas.jets import Jets, interval_jets, jets, values_of
+from lin_freq_ocp.formulas.jets import Jets, interval_jets, jets_of, values_of
 from lin_freq_ocp.formulas.nodes import (
     Formula,
     evaluate,
@@ -184,7 +184,7 @@ class PathConstraint(StageRows):
     def sizes(self, x: Array, u: Array) -> Array:
         """Return rough sizes of the components, for states within x (n,) and controls within u (m,)."""
         y = np.append(x, u)
-        return np.nan_to_num(np.abs(jets(self.formulas, np.stack([y, -y])).slopes) @ y).max(0)
+        return np.nan_to_num(np.abs(jets_of(self.formulas, np.stack([y, -y])).slopes) @ y).max(0)
 
     def term(self, horizon: int) -> Term:
         """Return the term, whose values are those of h."""
@@ -344,7 +344,7 @@ class FormulaMap(AffineMap):
 
     def jets_along(self, x: Array, u: Array) -> Jets:
         """Return the formulas with derivatives along a trajectory."""
-        return jets(self.formulas, self.signals(x, u), times=self.times)
+        return jets_of(self.formulas, self.signals(x, u), times=self.times)
 
     def values(self, x: Array, u: Array) -> Array:
         """Return the values, (groups, components)."""

@@ -18,7 +18,7 @@ from lin_freq_ocp.methods.fitted_multipliers import abnormal_multipliers, fit_mu
 from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.hybrid.fixed_modes import fixed_modes
+from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
 
 MOST_FLIPS = 16  # flips that are verified, the steepest first: each needs a fit of multipliers
 
@@ -36,7 +36,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     facts, descent = _verify_flips(affine, at, sequence, _facts(best))
     descent = descent and replace(descent, x=descent.x[:, : problem.state_dim])
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        fixed = fixed_modes(affine, sequence)
+        fixed = fix_modes(affine, sequence)
         multipliers = abnormal_multipliers(fixed.problem, at)
         if multipliers is not None:
             abnormal = judge(problem, trajectory, reduced.multipliers(fixed.multipliers(multipliers, at)))

@@ -52,6 +52,6 @@ class FixedModes(Reduced):
         return replace(super().recover(answer), ray=None)
 
 
-def fixed_modes(problem: OptimalControlProblem, sequence: Indices) -> FixedModes:
+def fix_modes(problem: OptimalControlProblem, sequence: Indices) -> FixedModes:
     """Return the linear problem of a mode sequence, and the way back; UnsupportedError without affine modes."""
     return FixedModes(problem, problem.with_modes(sequence), sequence)

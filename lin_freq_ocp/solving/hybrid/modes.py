@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
-from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fixed_modes
+from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fix_modes
 from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search
 from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
@@ -318,7 +318,7 @@ def _solve_sequence(
     to the root of their tolerance only.
     """
     first = None
-    reduced = fixed_modes(problem, sequence)
+    reduced = fix_modes(problem, sequence)
     options = SolveOptions(time_limit=time_limit)
     for candidate in convex_candidates(reduced.problem, SEQUENCE_BACKEND, options, programs):
         for point in _judge_candidate(reduced, candidate):

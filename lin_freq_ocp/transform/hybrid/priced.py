@@ -14,7 +14,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import brief, with_columns
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import jets_of
 from lin_freq_ocp.formulas.nodes import Formula, signals, with_states
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.dynamics.base import Dynamics, require_form, unique_names
@@ -125,6 +125,6 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
     augmented = augment_states(stripped, with_state, Box(zero, zero), free, problem.quadratic)
     slope = np.append(augmented.quadratic.p[:n], 1.0)
     if terminal is not None and at is not None:
-        slope[:n] += jets([terminal], np.append(at.x[-1], np.zeros(m))[None]).slopes[0, 0, :n]
+        slope[:n] += jets_of([terminal], np.append(at.x[-1], np.zeros(m))[None]).slopes[0, 0, :n]
     cost = CostSum([replace(augmented.quadratic, p=slope), *augmented.cost.norms])
     return CostState(problem, replace_fields(augmented, cost=cost.at_dimensions(n + 1, m, problem.horizon)))

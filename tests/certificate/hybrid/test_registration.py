@@ -6,7 +6,7 @@ import sys
 ASKED = """
 import sys
 from lin_freq_ocp import library
-from lin_freq_ocp.certificate.verdict import JUDGES
+from lin_freq_ocp.certificate import JUDGES
 from lin_freq_ocp.problem.dynamics.base import entry_for
 
 dynamics = library.pendulum_with_wall(horizon=4).dynamics

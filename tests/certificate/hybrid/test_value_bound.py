@@ -26,7 +26,7 @@ from lin_freq_ocp.certificate.hybrid import (
 )
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas.intervals import multiply, outward
-from lin_freq_ocp.formulas.jets import interval_jets, jets
+from lin_freq_ocp.formulas.jets import interval_jets, jets_of
 from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
 
 ROUNDING = 1e-9
@@ -54,7 +54,7 @@ def test_enclosures_contain_values_gradients_and_hessians(seed):
     centre, radius = rng.normal(size=(5, 3)), rng.random((5, 3)) * 10.0 ** rng.uniform(-4, 0)
     found = interval_jets([formula], centre - radius, centre + radius)
     for _ in range(20):
-        point = jets([formula], centre + radius * rng.uniform(-1, 1, size=(5, 3)))
+        point = jets_of([formula], centre + radius * rng.uniform(-1, 1, size=(5, 3)))
         for part in ("values", "slopes", "curvatures"):
             (low, high), exact = getattr(found, part), getattr(point, part)
             slack = ROUNDING * (1 + np.abs(exact))
@@ -79,7 +79,7 @@ def test_enclosures_of_tanh_and_arctan_are_tight(function):
     found = interval_jets(made, lower, upper)
     for box, (low, high) in enumerate(ends):
         points = np.linspace(low, high, 4001)[:, None] * [1.0, 0.0]
-        exact = jets(made, points)
+        exact = jets_of(made, points)
         pairs = [(found.values, exact.values[:, 0]), (found.slopes, exact.slopes[:, 0, 0])]
         for (below, above), values in [*pairs, (found.curvatures, exact.curvatures[:, 0, 0, 0])]:
             below, above = below[box].flat[0], above[box].flat[0]
@@ -119,7 +119,7 @@ def test_taylor_bounds_are_below_all_values_and_near_for_small_boxes(seed):
         return taylor_bounds(hessian, gradient, given, sigma, at, radius, *jets_of, p)
 
     def value(z):
-        there = jets(f, y + z).values
+        there = jets_of(f, y + z).values
         own = given + (gradient * z).sum(axis=1) + 0.5 * np.einsum("pi,pij,pj->p", z, hessian, z)
         return own + (sigma * (there - at)).sum(axis=1)
 

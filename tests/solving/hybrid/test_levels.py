@@ -16,7 +16,7 @@ from lin_freq_ocp import simulate
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.problem.hybrid import cost_unit
-from lin_freq_ocp.transform.level_rows import level_rows
+from lin_freq_ocp.transform import rows_of_levels
 
 T = 6
 LEVELS, COSTS = [-1.0, 0.0, 1.0], [0.3, 0.1, 0.4]
@@ -196,7 +196,7 @@ def test_a_wrong_cost_of_duty_cycles_fails_at_its_label():
 )
 def test_where_the_conditions_fail_nothing_is_said_of_rows(change):
     problem = replace(lfo.library.pulse_pattern(samples=32), **change)
-    assert level_rows(problem) is None
+    assert rows_of_levels(problem) is None
     assert lfo.solve(problem, throw=False).level_use.rows is None
 
 

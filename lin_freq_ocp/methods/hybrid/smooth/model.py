@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.formulas.jets import jets, values_of
+from lin_freq_ocp.formulas.jets import jets_of, values_of
 from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
 from lin_freq_ocp.methods.structured.kkt.system import Values
 from lin_freq_ocp.methods.structured.stages import Stages
@@ -161,7 +161,7 @@ class SmoothModel:
 
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those with respect to fixed controls are zero."""
-        map_jets = jets(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
+        map_jets = jets_of(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
         units = self._units[:-1].copy()
         units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0
         after = self._units[1:, : self.problem.state_dim]
@@ -177,7 +177,7 @@ class SmoothModel:
         points = self._points(y)
         for constraint in self.problem.path_constraints:
             times = constraint.map.times
-            at = jets(constraint.formulas, points[times], times=times)
+            at = jets_of(constraint.formulas, points[times], times=times)
             normals.append(at.slopes.reshape(-1, width))
             bends.append(at.curvatures.reshape(-1, width, width))
         columns = np.vstack([units, self._units[-1:]])[rows.times]
@@ -223,7 +223,7 @@ class SmoothModel:
         terminal = [one for one in self.problem.cost.formulas[1:] if one is not None]
         mode = piecewise_smooth(self.problem).modes[0]
         for formulas, signals, times in ((mode.cost, self._signals(y), slice(-1)), (terminal, end, slice(-1, None))):
-            found = jets(formulas, signals)
+            found = jets_of(formulas, signals)
             gradients[times], hessians[times] = found.slopes.sum(axis=1), found.curvatures.sum(axis=1)
         units, cost = self._units.copy(), self.assembly.units.cost
         units[:-1, n:][self.assembly.fixed] = 0.0

@@ -29,7 +29,7 @@ from scipy.sparse.linalg import splu
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.formulas.jets import jets
+from lin_freq_ocp.formulas.jets import jets_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -93,7 +93,7 @@ class NewtonSystem:
         y = np.hstack([trajectory.x[:T], trajectory.u])
         norms: list[tuple[Formula, int]] = []
         for norm in piecewise_smooth(problem).norms:
-            size = np.linalg.norm(jets(norm.arguments, y).values, axis=1)
+            size = np.linalg.norm(jets_of(norm.arguments, y).values, axis=1)
             norms += [(norm, int(t)) for t in np.flatnonzero(size <= near * max(1.0, float(size.max())))]
         sizes = [(T + 1) * n, T * m, T * n, len(rows_x), len(rows_u), len(switches)]
         sizes += [len(norm.arguments) for norm, _ in norms]
@@ -178,7 +178,7 @@ class NewtonSystem:
             J.add(signals, rho, rows.T)
             J.add(rho, signals, rows)
         for (norm, t), columns in zip(self.norms, self.xi, strict=True):
-            inner = jets(norm.arguments, y[t : t + 1], times=np.array([t]))
+            inner = jets_of(norm.arguments, y[t : t + 1], times=np.array([t]))
             q, of_q, xi = inner.values[0], inner.slopes[0], v[columns]
             reached = xi + q
             length = float(np.linalg.norm(reached))
