@@ -65,7 +65,7 @@ def jets_of(
 
 
 def values_of(formulas: Sequence[Formula], y: Array, times: Indices | None = None) -> Array:
-    """Return the values of formulas alone, (points, formulas), at y (points, n + m) and times as for ``jets``."""
+    """Return the values of formulas alone, (points, formulas), at y (points, n + m) and times as for ``jets_of``."""
     at = Points(y, np.arange(len(y)) if times is None else times, {})
     with np.errstate(all="ignore"):
         results = evaluate(formulas, lambda node, arguments: OPERATIONS[node.kind].value(node, arguments, at))

@@ -207,7 +207,7 @@ class OptimalControlProblem(ProblemData):
         Parameters
         ----------
         selections : mapping from norms to (T, components), optional
-            The derivatives of norms at zero, as for ``formulas.jets``.
+            The derivatives of norms at zero, as for ``formulas.jets_of``.
 
         Raises
         ------

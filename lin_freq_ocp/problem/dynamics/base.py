@@ -31,7 +31,7 @@ from lin_freq_ocp.problem.terms.term import Link
 Entry = TypeVar("Entry")
 Form = TypeVar("Form", bound="Dynamics")
 Step = Callable[[int, Array, Array], Array]  # from t, x_t (n,) and u_t (m,) to x_{t+1} (n,)
-Selections = Mapping[Formula, Array]  # subgradients of norms at zero, (T, components), as for ``formulas.jets``
+Selections = Mapping[Formula, Array]  # subgradients of norms at zero, (T, components), as for ``formulas.jets_of``
 
 
 class SwitchingBoundary(ABC):

@@ -329,7 +329,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
     def jets_at(
         self, y: Array, selections: Mapping[Formula, Array] | None = None, times: Indices | None = None
     ) -> ModeJets:
-        """Return all modes with derivatives at points y = (x, u), (points, n + m), and times as for ``jets``."""
+        """Return all modes with derivatives at points y = (x, u), (points, n + m), and times as for ``jets_of``."""
         parts = [
             tuple(jets_of(getattr(mode, part), y, selections, times) for mode in self.modes)
             for part in ("f", "region", "domain")
@@ -345,7 +345,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         ----------
         x : (T+1, n) or (T, n), u : (T, m)
         selections : mapping from norms to (T, components), optional
-            Derivatives of norms, as for ``jets``.
+            Derivatives of norms, as for ``jets_of``.
         """
         n, T = self.state_dim, len(u)
         y = np.hstack([x[:T], u])
