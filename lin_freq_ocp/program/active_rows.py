@@ -5,7 +5,8 @@ M z = b are the equations and the active rows, g and H the slope and the Hessian
     [H M'] [dz]       [g + M'y]
     [M 0 ] [dy]  =  - [M z - b]
 
-The edge of a cone at which z lies is one row; its curvature, times its multiplier, adds to H.
+The edge of a cone at which z lies is one row; its curvature, times its multiplier, adds to H. At the apex, all rows of
+the cone are equations.
 """
 
 from __future__ import annotations
@@ -30,20 +31,21 @@ LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve 
 
 @dataclass(frozen=True, eq=False)
 class _Active:
-    """The rows outside cones that hold with equality at their bounds, and the cones at whose edge a point lies."""
+    """The rows outside cones that hold with equality at their bounds, and the cones at whose edge or apex z lies."""
 
     above: Mask
     below: Mask
     edges: Mask
+    at_apex: Mask  # of all rows, those of cones at whose apex z lies
 
     @property
     def rows(self) -> Indices:
-        """Return the active rows outside cones; equations are at both bounds."""
-        return np.flatnonzero(self.above | self.below)
+        """Return the active rows that are equations; those of the program are at both bounds."""
+        return np.flatnonzero(self.above | self.below | self.at_apex)
 
     def same_as(self, other: _Active) -> bool:
         """Whether the same rows are active."""
-        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("above", "below", "edges"))
+        return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
 def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> _Active:
@@ -51,13 +53,13 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     values, equal = program.A @ z, program.equality & program.alone
     over, under = values - program.upper, program.lower - values
     (_, heads, tails), price = program.of_cones(-under), -y[program.in_cones[program.heads]]
-    excess = tails - heads
+    excess, apexes = tails - heads, np.zeros(len(heads), dtype=bool)
     if before is None:
         above, below, edges = y > -over, -y > -under, price > -excess
     else:
         # rows that depend on others share their prices in any way, and cannot all be reached: one row goes at a time,
         # that with the worst price, or that which the step leaves farthest inside its bound
-        held = before.rows[~equal[before.rows]]
+        held = np.flatnonzero((before.above | before.below) & ~equal)
         prices = np.append(np.where(before.above, y, -y)[held], price[before.edges])
         slacks = np.append(np.where(before.above, over, under)[held], excess[before.edges])
         least = min(-ZERO_GAP, float(prices.min(initial=0.0)))
@@ -65,8 +67,14 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
         above = np.where(before.above, (y > least) & (over > farthest), over > ZERO_GAP)
         below = np.where(before.below, (-y > least) & (under > farthest), under > ZERO_GAP)
         edges = np.where(before.edges, (price > least) & (excess > farthest), excess > ZERO_GAP)
+        # a step along an edge has passed the apex where s_0 < 0; of other points, it is the nearest in the polar cone
+        beyond = heads < -np.maximum(np.where(before.edges, 0.0, tails), ZERO_GAP)
+        stays = price > program.of_cones(y)[2] - ZERO_GAP
+        apexes = np.where(before.at_apex[program.in_cones[program.heads]], stays, beyond)
     above = equal | (program.alone & above & np.isfinite(program.upper))
-    return _Active(above, program.alone & ~above & below & np.isfinite(program.lower), edges & (tails > 0))
+    below, at_apex = program.alone & ~above & below & np.isfinite(program.lower), np.zeros_like(equal)
+    at_apex[program.in_cones] = apexes[program.cone_of]
+    return _Active(above, below, edges & (tails > 0) & ~apexes, at_apex)
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,3 +161,26 @@ def test_of_rows_that_depend_on_each_other_one_leaves_at_a_time(cones):
     np.testing.assert_allclose(z, 0.0, atol=1e-11)
     np.testing.assert_allclose(program.A.T @ y, [1.0, 2.0], rtol=0, atol=1e-6)
     assert (y[::2] <= 0).all() if cones else (y >= 0).all()
+
+
+def nearest_in_cone(wish):
+    """Return the program of the point of z_0 >= |z_1| that is nearest to a wish."""
+    identity, none = sp.eye_array(2, format="csc"), np.full(2, np.inf)
+    return Program(identity, -np.array(wish), identity, np.zeros(2), none, cones=(slice(0, 2),))
+
+
+@pytest.mark.parametrize("wish", [(-1.0, 0.3), (-1.0, 0.0), (-0.5, -0.4), (0.0, 0.0)])
+@pytest.mark.parametrize("error", [0.0, 1e-6])
+def test_at_the_apex_of_a_cone_all_its_rows_hold(wish, error):
+    """The point nearest to a wish in the polar cone is zero, and the wish is the multiplier."""
+    z, y = error * np.array([1.0, 0.5]), np.array(wish) + error * np.array([0.3, -0.2])
+    z, y, _ = solve_active(nearest_in_cone(wish), z, y)
+    np.testing.assert_allclose(z, 0.0, atol=1e-12)
+    np.testing.assert_allclose(y, wish, atol=1e-11)
+
+
+@pytest.mark.parametrize("wish", [(1.0, 0.2), (0.2, 1.0), (-0.2, 1.0)])
+def test_a_point_that_leaves_the_apex_finds_the_edge_or_the_inside(wish):
+    z, _, _ = solve_active(nearest_in_cone(wish), np.array([1e-9, 0.0]), np.array([-1.0, 0.1]))
+    inside = wish[0] >= abs(wish[1])
+    np.testing.assert_allclose(z, wish if inside else [sum(wish) / 2] * 2, atol=1e-10)

@@ -146,6 +146,10 @@ FEATURES: dict[str, Callable[[], Fields]] = {
         "control_spectrum": [mask(0.35, band=lfo.low_pass(cutoff_hz=0.4), every_frequency=True, hold=True)]
     },
     "mask of states": lambda: {"state_spectrum": [mask(0.4, bins=[2, 3], component=0)]},
+    "harmonics in amplitudes": lambda: {"control_spectrum": [mask(harmonics={2: 0.08}, fundamental_hz=1 / T)]},
+    "part of the fundamental": lambda: {
+        "control_spectrum": [mask(percent=40, of="fundamental", phase=2.0, fundamental_hz=1 / T, bins=[2])]
+    },
     "energy bound": lambda: {"control_spectrum": [energy(0.5, bins=[1, 2])]},
     "energy bound of states": lambda: {"state_spectrum": [energy(0.4, bins=[1, 2], component=1)]},
     "linear constraint": lambda: {
