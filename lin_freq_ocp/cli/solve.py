@@ -133,7 +133,7 @@ def solve_command(
     if local:
         options["global_bound"] = False
     with dumping_errors(outputs.get("dump"), description, options):
-        with console.search_progress(f"solving {description.name or problem}") as report:
+        with console.progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE or result.ray is not None:
             with console.progress("looking for the smallest relaxation"):
