@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_238,
-    "code lines": 42_175,
-    "code lines, linear part": 21_236,
+    "shipped lines": 45_241,
+    "code lines": 42_178,
+    "code lines, linear part": 21_235,
     "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
     "files": 311,

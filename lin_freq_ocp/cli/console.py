@@ -159,13 +159,13 @@ def print_certificate(problem: OptimalControlProblem, certificate: Certificate |
 
 
 @contextmanager
-def progress(activity: str) -> Generator[Callable[[object], None] | None]:
+def progress(activity: str) -> Generator[Callable[..., None] | None]:
     """Show the current activity on a terminal, and yield a function that shows the progress of a search."""
     if not err.is_terminal:
         yield None
         return
     with err.status(escape(activity)) as status:
-        yield lambda state: status.update(escape(f"{activity}: {state}"))
+        yield lambda *state: status.update(escape(" ".join(map(str, (f"{activity}:", *state)))))
 
 
 def fit_console() -> None:

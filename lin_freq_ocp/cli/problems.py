@@ -139,10 +139,9 @@ def parse_settings(settings: Sequence[str]) -> FileTable:
             _merge(result, table)
         except (ValueError, RecursionError) as error:  # also numbers of thousands of digits, and deep nesting
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
-            key, _, values = map(str.strip, setting.partition("="))
-            if SEVERAL.fullmatch(values):
-                values = values if ":" in values else f"[{values}]"
-                advice = f"For several values: lin-freq-ocp sweep --grid '{key}={values}'."
+            key, _, given = map(str.strip, setting.partition("="))
+            if SEVERAL.fullmatch(given):
+                advice = f"For several values: sweep --grid '{key}={given if ':' in given else f'[{given}]'}'."
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
         if not table:
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value")

@@ -167,8 +167,7 @@ def minimum_time_command(
     outputs = take_outputs(options, problem, as_json, with_trajectory)
     path = _file_in(folder, "minimum_time.jsonl")
     with _worker_pool(workers) as executor, progress("looking for the least horizon") as report:
-        tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
-        shortest = minimum_time(source, horizons, **options, throw=False, progress=tell, executor=executor, path=path)
+        shortest = minimum_time(source, horizons, **options, throw=False, progress=report, executor=executor, path=path)
         if shortest.interrupted and executor is not None:
             executor.abandon()
     result = shortest.result

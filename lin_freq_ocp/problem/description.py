@@ -60,13 +60,12 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
 def problem_remarks(problem: ProblemData) -> list[str]:
     """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
     T, step, quadratic = problem.horizon, problem.sampling_time, problem.quadratic
-    limits = [(T, where, one) for where, one in named_entries("control_spectrum", problem.control_spectrum)]
-    states = named_entries("state_spectrum", problem.state_spectrum)
-    limits += [(problem.state_samples, where, one) for where, one in states]
-    for where, outputs in named_entries("output_spectrum", problem.output_spectrum):
-        samples = T + (outputs.D is None)
-        limits += [(samples, f"{where}.constraints[{i}]", one) for i, one in enumerate(outputs.constraints)]
-    remarks = [one.remark(samples, step, where).removesuffix(".") for samples, where, one in limits]
+    limits = [(T, "control_spectrum", problem.control_spectrum)]
+    limits += [(problem.state_samples, "state_spectrum", problem.state_spectrum)]
+    for where, one in named_entries("output_spectrum", problem.output_spectrum):
+        limits.append((T + (one.D is None), f"{where}.constraints", one.constraints))
+    entries = [(count, *entry) for count, field, given in limits for entry in named_entries(field, given)]
+    remarks = [one.remark(count, step, where).removesuffix(".") for count, where, one in entries]
     weighed = np.where(quadratic.weighs, quadratic.x_ref, 0.0), np.where(quadratic.R.any(), quadratic.u_ref, 0.0)
     boxes, names = (problem.state_boxes, problem.control_tube), (problem.state_names, problem.control_names)
     for field, reference, box, signals in zip(("x_ref", "u_ref"), weighed, boxes, names, strict=True):
