@@ -98,10 +98,7 @@ def finish_tasks(
         return
     left = yield from _run_on_executor(executor, work, points)
     if left:
-        warn_user(
-            f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
-            "own; stopping and resuming the sweep is faster."
-        )
+        warn_user(f"The executor takes no more work: {len(left)} points are solved one by one; resuming is faster.")
         yield from _run_in_own_process(work, left)
 
 

@@ -35,8 +35,7 @@ def explore_command(
 
     if file is not None:
         with progress(f"solving {session.problem.name}") as tell:
-            page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))
-        write_text(file, page)
+            write_text(file, static_page(session, lambda done, count: tell and tell(f"{done} of {count} points")))
         say(f"wrote {file} with {plural(len(points(session.sliders)), 'solved point')}")
         return PROVEN
     with ExploreServer(session, port or 0) as server:

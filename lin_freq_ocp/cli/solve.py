@@ -232,8 +232,8 @@ def compare_command(
     trajectory = None if start is None else load_trajectory(start, description)[0]
     names = None if filters is None else [name.strip() for name in filters.split(",")]
     try:
-        with console.progress(f"comparing {description.name or problem}"):
-            comparison = compare(description, names, backend, time_limit, trajectory)
+        with console.progress(f"comparing {description.name or problem}") as report:
+            comparison = compare(description, names, backend, time_limit, trajectory, report)
     except SolveError as error:
         if not as_json or error.result is None:
             raise

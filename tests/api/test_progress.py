@@ -23,6 +23,7 @@ CALLS = {
         "horizon 180: infeasible",
     ),
     "solve": (lambda **report: lfo.solve(lfo.library.max_min_network(), **report), "nodes"),
+    "compare": (lambda **report: lfo.compare(lfo.library.switched_rotation(), [], **report), "nodes"),
     "loop": (
         lambda **report: lfo.RecedingHorizon(lfo.library.double_integrator(cutoff_hz=None)).run(
             [0.0, 0.0], 2, **report
