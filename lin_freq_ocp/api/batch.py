@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import count_text, report_progress, result_of
+from lin_freq_ocp.api.solve import report_progress, result_of
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
 from lin_freq_ocp.batch.grid import Source
@@ -208,12 +207,8 @@ def solve_many(
     >>> solutions.statuses, solutions.costs.round()
     (('optimal', 'optimal'), array([3199., 3281.]))
     """
-
-    def print_count(done: int, count: int) -> None:
-        print(f"\r{count_text(done, count)}", end="\n" if done == count else "", file=sys.stderr, flush=True)
-
     record = (lambda head: nullcontext()) if path is None else partial(ManyFile, problem, path)
-    with report_progress(progress or (print_count if sys.stderr.isatty() else None), count_text) as report:
+    with report_progress(progress, "{} of {} solved".format) as report:
         outcome = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
     return present_as(Solutions, outcome)
 
@@ -307,7 +302,7 @@ def sweep(
         As for ``solve``, for each point.
     progress : callable, optional
         Called with the numbers of finished and of all points, before the first point and after each. Default: a line
-        in a notebook.
+        on a terminal or in a notebook.
 
     Returns
     -------
@@ -332,7 +327,7 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head: nullcontext()) if path is None else partial(SweepFile, path)
-    with report_progress(progress, count_text) as report:
+    with report_progress(progress, "{} of {} solved".format) as report:
         return present_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 
 

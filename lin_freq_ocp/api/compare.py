@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
@@ -11,6 +12,7 @@ from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.method import Report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,6 +70,7 @@ def compare(
     backend: str = "auto",
     time_limit: float | None = None,
     start: object = None,
+    progress: Report | None = None,
 ) -> Comparison:
     """Compare filtering a classical optimal control with solving under the frequency constraint.
 
@@ -85,6 +88,8 @@ def compare(
         over mode sequences, no limit otherwise.
     start : Trajectory, (T, m) or (T,) integers, optional
         Start of both searches, as for ``solve``.
+    progress : callable, optional
+        Of both searches, as for ``solve``.
 
     Returns
     -------
@@ -103,4 +108,5 @@ def compare(
     >>> comparison.classical.cost <= comparison.constrained.cost
     True
     """
-    return present_as(Comparison, compare_methods(problem, solve, filters, backend, time_limit, start))
+    search = partial(solve, progress=progress)
+    return present_as(Comparison, compare_methods(problem, search, filters, backend, time_limit, start))

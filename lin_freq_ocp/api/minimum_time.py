@@ -138,7 +138,7 @@ def minimum_time(
     throw : bool
         Whether to raise if no horizon is known to be feasible.
     progress : callable, optional
-        Called with each solved horizon and its verdict. Default: a line in a notebook.
+        Called with each solved horizon and its verdict. Default: a line on a terminal or in a notebook.
     executor, path
         As for ``sweep``: where to solve several horizons at once, and a file that gets a line for each horizon.
         ``load_sweep`` reads the file as a sweep over the horizon.
@@ -182,7 +182,7 @@ def minimum_time(
     name = method if isinstance(method, str) else repr(method)
     options = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     head = sweep_head(problem, {"horizon": range(low, high + 1)}, options) if path is not None else {}
-    with report_progress(progress, lambda horizon, verdict: f"horizon {horizon}: {verdict}") as report:
+    with report_progress(progress, "horizon {}: {}".format) as report:
         solve_at = partial(solve_horizon, problem, method, backend, time_limit, tolerance)
         record = None if path is None else SweepFile(path, head)
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)

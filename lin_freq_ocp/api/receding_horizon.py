@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api.solve import raise_for, report_progress
 from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
@@ -244,6 +244,7 @@ class RecedingHorizon:
             Added to the state that the plant returns, with as many components; the controller does not know it.
         progress : callable, optional
             Called with the numbers of finished and of all steps, before the first step and after each.
+            Default: a line on a terminal or in a notebook.
 
         Returns
         -------
@@ -274,16 +275,16 @@ class RecedingHorizon:
         stopped, delay = "", self._controller.delay
         acting = np.zeros(self.problem.control_dim)
         try:
-            for k in range(count):
-                if progress is not None:
-                    progress(k, count)
-                first = k + delay
-                ahead = {name: rows[first : first + horizon + (name == "x_ref")] for name, rows in tracked.items()}
-                control = self.step(x, references=ahead or None)
-                x = next_state(k, x, acting if delay else control) + noise[k]
-                acting = control
-            if progress is not None:
-                progress(count, count)
+            with report_progress(progress, "{} of {} steps".format) as report:
+                tell = report or (lambda done, count: None)
+                for k in range(count):
+                    tell(k, count)
+                    first = k + delay
+                    ahead = {name: rows[first : first + horizon + (name == "x_ref")] for name, rows in tracked.items()}
+                    control = self.step(x, references=ahead or None)
+                    x = next_state(k, x, acting if delay else control) + noise[k]
+                    acting = control
+                tell(count, count)
         except KeyboardInterrupt:
             stopped = "interrupted"
         except LinFreqOCPError as error:

@@ -1,4 +1,4 @@
-"""solve(): an answer with its certificate or an error, and the line of progress in a notebook."""
+"""solve(): an answer with its certificate or an error, and the line of progress in a notebook or on a terminal."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from html import escape
 from importlib import import_module
+from io import TextIOWrapper
 from multiprocessing import parent_process
-from typing import Never, ParamSpec, Protocol
+from shutil import get_terminal_size
+from typing import Never, ParamSpec
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.base.clock import now
@@ -31,10 +33,10 @@ from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 
-FIRST_SECONDS, BETWEEN_SECONDS = 0.5, 0.2  # before the line appears, and between its changes
+# Before the line of progress appears, in a notebook and on a terminal, and between its changes.
+FIRST_SECONDS, TERMINAL_SECONDS, BETWEEN_SECONDS = 0.5, 2.0, 0.2
 
 Reported = ParamSpec("Reported")
-Bundle = dict[str, str]  # the same content in several media types
 
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
@@ -91,7 +93,7 @@ def solve(
     progress : callable, optional
         Piecewise-affine dynamics: called with a ``SearchProgress`` (cost, lower_bound, nodes, open, seconds) at every
         node. Piecewise-smooth dynamics: called with a ``SmoothProgress`` (cost, lower_bound, tried, level, share) at
-        every start of a local search and every step of the bound. Default: a line in a notebook.
+        every start of a local search and every step of the bound. Default: a line on a terminal or in a notebook.
     executor : concurrent.futures.Executor, optional
         Branch and bound: workers that search subtrees. The answer does not depend on their number.
     start : Trajectory, (T, m) or (T,) integers, optional
@@ -211,11 +213,11 @@ def with_explanation(
 def report_progress(
     progress: Callable[Reported, None] | None, words: Callable[Reported, str]
 ) -> Generator[Callable[Reported, None] | None]:
-    """Yield the given function that reports progress; without one, in a notebook, a function that shows its words."""
-    if progress is not None or not in_notebook():
+    """Yield the given function that reports progress; without one, a function that shows its words where a line can."""
+    line = progress_line() if progress is None else None
+    if line is None:
         yield progress
         return
-    line = ProgressLine()
 
     def report(*args: Reported.args, **kwargs: Reported.kwargs) -> None:
         line.show(words(*args, **kwargs))
@@ -226,42 +228,54 @@ def report_progress(
         line.clear()
 
 
-class Handle(Protocol):
-    """The handle of a displayed line."""
+def progress_line() -> ProgressLine | None:
+    """Return the line of a Jupyter kernel, else that of a terminal; None elsewhere, and in a worker of a pool.
 
-    def update(self, bundle: Bundle, *, raw: bool) -> object:
-        """Replace the displayed line."""
+    A library that has replaced sys.stderr, as the spinners of Rich do, has a line of its own.
+    """
+    if parent_process() is not None:
+        return None
+    ipython = sys.modules.get("IPython")
+    if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
+        return ProgressLine(NotebookOutput(), FIRST_SECONDS)
+    terminal = isinstance(sys.stderr, TextIOWrapper) and sys.stderr.isatty()
+    return ProgressLine(write_on_terminal, TERMINAL_SECONDS) if terminal else None
 
 
 class ProgressLine:
-    """A line below the running cell: quick calls never show it, and it is emptied at the end."""
+    """A line that ``write`` replaces, by a text or by nothing: calls quicker than ``first`` seconds never show it."""
 
-    def __init__(self):
-        self._next, self._handle = now() + FIRST_SECONDS, None
+    def __init__(self, write: Callable[[str], None], first: float):
+        self._write, self._next, self._shown = write, now() + first, False
 
     def show(self, text: str) -> None:
         """Show a text, unless the last one has just appeared."""
-        if now() < self._next:
-            return
-        self._next = now() + BETWEEN_SECONDS
-        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"}
-        if self._handle is None:
-            self._handle: Handle | None = import_module("IPython.display").display(bundle, raw=True, display_id=True)
-        else:
-            self._handle.update(bundle, raw=True)
+        if now() >= self._next:
+            self._next, self._shown = now() + BETWEEN_SECONDS, True
+            self._write(text)
 
     def clear(self) -> None:
         """Empty the line."""
-        if self._handle is not None:
-            self._handle.update({}, raw=True)
+        if self._shown:
+            self._write("")
 
 
-def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this code: IPython in a terminal has none, and a worker of a pool is not one."""
-    ipython = sys.modules.get("IPython")
-    return ipython is not None and hasattr(ipython.get_ipython(), "kernel") and parent_process() is None
+def write_on_terminal(text: str) -> None:
+    """Replace the last line of the terminal."""
+    width = get_terminal_size().columns - 1
+    print(f"\r{text[:width]:{width}}", end="" if text else "\r", file=sys.stderr, flush=True)
 
 
-def count_text(done: int, count: int) -> str:
-    """Return "3 of 10 solved"."""
-    return f"{done} of {count} solved"
+class NotebookOutput:
+    """A function that replaces a line below the running cell."""
+
+    def __init__(self):
+        self._update: Callable[..., object] | None = None
+
+    def __call__(self, text: str) -> None:
+        """Replace the line."""
+        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"} if text else {}
+        if self._update is None:
+            self._update = import_module("IPython.display").display(bundle, raw=True, display_id=True).update
+        else:
+            self._update(bundle, raw=True)

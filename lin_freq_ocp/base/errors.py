@@ -1,12 +1,16 @@
-"""All errors of the package, and its warning about frequency bands."""
+"""All errors and warnings of the package."""
 
 from __future__ import annotations
 
+import inspect
+import sys
+import warnings
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
 MOST_CHARACTERS = 1000  # of a message: it may repeat names, files and values of any length
 
 
@@ -70,6 +74,12 @@ class MissingExtraError(LinFreqOCPError, ImportError):
     >>> issubclass(lfo.errors.MissingExtraError, ImportError)
     True
     """
+
+
+def missing_extra(purpose: str, package: str, extra: str) -> MissingExtraError:
+    """Return the error of a part that needs the package of an extra, with the commands that install it."""
+    commands = f"pip install 'lin-freq-ocp[{extra}]', or in a clone: pip install -e '.[{extra}]'"
+    return MissingExtraError(f"{purpose}: {package} is not installed. Install it with: {commands}.")
 
 
 class SolveError(LinFreqOCPError):
@@ -181,6 +191,14 @@ class ClosedLoopWarning(UserWarning):
     >>> issubclass(lfo.errors.ClosedLoopWarning, UserWarning)
     True
     """
+
+
+def warn_user(text: str, category: type[Warning] = RuntimeWarning) -> None:
+    """Warn at the line of the user, the first one outside this package and the standard library."""
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in NOT_OF_THE_USER:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
 
 
 def first_line(error: Exception) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-import warnings
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
@@ -15,6 +14,7 @@ from multiprocessing import forkserver, get_all_start_methods, get_context, pare
 from queue import SimpleQueue
 from typing import Generic, ParamSpec, Protocol, TypeVar
 
+from lin_freq_ocp.base.errors import warn_user
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.solving import solve
 
@@ -98,12 +98,7 @@ def finish_tasks(
         return
     left = yield from _run_on_executor(executor, work, points)
     if left:
-        warnings.warn(
-            f"The executor takes no more work: {len(left)} points are solved one after another, in a process of their "
-            "own; stopping and resuming the sweep is faster.",
-            RuntimeWarning,
-            stacklevel=5,  # the caller of run_sweep or run_many
-        )
+        warn_user(f"The executor takes no more work: {len(left)} points are solved one by one; resuming is faster.")
         yield from _run_in_own_process(work, left)
 
 

@@ -9,7 +9,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
 import click
@@ -158,19 +158,14 @@ def print_certificate(problem: OptimalControlProblem, certificate: Certificate |
         print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
 
 
-def progress(activity: str) -> AbstractContextManager[object]:
-    """Show the current activity on a terminal."""
-    return err.status(escape(activity)) if err.is_terminal else nullcontext()
-
-
 @contextmanager
-def search_progress(activity: str) -> Generator[Callable[[object], None] | None]:
+def progress(activity: str) -> Generator[Callable[..., None] | None]:
     """Show the current activity on a terminal, and yield a function that shows the progress of a search."""
     if not err.is_terminal:
         yield None
         return
     with err.status(escape(activity)) as status:
-        yield lambda state: status.update(escape(f"{activity}: {state}"))
+        yield lambda *state: status.update(escape(" ".join(map(str, (f"{activity}:", *state)))))
 
 
 def fit_console() -> None:

@@ -8,7 +8,7 @@ import click
 
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.cli.console import PROVEN, problem_argument, progress, say, search_progress, settings_option
+from lin_freq_ocp.cli.console import PROVEN, problem_argument, progress, say, settings_option
 from lin_freq_ocp.cli.problems import build, read_source, require_writable
 from lin_freq_ocp.pages.explorer.session import Session
 
@@ -34,9 +34,8 @@ def explore_command(
     from lin_freq_ocp.pages.explorer.server import ExploreServer, points, static_page
 
     if file is not None:
-        with search_progress(f"solving {session.problem.name}") as tell:
-            page = static_page(session, lambda done, count: tell and tell(f"{done} of {count} points"))
-        write_text(file, page)
+        with progress(f"solving {session.problem.name}") as tell:
+            write_text(file, static_page(session, lambda done, count: tell and tell(f"{done} of {count} points")))
         say(f"wrote {file} with {plural(len(points(session.sliders)), 'solved point')}")
         return PROVEN
     with ExploreServer(session, port or 0) as server:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
@@ -74,6 +75,7 @@ class ProblemFile:
 
 
 FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)  # top-level keys for --set and --grid
+SEVERAL = re.compile(r"[^\s,:\[{\"']+((\s*,\s*[^\s,:]+)+|:[^\s,:]+:\d+)")  # 1,2,3 or 1:2:11, which are no TOML
 SPECTRA = ("control_spectrum", *CUTOFFS)  # each of these sets the frequency constraints of the controls
 
 
@@ -137,6 +139,9 @@ def parse_settings(settings: Sequence[str]) -> FileTable:
             _merge(result, table)
         except (ValueError, RecursionError) as error:  # also numbers of thousands of digits, and deep nesting
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
+            key, _, given = map(str.strip, setting.partition("="))
+            if SEVERAL.fullmatch(given):
+                advice = f"For several values: sweep --grid '{key}={given if ':' in given else f'[{given}]'}'."
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value", advice) from None
         if not table:
             raise ProblemError("--set", brief(setting), "KEY=VALUE with a TOML value")

@@ -133,7 +133,7 @@ def solve_command(
     if local:
         options["global_bound"] = False
     with dumping_errors(outputs.get("dump"), description, options):
-        with console.search_progress(f"solving {description.name or problem}") as report:
+        with console.progress(f"solving {description.name or problem}") as report:
             result = solve(description, **options, throw=False, progress=report)
         if result.status == Status.INFEASIBLE or result.ray is not None:
             with console.progress("looking for the smallest relaxation"):
@@ -232,8 +232,8 @@ def compare_command(
     trajectory = None if start is None else load_trajectory(start, description)[0]
     names = None if filters is None else [name.strip() for name in filters.split(",")]
     try:
-        with console.progress(f"comparing {description.name or problem}"):
-            comparison = compare(description, names, backend, time_limit, trajectory)
+        with console.progress(f"comparing {description.name or problem}") as report:
+            comparison = compare(description, names, backend, time_limit, trajectory, report)
     except SolveError as error:
         if not as_json or error.result is None:
             raise

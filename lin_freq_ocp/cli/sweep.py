@@ -37,7 +37,7 @@ from lin_freq_ocp.cli.console import (
     print_lines,
     print_table,
     problem_argument,
-    search_progress,
+    progress,
     solve_options,
     write_files,
 )
@@ -63,7 +63,7 @@ def batch_options(files: str) -> Callable[[Command], Command]:
 
 @click.command("sweep")
 @problem_argument
-@click.option("--grid", "grids", multiple=True, required=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
+@click.option("--grid", "grids", multiple=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
 @solve_options
 @batch_options("sweep.jsonl, .csv and .png")
 @json_option
@@ -166,9 +166,8 @@ def minimum_time_command(
     source = read_source(problem, settings)
     outputs = take_outputs(options, problem, as_json, with_trajectory)
     path = _file_in(folder, "minimum_time.jsonl")
-    with _worker_pool(workers) as executor, search_progress("looking for the least horizon") as report:
-        tell = None if report is None else lambda horizon, verdict: report(f"{horizon} is {verdict}")
-        shortest = minimum_time(source, horizons, **options, throw=False, progress=tell, executor=executor, path=path)
+    with _worker_pool(workers) as executor, progress("looking for the least horizon") as report:
+        shortest = minimum_time(source, horizons, **options, throw=False, progress=report, executor=executor, path=path)
         if shortest.interrupted and executor is not None:
             executor.abandon()
     result = shortest.result
@@ -187,6 +186,8 @@ def minimum_time_command(
 
 def parse_grid(grids: Sequence[str], source: Source) -> dict[str, list[FileValue]]:
     """Return the values of each parameter, a list or a range; "none" is None, as in --set."""
+    if not grids:
+        raise ProblemError("--grid", "none", GRID_FORM)
     result: dict[str, list[FileValue]] = {}
     for setting in grids:
         key, equals, text = (part.strip() for part in setting.partition("="))

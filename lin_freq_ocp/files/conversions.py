@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, real_array
-from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, missing_extra
 from lin_freq_ocp.files.reading import at_location
 from lin_freq_ocp.files.solution_files import require_clock, trajectory_from_signals
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -36,8 +36,7 @@ def to_frame(problem: OptimalControlProblem, trajectory: Trajectory) -> DataFram
     try:
         import pandas
     except ImportError:
-        message = "to_frame needs pandas, which is not installed: pip install 'lin-freq-ocp[pandas]'."
-        raise MissingExtraError(message) from None
+        raise missing_extra("to_frame", "pandas", "pandas") from None
     problem.require(trajectory)
     label = "t" if problem.sampling_time is None else "time [s]"
     return pandas.DataFrame(

@@ -7,7 +7,6 @@ import json
 import platform
 import re
 import traceback
-import warnings
 import zipfile
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -21,7 +20,7 @@ from threadpoolctl import threadpool_info
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, warn_user
 from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
 from lin_freq_ocp.files.reading import LARGE, FileTable
@@ -109,7 +108,7 @@ def dumping_errors(
             try:
                 dump_run(path, problem, options, error=error)
             except Exception as failed:  # the original error must not be replaced
-                warnings.warn(f"nothing dumped: {failed}", RuntimeWarning, stacklevel=2)
+                warn_user(f"nothing dumped: {failed}")
         raise
 
 

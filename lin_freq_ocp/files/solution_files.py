@@ -28,7 +28,7 @@ from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.reading import FileArray, FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory, horizon_advice
 from lin_freq_ocp.transform.simulation import simulate
 
 CLOCK_TOLERANCE = 0.1  # error of a clock in periods since its first time: times are rounded, a wrong rate adds up
@@ -233,8 +233,8 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
             raise ProblemError("columns", ", ".join(others), expected, suggestion(table.head[0], problem.state_names))
         T = problem.horizon
         if len(table.rows) != T + 1 and not (replay and len(table.rows) == T):
-            also = f", or {T}" if replay else ""
-            raise ProblemError("rows", f"{len(table.rows)}", f"{T + 1}{also}: one per time, below the header")
+            expected = f"{T + 1}{f', or {T}' if replay else ''}: one per time, below the header"
+            raise ProblemError("rows", f"{len(table.rows)}", expected, horizon_advice(len(table.rows) - (not replay)))
         for name, period in ((STEP, 1.0), (SECONDS, problem.sampling_time)):
             clock = table.find(name)
             if clock is not None and period is not None:
@@ -449,10 +449,9 @@ def _cells(names: tuple[str, ...]) -> NDArray[np.object_]:
 def trajectory_from_signals(problem: OptimalControlProblem, x: ArrayLike | None, u: ArrayLike) -> Trajectory:
     """Return states x (T+1, n) and controls u (T, m), or (T+1, m), as a trajectory; without x, u is simulated."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    states = None if x is None else _fit_shape("x", x, [(T + 1, n)])
     controls = real_array("u", _fit_shape("u", u, [(T, m), (T + 1, m)])[:T])  # u_T has no effect
-    if x is None:
-        return simulate(problem, controls)
-    return Trajectory(real_array("x", _fit_shape("x", x, [(T + 1, n)])), controls)
+    return simulate(problem, controls) if states is None else Trajectory(real_array("x", states), controls)
 
 
 def _fit_shape(field: str, given: ArrayLike, shapes: list[tuple[int, int]]) -> FileArray:
@@ -460,7 +459,8 @@ def _fit_shape(field: str, given: ArrayLike, shapes: list[tuple[int, int]]) -> F
     if signal.shape in shapes:
         return signal
     turned = signal.ndim == 2 and signal.shape[::-1] in shapes
-    advice = f"Transpose it: in MATLAB {field} = {field}.', in numpy {field}.T." if turned else ""
+    advice = horizon_advice(len(signal) - (field == "x")) if signal.shape[1:] == shapes[0][1:] else ""
+    advice = f"Transpose it: in MATLAB {field} = {field}.', in numpy {field}.T." if turned else advice
     expected = f"shape {' or '.join(map(str, shapes))}, one row per time"
     raise ProblemError(field, f"shape {signal.shape}", expected, advice)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, require_bool
-from lin_freq_ocp.base.errors import MissingExtraError, ProblemError, first_line
+from lin_freq_ocp.base.errors import ProblemError, first_line, missing_extra
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
@@ -172,9 +172,7 @@ def _casadi() -> ModuleType:
             warnings.simplefilter("ignore", DeprecationWarning)  # of the types that its binding makes
             return import_module("casadi")
     except ImportError:
-        raise MissingExtraError(
-            "from_casadi: casadi is not installed. Install it with: pip install 'lin-freq-ocp[casadi]'."
-        ) from None
+        raise missing_extra("from_casadi", "casadi", "casadi") from None
 
 
 def _serialize_function(compiled: Function) -> str:

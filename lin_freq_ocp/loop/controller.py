@@ -7,7 +7,6 @@ of soft constraints included; of two infeasible plans the one with the smaller v
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, brief, one_component, positive_integer, real_array
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError
+from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
@@ -88,7 +87,7 @@ class Controller:
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
         if limits_of_plans(problem):
-            warnings.warn(limits_of_plans(problem), ClosedLoopWarning, stacklevel=3)
+            warn_user(limits_of_plans(problem), ClosedLoopWarning)
         self._problem = free_first_state(problem)
         method = family_of(problem).in_loop if method == "auto" else method
         self._hard = Resolver(self._problem, method)

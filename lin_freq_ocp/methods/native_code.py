@@ -11,7 +11,6 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import warnings
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
@@ -19,7 +18,7 @@ from pathlib import Path
 
 from lin_freq_ocp.base.atomic import lock_file, write_bytes
 from lin_freq_ocp.base.clock import seconds_since
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, warn_user
 
 SYSTEM = f"{sys.platform}-{platform.machine().lower()}"  # the ending of the name of a library in a wheel
 # Without sums of several terms at once, the digits are those of any compiler and any processor. The other flags make
@@ -90,7 +89,7 @@ def compiled_library(module: str, names: tuple[str, ...], purpose: str) -> ctype
     except OSError as error:
         library = _library_of_wheel(source)
         if library is None:
-            warnings.warn(f"{purpose}: {error}", RuntimeWarning, stacklevel=2)
+            warn_user(f"{purpose}: {error}")
         return library
 
 

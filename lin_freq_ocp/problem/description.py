@@ -7,10 +7,12 @@ from itertools import groupby
 from operator import itemgetter
 from textwrap import shorten
 
+import numpy as np
+
 from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, plural, runs_in_words, short_name
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.spectrum.base import entries_of, named_entries
 
 LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
 Fact = tuple[str, str]  # a term, and its description
@@ -53,6 +55,24 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
         facts.append(("outputs", outputs.describe(signals)))
         facts += [("output spectrum", constraint.describe(outputs.output_names)) for constraint in outputs.constraints]
     return [(term, shorten(text, LONGEST_FACT, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, text in facts]
+
+
+def problem_remarks(problem: ProblemData) -> list[str]:
+    """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
+    T, step, quadratic = problem.horizon, problem.sampling_time, problem.quadratic
+    limits = [(T, "control_spectrum", problem.control_spectrum)]
+    limits += [(problem.state_samples, "state_spectrum", problem.state_spectrum)]
+    for where, one in named_entries("output_spectrum", problem.output_spectrum):
+        limits.append((T + (one.D is None), f"{where}.constraints", one.constraints))
+    entries = [(count, *entry) for count, field, given in limits for entry in named_entries(field, given)]
+    remarks = [one.remark(count, step, where).removesuffix(".") for count, where, one in entries]
+    weighed = np.where(quadratic.weighs, quadratic.x_ref, 0.0), np.where(quadratic.R.any(), quadratic.u_ref, 0.0)
+    boxes, names = (problem.state_boxes, problem.control_tube), (problem.state_names, problem.control_names)
+    for field, reference, box, signals in zip(("x_ref", "u_ref"), weighed, boxes, names, strict=True):
+        outside = ((box.violation(reference) > 0) & (reference != 0)).sum(axis=0)
+        parts = [f"{short_name(signals[i])} at {plural(outside[i], 'time')}" for i in np.flatnonzero(outside)]
+        remarks += [f"cost.{field} lies outside the bounds: {', '.join(parts)}"] if parts else []
+    return [remark for remark in remarks if remark]
 
 
 def _cost(problem: ProblemData) -> list[Fact]:

@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.sets.path_constraint import PathConstraint, path_const
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
 from lin_freq_ocp.problem.terms.term import Term, TermKind
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Trajectory, horizon_advice
 
 OF_MODES = "problem.with_modes(sequence) is the linear problem of one mode sequence of affine modes."
 
@@ -298,7 +298,9 @@ class OptimalControlProblem(ProblemData):
         expected = (self.horizon + 1, self.state_dim), (self.horizon, self.control_dim)
         if (trajectory.x.shape, trajectory.u.shape) != expected:
             got = f"x {trajectory.x.shape}, u {trajectory.u.shape}"
-            raise ProblemError("trajectory", got, f"x {expected[0]}, u {expected[1]}", "Time is axis 0.")
+            T, other = len(trajectory.u), trajectory.x.shape[1:] == expected[0][1:]
+            advice = horizon_advice(T) if other and T != self.horizon else "Time is axis 0."
+            raise ProblemError("trajectory", got, f"x {expected[0]}, u {expected[1]}", advice)
 
     def __str__(self) -> str:
         stops = {"control": self.control_stop, "state": self.state_stop}

@@ -155,6 +155,11 @@ class Multipliers:
         assign(self, stage=families, weights=shares, frequencies=points)
 
 
+def horizon_advice(horizon: int) -> str:
+    """Return what fits a trajectory of another horizon."""
+    return f"It fits horizon={horizon}; on the command line: --set horizon={horizon}."
+
+
 @dataclass(frozen=True, eq=False)
 class Extremals:
     """N trajectories of one problem, which differ in their initial states, with their multipliers; eta_C = 1.

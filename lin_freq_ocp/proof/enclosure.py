@@ -7,7 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from lin_freq_ocp.base.errors import MissingExtraError
+from lin_freq_ocp.base.errors import missing_extra
 
 LONGEST_CHECK = 20_000  # horizon up to which a file is checked before it is written
 
@@ -53,6 +53,4 @@ class Enclosure:
 def require_checker() -> None:
     """Raise MissingExtraError unless the numbers of the checker are installed."""
     if find_spec("flint") is None:
-        raise MissingExtraError(
-            "proofs need python-flint, which is not installed. Install it with: pip install 'lin-freq-ocp[proof]'."
-        )
+        raise missing_extra("proofs", "python-flint", "proof")

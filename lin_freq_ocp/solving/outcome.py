@@ -15,6 +15,7 @@ from lin_freq_ocp.certificate.between_samples import BetweenSamples, bounds_betw
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.problem.description import problem_remarks
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.quantity import Reading
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -243,7 +244,8 @@ class Outcome:
         return None if self.trajectory is None else self.trajectory.u
 
     def __str__(self) -> str:
-        lines = [f"status    {self.status}" + (f": {self.message}" if self.message else "")]
+        words = [text for text in (self.message, *problem_remarks(self.problem)) if text]
+        lines = [f"status    {self.status}" + (f": {'; '.join(words)}" if words else "")]
         lines += [] if self.certificate is None else [str(self.certificate)]
         lines += [] if self.evidence is None else [str(self.evidence)]
         levels = self.level_use

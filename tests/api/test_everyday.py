@@ -50,7 +50,9 @@ def test_a_frame_has_the_trajectory_under_its_names(result):
 
 def test_without_pandas_a_frame_says_what_to_install(result, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(lfo.errors.MissingExtraError, match=r"pip install 'lin-freq-ocp\[pandas\]'"):
+    with pytest.raises(
+        lfo.errors.MissingExtraError, match=r"'lin-freq-ocp\[pandas\]', or in a clone: pip install -e '\.\[pandas\]'"
+    ):
         result.to_frame()
 
 

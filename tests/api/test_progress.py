@@ -1,6 +1,10 @@
-"""Progress in a Jupyter notebook, and nowhere else: IPython is a stand-in that records what it is told to display."""
+"""Progress in a Jupyter notebook and on a terminal, and nowhere else.
+
+IPython and the terminal are stand-ins that record what they are told to show.
+"""
 
 import sys
+from io import BytesIO, TextIOWrapper
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -19,6 +23,13 @@ CALLS = {
         "horizon 180: infeasible",
     ),
     "solve": (lambda **report: lfo.solve(lfo.library.max_min_network(), **report), "nodes"),
+    "compare": (lambda **report: lfo.compare(lfo.library.switched_rotation(), [], **report), "nodes"),
+    "loop": (
+        lambda **report: lfo.RecedingHorizon(lfo.library.double_integrator(cutoff_hz=None)).run(
+            [0.0, 0.0], 2, **report
+        ),
+        "0 of 2 steps",
+    ),
 }
 
 
@@ -46,9 +57,25 @@ def displayed(monkeypatch):
     display.display = found.display
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", display)
-    monkeypatch.setattr(solve, "FIRST_SECONDS", 0.0)
-    monkeypatch.setattr(solve, "BETWEEN_SECONDS", 0.0)
+    for name in ("FIRST_SECONDS", "TERMINAL_SECONDS", "BETWEEN_SECONDS"):
+        monkeypatch.setattr(solve, name, 0.0)
     return found
+
+
+class Terminal(TextIOWrapper):
+    """A terminal that keeps what is written."""
+
+    def isatty(self):
+        return True
+
+
+def open_terminal(monkeypatch):
+    """Return what becomes sys.stderr: a terminal, and no kernel."""
+    stream = Terminal(BytesIO(), encoding="utf-8")
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.delitem(sys.modules, "IPython")
+    monkeypatch.setattr(sys, "stderr", stream)
+    return stream
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -60,6 +87,36 @@ def test_a_notebook_shows_a_line_that_is_gone_in_the_end(displayed, name, capsys
     assert all(one["text/html"].startswith("<progress></progress> ") for one in shown)
     assert last == {}
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["solve_many", "loop"])
+def test_a_terminal_shows_a_line_that_is_gone_in_the_end(displayed, name, monkeypatch):
+    stream, (call, words) = open_terminal(monkeypatch), CALLS[name]
+    call()
+    before, *shown, last, after = stream.buffer.getvalue().decode().split("\r")
+    assert (before, last, after) == ("", " " * 39, "")
+    assert shown[0] == f"{words:39}"
+    assert shown[-1] == f"{words.replace('0', '2'):39}"
+
+
+def test_a_line_is_not_longer_than_the_terminal(displayed, monkeypatch):
+    stream = open_terminal(monkeypatch)
+    with solve.report_progress(None, str) as report:
+        report("a" * 50)
+        assert stream.buffer.getvalue().decode() == "\r" + "a" * 39
+
+
+def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
+    stream = open_terminal(monkeypatch)
+    monkeypatch.setattr(solve, "TERMINAL_SECONDS", 1e3)
+    CALLS["solve_many"][0]()
+    assert stream.buffer.getvalue() == b""
+
+
+def test_a_stream_that_another_library_has_put_for_a_terminal_is_left_alone(displayed, monkeypatch):
+    open_terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
+    assert solve.progress_line() is None
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -81,15 +138,15 @@ def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monke
 
 def test_without_ipython_nothing_is_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
-    assert not solve.in_notebook()
+    assert solve.progress_line() is None
     CALLS["sweep"][0]()
     assert "IPython" not in sys.modules
 
 
 def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
-    assert solve.in_notebook()
+    assert solve.progress_line() is not None
     monkeypatch.setattr(solve, "parent_process", lambda: "the kernel")
-    assert not solve.in_notebook()
+    assert solve.progress_line() is None
 
 
 def test_quick_calls_show_nothing(displayed, monkeypatch):

@@ -5,6 +5,8 @@ Nothing else appears: no traceback, and not a byte on stdout, so that a pipe nev
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -74,7 +76,10 @@ def files(tmp_path_factory):
     (folder / "folder.toml").mkdir()
     (folder / "binary.toml").write_bytes(bytes(range(256)))
     result = lfo.solve(lfo.read_problem(folder / "cart.toml"))
+    longer = lfo.solve(replace(result.problem, horizon=30))
     result.save(folder / "run.npz")
+    for suffix in (".npz", ".csv", ".mat"):
+        longer.save(folder / f"longer{suffix}")
     with np.load(folder / "run.npz") as saved:
         good = dict(saved)
     busy = good["rho_u"].copy()
@@ -170,7 +175,14 @@ BAD_PARAMETERS = {
     "setting with an empty value": (solve_pendulum("horizon="), "--set: got 'horizon='; expected KEY=VALUE"),
     "setting without key": (solve_pendulum("=3"), "--set: got '=3'; expected KEY=VALUE"),
     "setting without quotes": (solve_pendulum("parameters=paper"), "--set: got 'parameters=paper'", "quotes"),
-    "setting with two values": (solve_pendulum("horizon=3 4"), "--set: got 'horizon=3 4'; expected KEY=VALUE"),
+    "setting with two values": (
+        solve_pendulum("horizon=3 4"),
+        "--set: got 'horizon=3 4'; expected KEY=VALUE",
+        "quotes",
+    ),
+    "setting with a list": (("sweep", "pendulum", *settings("horizon = 60, 80")), "sweep --grid 'horizon=[60, 80]'"),
+    "setting with a range": (solve_pendulum("horizon=60:80:3"), "sweep --grid 'horizon=60:80:3'."),
+    "setting with a range without count": (solve_pendulum("horizon=60:80"), "quotes"),
     "bound below zero": (solve_pendulum("control_bound=-1"), "control_bound: got -1"),
     "bound nan": (solve_pendulum("control_bound=nan"), "control_bound: got nan"),
     "bound with text": (solve_pendulum('state_bounds=[0.2, "a", 15, 30]'), "state_bounds", "'a'"),
@@ -307,9 +319,13 @@ ALL_BAD = {
     **BAD_OPTIONS,
     **BAD_FILES,
     **{f"solution: {case}": (("certify", "cart.toml", file), words) for case, (file, words) in BAD_SOLUTIONS.items()},
+    **{
+        f"solution of another horizon, {suffix}": (("certify", "cart.toml", f"longer.{suffix}"), "--set horizon=30.")
+        for suffix in ("npz", "csv", "mat")
+    },
     "solution of another problem": (
         ("certify", "pendulum", "run.npz"),
-        "trajectory: got x (21, 2), u (20, 1); expected x (241, 4), u (240, 1)",
+        "trajectory: got x (21, 2), u (20, 1); expected x (241, 4), u (240, 1). Time is axis 0.",
     ),
     **{case: UNWRITABLE[case] for case in UNWRITABLE if case.startswith("save")},
 }

@@ -325,7 +325,7 @@ def test_functions_that_cannot_be_traced_are_told_what_can(body, words):
 
 def test_without_casadi_its_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(lfo.errors.MissingExtraError, match=r"pip install 'lin-freq-ocp\[casadi\]'"):
+    with pytest.raises(lfo.errors.MissingExtraError, match=r"'lin-freq-ocp\[casadi\]', or .* -e '\.\[casadi\]'"):
         lfo.from_casadi(two, 2, 1)
 
 

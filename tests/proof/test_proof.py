@@ -134,7 +134,7 @@ def test_what_cannot_be_stated_is_refused_before_anything_is_written(tmp_path):
 
 def test_without_the_extra_the_message_names_it(monkeypatch):
     monkeypatch.setattr(extra, "find_spec", lambda name: None)
-    with pytest.raises(lfo.errors.MissingExtraError, match=r"lin-freq-ocp\[proof\]"):
+    with pytest.raises(lfo.errors.MissingExtraError, match=r"'lin-freq-ocp\[proof\]', or .* -e '\.\[proof\]'"):
         _ = lfo.solve(lfo.library.double_integrator()).enclosure
 
 

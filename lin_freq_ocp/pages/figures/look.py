@@ -5,7 +5,6 @@ Colours are those of Okabe and Ito; each kind of trajectory has its own line and
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -22,6 +21,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.typing import LineStyleType
 from numpy.typing import NDArray
+
+from lin_freq_ocp.base.errors import warn_user
 
 Numbers = NDArray[np.floating]
 
@@ -133,7 +134,7 @@ class ShownFigure(Figure):
 
         if pyplot.get_backend().lower() in WITHOUT_WINDOWS:
             if warn:
-                warnings.warn(f"{pyplot.get_backend()} shows no windows: use savefig(path).", stacklevel=2)
+                warn_user(f"{pyplot.get_backend()} shows no windows: use savefig(path).", UserWarning)
             return
         if self.canvas.manager is None:
             pyplot.figure(FigureClass=cast(Any, lambda *_, **__: self))

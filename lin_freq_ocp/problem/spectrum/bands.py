@@ -8,7 +8,6 @@ methods without a docstring.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,7 +30,7 @@ from lin_freq_ocp.base.arrays import (
     to_shape,
     with_columns,
 )
-from lin_freq_ocp.base.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.errors import BandWarning, ProblemError, warn_user
 from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
 from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
 from lin_freq_ocp.problem.spectrum.base import (
@@ -151,12 +150,17 @@ class Band(FrequencyConstraint):
         """Return which bins k = 0 .. length//2 of ``length`` samples are removed; warn if none or all are."""
         stopped = self.at(length, sampling_time, field)
         if stopped.all() or not stopped.any():
-            step = f"2 pi / {length} rad/sample" if sampling_time is None else f"{1 / (length * sampling_time):.3g} Hz"
-            apart = f"; its bins are {step} apart, and closer with a longer horizon"
-            count, then = ("every", ", which must then be zero") if stopped.any() else ("no", apart)
-            text = f"{field}: {self} removes {count} bin of a signal of {length} samples{then}."
-            warnings.warn(text, BandWarning, stacklevel=2)
+            warn_user(self.remark(length, sampling_time, field), BandWarning)
         return stopped
+
+    def remark(self, length: int, sampling_time: float | None, field: str) -> str:
+        stopped = self.at(length, sampling_time, field)
+        if stopped.any() and not stopped.all():
+            return ""
+        step = f"2 pi / {length} rad/sample" if sampling_time is None else f"{1 / (length * sampling_time):.3g} Hz"
+        apart = f"; its bins are {step} apart, and closer with a longer horizon"
+        count, then = ("every", ", which must then be zero") if stopped.any() else ("no", apart)
+        return f"{field}: {self} removes {count} bin of a signal of {length} samples{then}."
 
     def at(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of ``length`` samples the band names, (length//2 + 1,)."""
@@ -414,7 +418,7 @@ def stopped_bins(
         stopped[:, columns] |= alone[:, None]
         if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
             text = f"removes every bin of a signal of {length} samples that the bands before it keep"
-            warnings.warn(f"{where}: {band} {text}; the signal must then be zero.", BandWarning, stacklevel=2)
+            warn_user(f"{where}: {band} {text}; the signal must then be zero.", BandWarning)
     return seal(stopped)
 
 

@@ -74,6 +74,10 @@ class FrequencyConstraint(ABC):
         """Return which bins k = 0 .. length//2 of ``length`` samples it removes."""
         return np.zeros(length // 2 + 1, dtype=bool)
 
+    def remark(self, length: int, sampling_time: float | None, field: str) -> str:
+        """Return why it limits nothing of a signal of ``length`` samples, or everything; else an empty text."""
+        return ""
+
     @property
     def title(self) -> str:
         """Return the kind of constraint in words."""

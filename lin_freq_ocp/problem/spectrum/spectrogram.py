@@ -155,6 +155,9 @@ class Spectrogram(FrequencyConstraint):
             labels = labels * (count if len(labels) > 1 else 1)
             yield replace(term, statement=replace(shown, labels=labels, levels=np.tile(levels, count)))
 
+    def remark(self, length: int, sampling_time: float | None, field: str) -> str:
+        return self.bound.remark(self.length or length, sampling_time, f"{field}.bound")
+
     def measure(self, signal: Signal, field: str, x: Array, u: Array, plan: int) -> Iterator[WindowSpectra]:
         known = 0 if self.past is None else len(self.past)
         length, hop = (known + plan - self.offset, 1) if self.length is None else (self.length, self.hop)

@@ -7,7 +7,6 @@ A grid finer than the DFT's (``oversampling``) or a window also bounds the spect
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.base.errors import BandWarning, ProblemError
+from lin_freq_ocp.base.errors import BandWarning, ProblemError, warn_user
 from lin_freq_ocp.base.phrases import ordinal, short_name, split_unit
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
@@ -226,14 +225,20 @@ class SpectrumBound(FrequencyConstraint, ABC):
             raise ProblemError(f"{field}.window", f"shape {self.window.shape}", f"shape ({length},), one per sample")
         return self.window
 
+    def remark(self, length: int, sampling_time: float | None, field: str) -> str:
+        if self.levels is not None and np.isposinf(self.levels).all():
+            return f"{field}: its limit is infinite."
+        if self.band.listed or self.band.at(self.oversampling * length, sampling_time, f"{field}.band").any():
+            return ""
+        return f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
+
     def bins(self, length: int, sampling_time: float | None, field: str) -> Indices:
         """Return the bounded points of the grid: indices within 0 .. oversampling * length / 2."""
         q, points = self.oversampling, self.oversampling * length
         if not self.band.listed:
             bounded = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
             if not len(bounded):
-                text = f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
-                warnings.warn(text, BandWarning, stacklevel=2)
+                warn_user(self.remark(length, sampling_time, field), BandWarning)
             return bounded
         listed = np.flatnonzero(self.band.at(length, sampling_time, field))
         grid = np.zeros(points // 2 + 1, dtype=bool)

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from types import ModuleType
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.errors import MissingExtraError, UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError, missing_extra
 from lin_freq_ocp.program.program import Program
 
 DEFAULT_TOLERANCE = 1e-10  # feasibility and gap asked of a solver, on a program scaled to order 1
@@ -89,10 +89,7 @@ def backend(name: str, binaries: bool = False) -> Solver:
         purpose = " for a mixed-integer program" if binaries else "".join(examples)
         raise UnsupportedError(f"backend: got {name!r}; expected {', '.join(listed[:-1])} or {listed[-1]}{purpose}.")
     if entry.package is not None and find_spec(entry.package) is None:
-        raise MissingExtraError(
-            f"backend {name!r}: {entry.package} is not installed. "
-            f"Install it with: pip install 'lin-freq-ocp[{family}]'."
-        )
+        raise missing_extra(f"backend {name!r}", entry.package, family)
     solver = entry.load(member)
 
     def solve(program: Program, tolerance: float, time_limit: float | None) -> Solution:

@@ -1,0 +1,81 @@
+"""The status of a result says what limits nothing, and which references lie outside bounds; a warning names its line.
+
+A case is fields of a problem, and the words of the status; no words stand for no remark.
+"""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+NYQUIST = lfo.low_pass(np.pi)
+WITHOUT_LIMIT = lfo.MagnitudeBound(np.inf, bins=[1])
+CART = lfo.OptimalControlProblem(
+    lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]], state_names=["position", "speed"]),
+    8,
+    lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0),
+    state_set=lfo.Box(-1, 1),
+    initial_state=[0, 0],
+)
+
+
+def tracking(**references):
+    return {"cost": replace(CART.cost, **references)}
+
+
+CASES = {
+    "control band": (
+        {"control_spectrum": NYQUIST},
+        "control_spectrum: low_pass(0 .. 3.14159 rad/sample) removes no bin",
+    ),
+    "state band": ({"state_spectrum": [NYQUIST]}, "removes no bin of a signal of 9 samples"),
+    "all bins": ({"control_spectrum": lfo.stop_band(bins=range(5))}, "removes every bin of a signal of 8 samples"),
+    "mask": ({"control_spectrum": lfo.MagnitudeBound(1.0, band=NYQUIST)}, "control_spectrum.band: low_pass"),
+    "infinite": (
+        {"control_spectrum": [lfo.low_pass(2.0), WITHOUT_LIMIT]},
+        "control_spectrum[1]: its limit is infinite",
+    ),
+    "windows": ({"control_spectrum": lfo.spectrum.Spectrogram(WITHOUT_LIMIT, 8)}, "bound: its limit is infinite"),
+    "output": (
+        {"output_spectrum": lfo.spectrum.OutputSpectrum([[1, 0]], None, [lfo.low_pass(2.0), NYQUIST])},
+        "output_spectrum.constraints[1]: low_pass(0 .. 3.14159 rad/sample) removes no bin of a signal of 9 samples",
+    ),
+    "output of controls": (
+        {"output_spectrum": lfo.spectrum.OutputSpectrum(None, [[1]], NYQUIST)},
+        "output_spectrum.constraints[0]: low_pass(0 .. 3.14159 rad/sample) removes no bin of a signal of 8 samples",
+    ),
+    "state reference": (tracking(x_ref=[2, 0]), "cost.x_ref lies outside the bounds: position at 9 times"),
+    "reference for some time": (tracking(x_ref=np.outer(np.arange(9) / 7, [1, 0])), "position at 1 time"),
+    "reference without a weight": (tracking(x_ref=[0, 2]), ""),
+    "control reference": (
+        {"control_set": lfo.Box(-1, 1), **tracking(u_ref=[-3])},
+        "cost.u_ref lies outside the bounds: u_0 at 8 times",
+    ),
+    "no reference": ({"control_set": lfo.Box(0.01, 1)}, ""),
+    "in bounds": ({"control_spectrum": lfo.low_pass(2.0), **tracking(x_ref=[1, 0])}, ""),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
+def test_the_status_says_what_limits_nothing_and_which_references_lie_outside(case):
+    fields, words = CASES[case]
+    result = lfo.solve(replace(CART, **fields))
+    (line,) = [line for line in str(result).splitlines() if line.startswith("status")]
+    assert words in line
+    assert (line == "status    optimal") == (not words)
+
+
+def test_a_warning_names_the_line_of_the_user_whatever_lies_between():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        _ = replace(CART, control_spectrum=NYQUIST), warnings.warn("the same line", stacklevel=1)
+        lfo.RecedingHorizon(replace(CART, control_spectrum=lfo.low_pass(2.0)))
+    band, line, loop = caught
+    assert band.category is lfo.errors.BandWarning
+    assert loop.category is lfo.errors.ClosedLoopWarning
+    assert (band.filename, band.lineno) == (line.filename, line.lineno)
+    assert (loop.filename, loop.lineno) == (line.filename, line.lineno + 1)
