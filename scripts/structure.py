@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_245,
-    "code lines": 42_182,
+    "shipped lines": 45_247,
+    "code lines": 42_184,
     "code lines, linear part": 21_241,
     "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
