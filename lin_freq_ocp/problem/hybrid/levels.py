@@ -56,6 +56,10 @@ class Levels:
         """Return the levels as a list."""
         return self.values.tolist()
 
+    def describe(self) -> str:
+        """Return the levels and their costs in words, as the rest of a sentence that begins with the component."""
+        return f"in {vector(self.values)}" + (f" at the costs {vector(self.costs)}" if self.costs.any() else "")
+
     @property
     def ends(self) -> tuple[float, float]:
         """Return the least and the largest level."""
@@ -114,6 +118,9 @@ class NoLevels(Levels):
     @property
     def stated(self) -> Box | None:
         return self.box if np.isfinite(self.box.bounds).any() else None
+
+    def describe(self) -> str:
+        return interval(*self.ends)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -195,7 +202,7 @@ class FiniteSet(ConvexSet):
                 raise ProblemError("FiniteSet.costs", got, "costs of the shape of levels")
         places = [f"[{names[i]!r}]" if names else "" if single else f"[{i}]" for i in range(len(rows))]
         components = tuple(_levels(*row) for row in zip(places, rows, priced, strict=True))
-        if all(isinstance(component, NoLevels) for component in components):
+        if not any(len(component.values) for component in components):
             raise ProblemError("FiniteSet.levels", "no levels", "levels of one component at least", "A Box has bounds.")
         assign(self, components=components, single=single, duty_cycles=bool(duty_cycles), names=names)
         for name, component in zip(places, components, strict=True):
@@ -287,11 +294,7 @@ class FiniteSet(ConvexSet):
     def describe(self, names: Sequence[str], signal: str) -> str:
         words = list[str]()
         for name, component in zip(names, self.at_names(names).of(len(names)), strict=True):
-            costs = f" at the costs {vector(component.costs)}" if component.costs.any() else ""
-            if isinstance(component, NoLevels):
-                words.append(f"{short_name(name)} {interval(*component.ends)}")
-            else:
-                words.append(f"{short_name(name)} in {vector(component.values)}{costs}")
+            words.append(f"{short_name(name)} {component.describe()}")
         return "; ".join(words) + (", switching within samples" if self.duty_cycles else "")
 
 
