@@ -66,7 +66,8 @@ def problem_remarks(problem: ProblemData) -> list[str]:
         limits.append((T + (one.D is None), f"{where}.constraints", one.constraints))
     entries = [(count, *entry) for count, field, given in limits for entry in named_entries(field, given)]
     remarks = [one.remark(count, step, where).removesuffix(".") for count, where, one in entries]
-    weighed = np.where(quadratic.weighs, quadratic.x_ref, 0.0), np.where(quadratic.R.any(), quadratic.u_ref, 0.0)
+    references = quadratic.x_ref, quadratic.u_ref
+    weighed = [np.where(weighs, reference, 0.0) for weighs, reference in zip(quadratic.weighs, references, strict=True)]
     boxes, names = (problem.state_boxes, problem.control_tube), (problem.state_names, problem.control_names)
     for field, reference, box, signals in zip(("x_ref", "u_ref"), weighed, boxes, names, strict=True):
         outside = ((box.violation(reference) > 0) & (reference != 0)).sum(axis=0)

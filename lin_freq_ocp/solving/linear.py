@@ -40,8 +40,8 @@ PROVEN = (Status.OPTIMAL, Status.INFEASIBLE, Status.UNBOUNDED)
 # statuses of a first candidate after which further candidates are judged
 UNPROVEN = (Status.NUMERICAL_ERROR, Status.INFEASIBLE_CLAIMED)
 
-# statuses of a point that may lie on the way along a direction without bound
-SEEKS_DIRECTION = (Status.NUMERICAL_ERROR, Status.LOCALLY_OPTIMAL)
+# statuses of a point that may lie on the way along a direction without bound; a limit is one of iterations
+SEEKS_DIRECTION = (Status.NUMERICAL_ERROR, Status.LOCALLY_OPTIMAL, Status.LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,8 @@ class _Trial:
         if candidate.status == Status.UNBOUNDED:
             candidate = self._contradiction() or candidate
         outcome = self.judge(candidate)
-        if outcome.status not in SEEKS_DIRECTION or outcome.interrupted or _is_bounded(outcome):
+        stopped = outcome.interrupted or now() > self.end
+        if outcome.status not in SEEKS_DIRECTION or stopped or _is_bounded(outcome):
             return outcome
         try:
             along = steepest_recession(self.problem)
@@ -115,7 +116,7 @@ class _Trial:
 
     def try_without_cost(self, outcome: Outcome) -> Outcome:
         """Return the outcome of the trajectory nearby without cost if that is optimal, else the outcome."""
-        if outcome.status not in SEEKS_DIRECTION or outcome.trajectory is None:
+        if outcome.status not in SEEKS_DIRECTION or outcome.trajectory is None or now() > self.end:
             return outcome
         candidate = trajectory_without_cost(self.problem, outcome.trajectory)
         optimum = None if candidate is None else self.judge(candidate)

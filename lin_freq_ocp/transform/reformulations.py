@@ -160,7 +160,7 @@ def _known_positions(problem: OptimalControlProblem) -> list[Array]:
     references = [cost.x_ref]
     if cost.x_ref.ndim == 2:
         references = [cost.x_ref[0], cost.x_ref.max(0), cost.x_ref.min(0)]
-    positions += [np.where(cost.weighs, reference, np.nan) for reference in references]
+    positions += [np.where(cost.weighs[0], reference, np.nan) for reference in references]
     for norm in problem.cost.norms:
         for i in range(n):
             reference, weighted = norm.references(i, True, T) or (np.zeros(()), np.zeros(T + 1, dtype=bool))

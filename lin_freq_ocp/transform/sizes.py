@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, seal
+from lin_freq_ocp.base.arrays import Array, Mask, seal
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -17,6 +19,7 @@ SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
 WEIGHTY = 0.1  # a row limits a component whose coefficient is at least this part of the row's largest
 NO_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
+NOTICED = 0.1  # part of what others cause in a component, or need of it, below which its end or reference says nothing
 FAR_BEYOND = 1e4  # a bound that exceeds the other sizes of its component by this factor counts as none
 
 
@@ -40,42 +43,51 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     The first of these that a component has is its size: the largest of its ends, references and levels; its bounds; of
     a control, the limits of other sets and rows; what the other components cause in it within the horizon; what it must
     be to cause the sizes of the others; the limits of other sets and rows; 1. A bound far above what ends, references
-    and dynamics imply counts as none. States are measured from the origin of ``translation_of``.
+    and dynamics imply counts as none, and so does an end or reference far below what the others make of the component.
+    States are measured from the origin of ``translation_of``.
     """
     if problem not in KNOWN_SIZES:
-        translated = translation_of(problem).problem
-        x, u = completed_sizes(translated, given_sizes(translated))
+        x, u, _ = natural_sizes(translation_of(problem).problem)
         KNOWN_SIZES[problem] = seal(x), seal(u)
     return KNOWN_SIZES[problem]
 
 
-def completed_sizes(problem: OptimalControlProblem, given: Array) -> tuple[Array, Array]:
-    """Return ``stated_sizes`` from ``given_sizes``."""
-    n, sizes = problem.state_dim, given
+def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
+    """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
+    n, influence, ends = problem.state_dim, Influence.of(problem), _sizes_of_ends(problem)
+    stated = influence.without_rounding(ends, problem.level_sizes > 0)
+    sizes = np.where(stated > 0, stated, _sizes_of_bounds(problem, influence, stated))
+    known = sizes[:n] > 0
     if not sizes.all():
         limited = _limited_sizes(problem)
-        sizes = _complete_sizes(problem, np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])))
-        sizes = _complete_sizes(problem, np.where(sizes > 0, sizes, limited))
+        sizes = _complete_sizes(
+            np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])), influence.implied
+        )
+        sizes = _complete_sizes(np.where(sizes > 0, sizes, limited), influence.implied)
         sizes = np.where(sizes > 0, sizes, 1.0)
-    return sizes[:n], sizes[n:]
+    sizes = np.maximum(sizes, ends)
+    return sizes[:n], sizes[n:], known
 
 
-def given_sizes(problem: OptimalControlProblem) -> Array:
-    """Return sizes of states and controls, (n+m,): of ends, references and levels, else of their bounds, else 0."""
-    cost, n = problem.quadratic, problem.state_dim
-    ends = np.maximum(_finite(problem.initial_box).max(0), _finite(problem.terminal_box).max(0))
-    ends = np.maximum(ends, np.abs(cost.x_ref).reshape(-1, n).max(0))
-    references = np.maximum(np.abs(cost.u_ref).reshape(-1, problem.control_dim).max(0), problem.level_sizes)
-    stated = np.concatenate([ends, references])
-    tubes = problem.state_tube, problem.control_tube
+def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
+    """Return the largest of the ends, references that the cost weighs, and levels, (n+m,)."""
+    cost = problem.quadratic
+    references = (np.where(by, r, 0.0) for by, r in zip(cost.weighs, (cost.x_ref, cost.u_ref), strict=True))
+    of_x, of_u = (np.abs(reference).reshape(-1, reference.shape[-1]).max(0) for reference in references)
+    ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
+    return np.concatenate([np.maximum(ends, of_x), np.maximum(of_u, problem.level_sizes)])
+
+
+def _sizes_of_bounds(problem: OptimalControlProblem, influence: Influence, stated: Array) -> Array:
+    """Return the sizes of components, (n+m,), by their bounds; 0 without a bound."""
+    tubes = problem.state_boxes, problem.control_tube
     bounds = np.concatenate([_median_size(np.stack(tube.bounds, 1)).max(axis=0) for tube in tubes])
-    others = np.where(stated > 0, stated, bounds)
-    implied = _complete_sizes(problem, stated, np.max) if stated.any() else _implied_sizes(problem, others, np.max)
+    implied = partial(influence.implied, chosen=np.max)
+    implied = _complete_sizes(stated, implied) if stated.any() else implied(bounds)
     # nor does a bound on one side say how far the other side reaches
     one_sided = np.hstack([(np.isinf(tube.lower) != np.isinf(tube.upper))[-problem.horizon :] for tube in tubes]).any(0)
     beyond = (bounds > FAR_BEYOND * implied) | (one_sided & (FAR_BEYOND * bounds < implied))
-    bounds = np.where((implied > 0) & beyond, implied, bounds)
-    return np.where(stated > 0, stated, bounds)
+    return np.where((implied > 0) & beyond, implied, bounds)
 
 
 def _median_size(bounds: Array) -> Array:
@@ -104,31 +116,75 @@ def _limited_sizes(problem: OptimalControlProblem) -> Array:
     return np.where(np.isfinite(least), least, 0.0)
 
 
-def _complete_sizes(problem: OptimalControlProblem, sizes: Array, chosen: Callable[..., Array] = np.min) -> Array:
-    """Return the sizes, unknown ones (0) from known ones by ``_implied_sizes``, over and over."""
-    for _ in range(len(sizes)):  # at least another component is known after each pass
+@dataclass(frozen=True)
+class Influence:
+    """How far the components of a problem move its states in a step: the others (n, n+m), and the offset (n,).
+
+    Sizes are (n+m,), 0 for unknown ones. ``chosen`` is np.min or np.max, of the values by which a component causes
+    several states.
+    """
+
+    others: Array
+    offset: Array
+    horizon: int
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem) -> Influence:
+        """Return the influence by the dynamics of a problem."""
+        A, B, d = problem.form.gains()
+        gain = np.hstack([A * (1 - np.eye(len(A))), B])
+        return cls(np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0), d, problem.horizon)
+
+    def needed(self, states: Array, chosen: Callable[..., Array] = np.min) -> Array:
+        """Return the size with which each component alone causes a known state, 0 if it causes none."""
+        known, absent = states > 0, np.inf if chosen is np.min else 0.0
+        gain = self.horizon * self.others[known]
+        alone = np.divide(states[known, None], gain, out=np.full(gain.shape, absent), where=gain > 0)
+        needed = chosen(alone, axis=0, initial=absent)
+        return np.where(np.isfinite(needed), needed, 0.0)
+
+    def implied(self, known: Array, chosen: Callable[..., Array] = np.min) -> Array:
+        """Return sizes of unknown components from |x_i| <= T (|A| |x| + |B| |u| + |d|)_i.
+
+        A state gets the right side from the known components; if that is zero, or it is a control, the value with which
+        it alone causes a known x_i.
+        """
+        caused = self.horizon * (self.others @ known + self.offset)
+        needed = self.needed(known[: len(caused)], chosen)
+        return np.append(np.where(caused > 0, caused, needed[: len(caused)]), needed[len(caused) :])
+
+    def without_rounding(self, stated: Array, levels: Mask) -> Array:
+        """Return sizes of ends and references, with 0 for those that say nothing of their components.
+
+        A speed of 1e-9 says nothing of the speed that takes a mass a metre away. The size of a state is at least
+        NOTICED times what the others change in a single step. Where all of them together change a state by too little
+        within the horizon, the one that changes it most is too small. The size of a control without ``levels``, (m,),
+        is at least NOTICED times the least with which it causes a state.
+        """
+        n, T = len(self.offset), self.horizon
+        for _ in stated:  # without one of them, others may say nothing either
+            x, u = stated[:n], stated[n:]
+            changes = self.others * np.append(x, np.where(u > 0, u, self.needed(x)[n:]))
+            change, largest = changes.sum(axis=1), changes.argmax(axis=1)
+            needed = self.needed(_complete_sizes(x, lambda states: self.needed(states)[:n]))[n:]
+            others = np.append(change + self.offset, np.where(levels, 0.0, needed))
+            lacking = np.flatnonzero((T * change < NOTICED * x) & (change > 0))
+            causes = largest[lacking]
+            np.maximum.at(others, causes, x[lacking] / (T * self.others[lacking, causes]))
+            said = np.where(stated >= NOTICED * others, stated, 0.0)
+            if (said == stated).all():
+                break
+            stated = said
+        return stated
+
+
+def _complete_sizes(sizes: Array, implied: Callable[[Array], Array]) -> Array:
+    """Return the sizes, unknown ones (0) as ``implied`` by known ones, over and over."""
+    for _ in sizes:  # at least another component is known after each pass
         if sizes.all():
             break
-        sizes = np.where(sizes > 0, sizes, _implied_sizes(problem, sizes, chosen))
+        sizes = np.where(sizes > 0, sizes, implied(sizes))
     return sizes
-
-
-def _implied_sizes(problem: OptimalControlProblem, known: Array, chosen: Callable[..., Array]) -> Array:
-    """Return sizes of unknown components (0) from |x_i| <= T (|A| |x| + |B| |u| + |d|)_i, (n+m,).
-
-    A state gets the right side from the known components; if that is zero, or it is a control, the value with which it
-    alone causes a known x_i, ``chosen`` (np.min or np.max) over i.
-    """
-    n, m = problem.state_dim, problem.control_dim
-    A, B, d = problem.form.gains()
-    gain = problem.horizon * np.hstack([A * (1 - np.eye(n)), B])  # a component says nothing of its own size
-    gain = np.where(gain > NO_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
-    caused = gain @ known + problem.horizon * d
-    useful = (known[:n, None] > 0) & (gain > 0)
-    absent = np.inf if chosen is np.min else 0.0
-    needed = chosen(np.divide(known[:n, None], gain, out=np.full(gain.shape, absent), where=useful), axis=0)
-    forwards = np.append(caused, np.zeros(m))
-    return np.where(forwards > 0, forwards, np.where(np.isfinite(needed), needed, 0.0))
 
 
 def _finite(box: Box) -> Array:

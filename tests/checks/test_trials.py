@@ -1,4 +1,4 @@
-"""A seeded sample of the trials cancellation, cost_units, weights and jumps of ``scripts/verify.py``."""
+"""A seeded sample of the trials cancellation, cost_units, small_ends, weights and jumps of ``scripts/verify.py``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.checks import cancellation, cost_units, jumps, weights
+from helpers.checks import cancellation, cost_units, jumps, small_ends, weights
 from helpers.seeds import seeds
 from lin_freq_ocp.loop.step_problem import ControlLimits
 
@@ -21,6 +21,11 @@ def test_formulas_that_cancel_make_no_claim_that_balls_refute(seed):
 @pytest.mark.parametrize("seed", seeds([0, 2, 3, 4, 7, 9]))
 def test_units_of_the_cost_and_constants_in_it_change_no_status(seed):
     assert cost_units.check(seed).passed, cost_units.check(seed)
+
+
+@pytest.mark.parametrize("seed", seeds([14, 120, 492, 549, 590, 599, 796]))
+def test_small_ends_and_references_change_no_status(seed):
+    assert small_ends.check(seed).passed, small_ends.check(seed)
 
 
 @pytest.mark.parametrize("seed", seeds([1, 2, 5, 6, 7, 12]))
@@ -68,6 +73,10 @@ def test_a_control_outside_its_limits_is_found_out(monkeypatch):
 
 
 def test_a_status_that_changes_is_found_out():
+    small = small_ends.Outcome(0, ("mask", "L1 cost"), "convex", 1e-9, ("optimal", "optimal"), (1.0, 1.0))
+    assert small.passed
+    assert not replace(small, statuses=("optimal", "numerical_error")).passed
+    assert not replace(small, costs=(1.0, 1.001)).passed
     right = cost_units.Outcome(0, "linear", 1.0, ("optimal",) * 4, 0.0)
     assert right.passed
     assert not replace(right, statuses=("optimal", "optimal", "locally_optimal", "optimal")).passed

@@ -176,12 +176,43 @@ def test_stated_sizes_come_from_ends_then_references_then_bounds():
     states, controls = stated_sizes(made)
     np.testing.assert_array_equal(states, [2.0, 7.0])
     np.testing.assert_array_equal(controls, [3.0])
-    tracking = problem(
-        state_set=Box([-9.0, -7.0], [5.0, 3.0]), cost=QuadraticCost(R=1.0, x_ref=[0.25, -4.0], u_ref=[-0.5])
-    )
-    states, controls = stated_sizes(tracking)
+    cost = QuadraticCost(Q=1.0, R=1.0, x_ref=[0.25, -4.0], u_ref=[-5.0])
+    states, controls = stated_sizes(problem(state_set=Box([-9, -7], [5, 3]), initial_state=[0.0, 0.0], cost=cost))
     np.testing.assert_array_equal(states, [0.25, 4.0])
-    np.testing.assert_array_equal(controls, [0.5])
+    np.testing.assert_array_equal(controls, [5.0])
     for part in stated_sizes(problem()):  # nothing is said, but a size is a size
         assert (part > 0).all()
         assert np.isfinite(part).all()
+
+
+def mass(B, start, units=(1.0, 1.0), **references):
+    """Return a mass that comes to rest within ten steps, its states in these units, with an input matrix."""
+    D = np.diag(units)
+    dynamics = LinearDynamics(D @ [[1.0, 0.5], [0.0, 1.0]] @ np.linalg.inv(D), D @ np.reshape(B, (2, 1)))
+    cost = QuadraticCost(Q=1.0, R=0.1, **references)
+    return OptimalControlProblem(dynamics, 10, cost, initial_state=D @ start, terminal_state=[0, 0])
+
+
+@pytest.mark.parametrize("B", [(0.125, 0.5), (0.0, 0.5)], ids=["sampled", "Euler"])
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e9, 1e-9)], ids=["metres", "others"])
+@pytest.mark.parametrize("small", [1e-300, 1e-17, 1e-9, 1e-3])
+def test_numbers_that_are_small_next_to_what_moves_say_nothing(small, units, B):
+    at_rest = np.concatenate(stated_sizes(mass(B, [1.5, 0.0], units)))
+    for moving in (
+        mass(B, [1.5, small], units),
+        mass(B, [1.5, 0.0], units, u_ref=[small]),
+        mass(B, [1.5, -small], units, x_ref=np.multiply(units, small), u_ref=[small]),
+    ):
+        np.testing.assert_allclose(np.concatenate(stated_sizes(moving)), at_rest, rtol=1e-6)
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0), (1e9, 1e-9)])
+def test_numbers_that_the_motion_may_have_are_its_sizes(units):
+    states, controls = stated_sizes(mass((0.125, 0.5), [1.5, 0.2], units, u_ref=[0.3]))
+    np.testing.assert_allclose(states, np.multiply(units, [1.5, 0.2]))
+    np.testing.assert_allclose(controls, 0.3)
+
+
+def test_a_reference_without_a_weight_says_nothing():
+    unweighed = problem(state_set=Box(-9.0, 9.0), control_set=Box(-2.0, 2.0), cost=QuadraticCost(Q=1.0, u_ref=[1e-9]))
+    np.testing.assert_array_equal(stated_sizes(unweighed)[1], [2.0])

@@ -13,6 +13,7 @@ from helpers.seeds import seeds, turn
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
 from lin_freq_ocp.methods import Candidate, steepest_recession
+from lin_freq_ocp.program import REGISTER, Claim, backend
 from lin_freq_ocp.solving import judge_candidate, verified_direction
 from lin_freq_ocp.transform import translated_by
 
@@ -92,6 +93,19 @@ def test_an_unbounded_problem_is_unbounded_wherever_zero_is(shift, method):
     result = lfo.solve(problem, method, throw=False)
     assert result.status == "unbounded"
     assert result.direction.residual < 1e-13
+
+
+def test_an_unbounded_problem_is_no_problem_of_too_few_iterations(monkeypatch):
+    entry, honest = REGISTER["clarabel"], backend("clarabel")
+
+    def stop_early(program, tolerance, time_limit):
+        solution, z = honest(program, tolerance, time_limit), np.zeros(program.A.shape[1])
+        unfinished = replace(solution, claim=Claim.LIMIT, z=z, y=0 * program.lower)
+        return unfinished if solution.claim is Claim.UNBOUNDED else solution
+
+    monkeypatch.setitem(REGISTER, "clarabel", replace(entry, load=lambda member: stop_early))
+    problem = lfo.OptimalControlProblem(DOUBLE, 5, lfo.QuadraticCost(r=[1.0]), initial_state=[1.0, 0.0])
+    assert lfo.solve(problem, "convex", throw=False).status == "unbounded"
 
 
 class TestDirections:

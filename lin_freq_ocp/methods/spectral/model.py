@@ -26,7 +26,7 @@ from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.term import TermKind
-from lin_freq_ocp.transform.sizes import FAR_BEYOND, completed_sizes, given_sizes
+from lin_freq_ocp.transform.sizes import FAR_BEYOND, natural_sizes
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
 
@@ -208,9 +208,7 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
 
 def natural_units(problem: OptimalControlProblem) -> LtiUnits:
     """Return units with data of order 1; UnsupportedError if the cost of the sizes is not finite and above 0."""
-    given = given_sizes(problem)
-    states, controls = completed_sizes(problem, given)
-    known = given[: len(states)] > 0
+    states, controls, known = natural_sizes(problem)
     recursion = problem.form.response(problem.horizon) is None
     balanced = recursion and not known.all()
     x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)

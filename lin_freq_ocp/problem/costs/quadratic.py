@@ -292,13 +292,13 @@ class QuadraticCost(Cost):
         return _cost_of_checked(**complete)
 
     @cached_property
-    def weighs(self) -> Mask:
-        """Which states cost something by their deviation from the reference, (n,)."""
-        rows = (part.reshape(-1, *part.shape[-2:]).any(axis=(0, 2)) for part in (self.Q, self.S, self.P))
-        return np.asarray(np.logical_or.reduce(list(rows)))
+    def weighs(self) -> tuple[Mask, Mask]:
+        """Which states (n,) and controls (m,) cost something by their deviation from the reference."""
+        Q, S, P, R = (np.any(part.reshape(-1, *part.shape[-2:]), axis=0) for part in (self.Q, self.S, self.P, self.R))
+        return np.any(np.hstack([Q, S, P]), axis=1), np.any(np.vstack([R, S]), axis=0)
 
     def translated(self, origin: Array) -> QuadraticCost:
-        return replace(self, x_ref=np.where(self.weighs, self.x_ref - origin, 0.0))
+        return replace(self, x_ref=np.where(self.weighs[0], self.x_ref - origin, 0.0))
 
     def augmented(self, k: int, weight: float) -> QuadraticCost:
         """Return the cost of (x, w), with weight/2 |w_t|^2 for w in R^k and t < T."""
