@@ -48,13 +48,13 @@ def scaled_program(problem: OptimalControlProblem) -> tuple[LinearProgram, Scali
     return linear, scaling, linear.sparse.scaled(scaling)
 
 
-def common_scaling(programs: Sequence[LinearProgram]) -> Scaling:
+def common_scaling(programs: Sequence[LinearProgram], sizes: tuple[Array, Array]) -> Scaling:
     """Return one change of units for several linear problems that differ in their dynamics only, such as modes.
 
-    The unit of a component is its largest one among the problems, within TERM_SHARE of the size in the data.
+    The unit of a component is its largest one among the problems, within TERM_SHARE of its size in the data of all.
     """
     first = programs[0]
-    stated = first.column_units(*stated_sizes(first.problem))
+    stated = first.column_units(*sizes)
     largest = np.max([natural_scaling(linear).columns for linear in programs], axis=0)
     columns = np.clip(largest, TERM_SHARE * stated, stated / TERM_SHARE)
     return scale_rows_and_cost(first, columns, columns)

@@ -164,7 +164,7 @@ class Influence:
         n, T = len(self.offset), self.horizon
         for _ in stated:  # without one of them, others may say nothing either
             x, u = stated[:n], stated[n:]
-            changes = self.others * np.append(x, np.where(u > 0, u, self.needed(x)[n:]))
+            changes = self.others * np.append(np.maximum(x, self.offset), np.where(u > 0, u, self.needed(x)[n:]))
             change, largest = changes.sum(axis=1), changes.argmax(axis=1)
             needed = self.needed(_complete_sizes(x, lambda states: self.needed(states)[:n]))[n:]
             others = np.append(change + self.offset, np.where(levels, 0.0, needed))

@@ -29,6 +29,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.units import common_scaling
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def smooth_program(problem: OptimalControlProblem) -> SmoothProgram:
     modes = _interned(problem)
     lower, upper, possible = _reach(problem, modes)
     hosts = _hosts(problem, lower, upper)
-    host, scaling = hosts[0], common_scaling(hosts)
+    host, scaling = hosts[0], common_scaling(hosts, stated_sizes(problem))
     whole = host.sparse.scaled(scaling)
     first = whole.rows[Block.DYNAMICS].stop  # the host's first rows
     program = replace(

@@ -313,7 +313,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         Block.MODES: mode_rows,
     }
     require_time(end)
-    joined, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts)
+    joined, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts, stated_sizes(problem))
     # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
     units = np.append(of_signals.columns, np.ones(len(joined.q) - len(of_signals.columns)))
     largest = abs(joined.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()

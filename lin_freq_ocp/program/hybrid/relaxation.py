@@ -46,6 +46,7 @@ from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.units import common_scaling
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 from lin_freq_ocp.transform.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 Number = TypeVar("Number", float, Array)
 
@@ -78,7 +79,7 @@ class ModeRelaxation:
             LinearProgram(problem.with_dynamics(piecewise_affine(problem).along(np.full(T, mode))))
             for mode in range(modes)
         ]
-        self._host, units = hosts[0], common_scaling(hosts)
+        self._host, units = hosts[0], common_scaling(hosts, stated_sizes(problem))
         self._scaling = replace(units, cost=COST_SHARE * level * units.cost)
         self._program = self._host.sparse.scaled(self._scaling)
         states = (T + 1) * n
