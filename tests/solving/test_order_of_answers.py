@@ -171,6 +171,21 @@ def test_a_direction_whose_program_is_too_large_is_not_looked_for(monkeypatch):
     assert lfo.solve(FALLING, method="spectral", throw=False).status == "numerical_error"
 
 
+def test_the_answer_of_a_warm_start_counts_only_if_it_is_proven(monkeypatch):
+    """The method itself may prove what pivoting from a trajectory nearby does not."""
+    guess = replace(solve_convex(PROBLEM, "clarabel"), message="guess")
+
+    def doubt(problem, candidate, *options):
+        outcome = judge_candidate(problem, candidate, *options)
+        return replace(outcome, status=Status.LOCALLY_OPTIMAL) if candidate.message == "guess" else outcome
+
+    substitute(monkeypatch, "methods.structured.solve_from_warm_start", lambda *given: guess)
+    substitute(monkeypatch, "solving.judge_candidate", doubt)
+    result = lfo.solve(PROBLEM, method="structured")
+    assert [attempt.status for attempt in result.attempts] == ["locally_optimal", "optimal"]
+    assert result.status == "optimal"
+
+
 def test_the_trajectory_at_rest_is_tried_where_nothing_else_is_proven(monkeypatch):
     """A solver comes to the root of its tolerance from an optimum that costs nothing."""
     resting = replace(PROBLEM, initial_state=None, cost=lfo.QuadraticCost(R=1.0, P=0.0))

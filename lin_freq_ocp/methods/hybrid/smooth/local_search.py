@@ -263,7 +263,8 @@ class LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
             for start, sequence, warm in self._all_starts():
-                if self._late() or self._try(start, sequence, warm=warm) in (Reason.PROVEN, Reason.UNBOUNDED):
+                reason = self._try(start, sequence, warm=warm)
+                if self._late() or reason in (Reason.PROVEN, Reason.UNBOUNDED):
                     return self
             while not self._late() and (self._on_grid(self.best) or self._improve_neighbours()):
                 pass
