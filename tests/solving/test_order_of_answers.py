@@ -162,6 +162,18 @@ def test_infeasibility_comes_before_a_direction_of_descent(monkeypatch):
     assert contradiction.bound == RIGOROUS
 
 
+def test_a_point_far_along_a_direction_is_no_local_optimum(monkeypatch):
+    """Relative to its size, such a point may satisfy every condition."""
+
+    def confirm(problem, candidate, *options):
+        outcome = judge_candidate(problem, candidate, *options)
+        return replace(outcome, status=Status.LOCALLY_OPTIMAL) if candidate.message == "stalled" else outcome
+
+    substitute(monkeypatch, "solving.solve_spectral", stop)
+    substitute(monkeypatch, "solving.judge_candidate", confirm)
+    assert lfo.solve(FALLING, method="spectral", throw=False).status == "unbounded"
+
+
 def test_a_direction_whose_program_is_too_large_is_not_looked_for(monkeypatch):
     def refuse(problem):
         raise lfo.errors.UnsupportedError("too large")
