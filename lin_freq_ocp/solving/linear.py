@@ -104,11 +104,8 @@ class _Trial:
     def reject_ends(self) -> Iterator[Outcome]:
         """Yield the proof that an end lies outside its set, if it does."""
         ray = contradiction_at_ends(self.problem)
-        if ray is None:
-            return
-        outcome = self.judge(Candidate(Status.INFEASIBLE, ray=ray, message="an end lies outside the state set"))
-        if outcome.status == Status.INFEASIBLE:
-            yield outcome
+        if ray is not None:
+            yield self.judge(Candidate(Status.INFEASIBLE, ray=ray, message="an end lies outside the state set"))
 
 
 class _Linear(ABC):

@@ -92,6 +92,20 @@ def test_a_proof_of_infeasibility_within_rounding_is_no_last_word():
     assert reasons == [Reason.NEARLY_FEASIBLE, Reason.PROVEN]
 
 
+@pytest.mark.parametrize(("method", "outside"), [("convex", 1e-8), ("structured", 1e-9)])
+def test_an_end_outside_its_set_is_rejected_before_a_solver_takes_it_for_rounding(method, outside):
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]]),
+        50,
+        lfo.QuadraticCost(R=1.0),
+        control_set=lfo.Box(-5, 5),
+        state_set=lfo.Box([1.0 + outside, None], None),
+        initial_state=[2.0, 0.0],
+        terminal_state=[1.0, 0.0],
+    )
+    assert lfo.solve(problem, method=method, throw=False).status == "infeasible"
+
+
 def test_the_later_one_of_equals_is_taken():
     answers = [replace(BEST, status=Status.LOCALLY_OPTIMAL, message=text) for text in ("first", "later")]
     assert take_best(answers).message == "later"
