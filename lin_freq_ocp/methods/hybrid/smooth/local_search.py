@@ -249,8 +249,7 @@ class LocalSearch:
     def __post_init__(self):
         self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
-        self._repeated = False
-        self.attempts = list[Attempt]()
+        self._repeated, self.attempts = False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
         self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
