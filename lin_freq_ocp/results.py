@@ -13,6 +13,7 @@ from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.solution_files import SavedSolution
 from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
+from lin_freq_ocp.methods.candidate import Attempt, Reason
 from lin_freq_ocp.problem.terms.quantity import Reading
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.proof.enclosure import Enclosure
@@ -20,8 +21,8 @@ from lin_freq_ocp.solving.outcome import Cure, Explanation
 
 # fmt: off
 __all__ = [
-    "BetweenSamples", "BoundPeak", "Certificate", "CertifiedLog", "ClosedLoop", "Comparison", "Cure", "Enclosure",
-    "Explanation", "GeneratedController", "MinimumTime", "Multipliers", "Reading", "Result", "SavedRun",
-    "SavedSolution", "Sensitivities", "Solutions", "Status", "Sweep", "Trajectory",
+    "Attempt", "BetweenSamples", "BoundPeak", "Certificate", "CertifiedLog", "ClosedLoop", "Comparison", "Cure",
+    "Enclosure", "Explanation", "GeneratedController", "MinimumTime", "Multipliers", "Reading", "Reason", "Result",
+    "SavedRun", "SavedSolution", "Sensitivities", "Solutions", "Status", "Sweep", "Trajectory",
 ]
 # fmt: on

@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_247,
-    "code lines": 42_184,
-    "code lines, linear part": 21_241,
-    "code lines, hybrid": 8_685,
+    "shipped lines": 45_239,
+    "code lines": 42_176,
+    "code lines, linear part": 21_234,
+    "code lines, hybrid": 8_682,
     SHARE_SAID: 19.5,  # at least
     "files": 311,
     "folders": 42,
@@ -65,7 +65,7 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
-    "functions entered by a solve": 381,
+    "functions entered by a solve": 379,
     "calls of a solve": 753,
     "modules that tests import": 72,
     "modules that tests import past a door": 44,

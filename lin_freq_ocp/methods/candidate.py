@@ -1,4 +1,4 @@
-"""The options and the answer of every method for linear dynamics, and the checks before it begins.
+"""The options and the answers of methods, the checks before one begins, and the order of answers.
 
 A candidate is a point with multipliers, or a ray: the method measures it, and the judge decides.
 """
@@ -6,6 +6,7 @@ A candidate is a point with multipliers, or a ray: the method measures it, and t
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from enum import IntEnum, auto
 
 import numpy as np
 
@@ -55,6 +56,84 @@ class Candidate:
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
     interrupted: bool = False  # by Ctrl-C
     descent: Trajectory | None = None  # if unbounded: the claimed direction (dx, du) of descent
+
+
+class Reason(IntEnum):
+    """Why another answer is asked for after one, or none; the larger one is preferred.
+
+    Attributes
+    ----------
+    REFUSED
+        The method does not take the problem.
+    STOPPED
+        A limit of time or steps, or Ctrl-C; no other answer follows.
+    FAILED
+        There is no trajectory that satisfies every constraint; of two such answers, the less violation is preferred.
+    CLAIMED
+        A ray claims that there is no trajectory. It excludes those up to a size, and a feasible one refutes it.
+    FEASIBLE
+        There is a trajectory that satisfies every constraint, but no local optimum.
+    LOCALLY_OPTIMAL
+        No bound proves the local optimum.
+    UNBOUNDED
+        The cost decreases without bound, if there is a trajectory.
+    NEARLY_FEASIBLE
+        Rounding of the data may explain the proof that there is no trajectory.
+    MULTIPLIERS
+        The optimum is proven, but its multipliers fail a condition that others satisfy.
+    PROVEN
+        The answer is proven; no other one follows.
+
+    Examples
+    --------
+    >>> lfo.results.Reason.PROVEN > lfo.results.Reason.LOCALLY_OPTIMAL
+    True
+    """
+
+    REFUSED = auto()
+    STOPPED = auto()
+    FAILED = auto()
+    CLAIMED = auto()
+    FEASIBLE = auto()
+    LOCALLY_OPTIMAL = auto()
+    UNBOUNDED = auto()
+    NEARLY_FEASIBLE = auto()
+    MULTIPLIERS = auto()
+    PROVEN = auto()
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One answer that was tried, or one method that refused the problem.
+
+    Attributes
+    ----------
+    method : str
+        The shorthand of the method, with its backend if it has one.
+    status : Status or None
+        How it ended; None if there was nothing to judge, or the best of several local searches is judged.
+    reason : Reason
+        Why another answer followed, or none.
+    message : str
+        What the answer says about its end.
+
+    Examples
+    --------
+    >>> print(*lfo.solve(lfo.library.double_integrator()).attempts)
+    spectral: optimal (proven)
+    """
+
+    method: str
+    status: Status | None
+    reason: Reason
+    message: str = ""
+
+    def __str__(self) -> str:
+        ending = str(self.reason) if self.status is None else f"{self.status} ({self.reason})"
+        return f"{self.method}: {ending}" + (f", {self.message}" if self.message else "")
 
 
 def require_convex(problem: OptimalControlProblem) -> None:

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON, ZERO_GAP, ActiveSystem, solve_active
@@ -31,6 +31,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scale_rows_and_cost
 from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
@@ -91,6 +92,22 @@ def corrections(
     solution = backend("clarabel")(deviations.program, DEFAULT_TOLERANCE, None)
     if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
         yield from filter(None, [deviations.correct(solution.z, solution.y)])
+
+
+def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Trajectory | None:
+    """Return the trajectory with controls and first state at their references; None if it diverges.
+
+    Interior points approach it to the root of their tolerance only. Signals without a cost are those of ``near``.
+    """
+    cost, T = problem.quadratic, len(near.u)
+    priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
+    u = np.where(priced, cost.u_ref, near.u)
+    first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
+    follows = problem.form.response(T) is not None  # x_0 follows from the controls, too
+    try:
+        return simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
+    except NumericalError:
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,16 +10,16 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import Direction, InfeasibilityProof, prove_infeasible, unbounded_direction
+from lin_freq_ocp.certificate.rays import Direction, prove_infeasible, unbounded_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
-from lin_freq_ocp.methods.correction import Correction, corrections
+from lin_freq_ocp.methods.correction import Correction, corrections, trajectory_at_rest
 from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.level_rows import few_between_levels
 from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.simulation import simulate
@@ -43,7 +43,8 @@ def judge_candidate(
     status, message, certificate = candidate.status, candidate.message, None
     if candidate.trajectory is not None and candidate.multipliers is not None:
         allowed = allowed_residual(tolerance)
-        candidate, certificate = judge_nearest(problem, candidate, allowed)
+        trajectory, multipliers, certificate = judge_nearest(problem, candidate, allowed)
+        candidate = replace(candidate, trajectory=trajectory, multipliers=multipliers)
         if not candidate.interrupted:
             status, message = _verified_status(status, message, certificate, allowed)
     direction = None if candidate.descent is None else verified_direction(problem, candidate.descent)
@@ -57,9 +58,12 @@ def judge_candidate(
         status, message = Status.NUMERICAL_ERROR, f"{message}, without a verified direction of descent"
     point = candidate.trajectory, candidate.multipliers, certificate
     claims = status == Status.INFEASIBLE
-    proof = _proof_of(problem, candidate, claims)
+    # near infeasibility, the multipliers of a failed solve become a ray
+    failed = not candidate.interrupted and candidate.status in (Status.NUMERICAL_ERROR, Status.LIMIT)
+    ray = candidate.ray if claims else candidate.multipliers if failed else None
+    proof = None if ray is None else prove_infeasible(problem, ray)
     if proof is not None and proof.bound.kind == RIGOROUS:  # there is no feasible point
-        status, message, point, direction = Status.INFEASIBLE, "proven by a rigorous ray", NO_POINT, None
+        status, message, point, direction = Status.INFEASIBLE, "proven by a rigorous ray", (None, None, None), None
     elif claims:
         excluded = None if proof is None else f"no trajectory with {proof.sizes} satisfies all constraints"
         status, message = Status.INFEASIBLE_CLAIMED, excluded or f"{message}, but its ray proves nothing"
@@ -67,57 +71,43 @@ def judge_candidate(
         if feasible is not None:
             status, point, proof = Status.NUMERICAL_ERROR, feasible, None
             message = f"{candidate.message}, but the controls nearest to zero satisfy all constraints"
-    elif status == Status.OPTIMAL:
-        message = ""
+    else:
+        proof, message = None, "" if status == Status.OPTIMAL else message
     seconds = {**candidate.seconds, "certify": now() - clock}
-    return Outcome(
-        problem,
-        status,
-        method,
-        backend,
-        seconds,
-        *point,
-        infeasibility=proof,
-        message=message,
-        interrupted=candidate.interrupted,
-        direction=direction,
-    )
+    return Outcome(problem, status, method, backend, seconds, *point, proof, message, candidate.interrupted, direction)
 
 
-def judge_nearest(
-    problem: OptimalControlProblem, candidate: Candidate, allowed: float
-) -> tuple[Candidate, Certificate]:
-    """Return the candidate with a feasible trajectory near its own, and the certificate of that.
+def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed: float) -> Judged:
+    """Return a feasible trajectory near that of a candidate, with multipliers and their certificate.
 
     An optimum is proven by a bound, and by the cost of a trajectory that satisfies every constraint. The repaired
     trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
-    multipliers may be wrong, as those of a solver are that takes a small residual for rounding. Where that fails, too,
-    the point is judged as it is, and is no optimum.
+    multipliers may be wrong, as those of a solver are that takes a small residual for rounding. The last trajectory
+    that may be proven is that at rest. If none is, the point is judged as it is, and is no optimum.
     """
     trajectory, multipliers = candidate.trajectory, candidate.multipliers
     assert trajectory is not None
     assert multipliers is not None
     if problem.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
-        return candidate, judge(problem, trajectory, multipliers, allowed)
+        return Judged(trajectory, multipliers, judge(problem, trajectory, multipliers, allowed))
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
         repaired = repair_trajectory(problem, trajectory)
     if repaired is not None:
         certificate = judge(problem, repaired, multipliers, allowed)
         if certificate.proven_within(allowed):
-            return replace(candidate, trajectory=repaired), certificate
+            return Judged(repaired, multipliers, certificate)
     claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
     if claims:  # a point at a limit of time keeps its controls, which obey the bands
         trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
-        candidate = replace(candidate, trajectory=trajectory)
     own = None if claims else judge(problem, trajectory, multipliers, allowed)
     if own is not None and not own.proven_within(allowed):
-        return candidate, own
+        return Judged(trajectory, multipliers, own)
     # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
     known = any(term.semi_infinite is not None for term in problem.terms)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             judged = (
-                _judge_correction(problem, candidate, one, allowed)
+                _judge_correction(problem, multipliers, one, allowed)
                 for one in corrections(problem, trajectory, multipliers)
             )
             proof = next((proof for proof in judged if proof is not None), None)
@@ -125,29 +115,37 @@ def judge_nearest(
         proof, known = None, True
     if proof is not None:
         return proof
+    resting = trajectory_at_rest(problem, trajectory) if claims else None
+    if resting is not None:
+        rest = Candidate(Status.LIMIT, resting, zero_multipliers(problem, 1.0))
+        proof = judge_nearest(problem, rest, allowed)
+        if proof.certificate.proven_within(allowed):
+            return proof
     own = own or judge(problem, trajectory, multipliers, allowed)
-    return candidate, own if known else replace(own, worth_of_residuals=np.inf)
+    return Judged(trajectory, multipliers, own if known else replace(own, worth_of_residuals=np.inf))
 
 
 def _judge_correction(
-    problem: OptimalControlProblem, candidate: Candidate, correction: Correction, allowed: float
-) -> tuple[Candidate, Certificate] | None:
-    """Return the corrected candidate with the multipliers that prove it, its own or the former; None if none do.
+    problem: OptimalControlProblem, former: Multipliers, correction: Correction, allowed: float
+) -> Judged | None:
+    """Return the corrected trajectory with the multipliers that prove it, its own or the former; None if none do.
 
     Where no bound is close enough, rounding of the data may decide.
     """
     if not np.isfinite(correction.price):
         return None
-    judged = list[tuple[Candidate, Certificate]]()
-    for multipliers in (correction.multipliers, candidate.multipliers):
-        assert multipliers is not None
-        point = replace(candidate, trajectory=correction.trajectory, multipliers=multipliers)
+    judged = list[Judged]()
+    for multipliers in (correction.multipliers, former):
         certificate = judge(problem, correction.trajectory, multipliers, allowed)
-        judged.append((point, replace(certificate, worth_of_residuals=correction.price)))
-        if judged[-1][1].proven_within(allowed):
+        certificate = replace(certificate, worth_of_residuals=correction.price)
+        judged.append(Judged(correction.trajectory, multipliers, certificate))
+        if certificate.proven_within(allowed):
             return judged[-1]
-    judged = [(point, replace(k, data_rounding=correction.data_rounding)) for point, k in judged]
-    return next((one for one in judged if one[1].proven_within(allowed)), None)
+    for point in judged:
+        certificate = replace(point.certificate, data_rounding=correction.data_rounding)
+        if certificate.proven_within(allowed):
+            return point._replace(certificate=certificate)
+    return None
 
 
 def candidate_of(outcome: Outcome) -> Candidate:
@@ -205,7 +203,7 @@ def reduce_fractional_samples(outcome: Outcome, tolerance: float | None) -> Outc
     if fewer.status != Status.OPTIMAL:
         return outcome
     seconds = {**outcome.seconds, "certify": outcome.seconds.get("certify", 0.0) + fewer.seconds["certify"]}
-    return replace(fewer, seconds=seconds, reason=outcome.reason)
+    return replace(fewer, seconds=seconds, reason=outcome.reason, attempts=outcome.attempts)
 
 
 def _verified_status(status: Status, message: str, certificate: Certificate, gap: float) -> tuple[Status, str]:
@@ -236,24 +234,12 @@ def _verified_status(status: Status, message: str, certificate: Certificate, gap
     return confirmed, f"the maximum principle is satisfied; {missing}"
 
 
-Point = tuple[Trajectory | None, Multipliers | None, Certificate | None]
-NO_POINT: Point = (None, None, None)
-
-
 def verified_direction(problem: OptimalControlProblem, along: Trajectory) -> Direction | None:
     """Return a direction without bound near a solver's, which satisfies the constraints only nearly, or None."""
     return next(filter(None, (unbounded_direction(problem, one) for one in recession_directions(problem, along))), None)
 
 
-def _proof_of(problem: OptimalControlProblem, candidate: Candidate, claims: bool) -> InfeasibilityProof | None:
-    """Return what the ray of a candidate proves; near infeasibility, the multipliers of a failed solve become one."""
-    failed = not candidate.interrupted and candidate.status in (Status.NUMERICAL_ERROR, Status.LIMIT)
-    ray = candidate.ray if claims else candidate.multipliers if failed else None
-    proof = None if ray is None else prove_infeasible(problem, ray)
-    return proof if claims or (proof is not None and proof.bound.kind == RIGOROUS) else None
-
-
-def _feasible_point(problem: OptimalControlProblem) -> Point | None:
+def _feasible_point(problem: OptimalControlProblem) -> Judged | None:
     """Return the trajectory of the controls and the initial state nearest to zero, if it satisfies all constraints."""
     rest = np.zeros((problem.horizon, problem.control_dim)), np.zeros(problem.state_dim)
     start = None if problem.form.response(problem.horizon) is not None else problem.initial_box.project(rest[1])
@@ -263,4 +249,4 @@ def _feasible_point(problem: OptimalControlProblem) -> Point | None:
         return None
     multipliers = zero_multipliers(problem, 1.0)
     certificate = judge(problem, trajectory, multipliers)
-    return (trajectory, multipliers, certificate) if certificate.feasible else None
+    return Judged(trajectory, multipliers, certificate) if certificate.feasible else None

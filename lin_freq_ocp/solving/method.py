@@ -1,14 +1,16 @@
-"""The protocol of methods: objects that hold their options and solve problems with one kind of dynamics."""
+"""The protocol of methods, objects that hold their options and solve problems, and the order of their answers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import Field, dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from lin_freq_ocp.base.clock import seconds_left
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.methods.candidate import Attempt, Reason
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
@@ -41,6 +43,36 @@ class Request:
         """Return the request with the time left until the end, by ``clock.now``, as its limit."""
         left = seconds_left(end)
         return self if left is None else replace(self, time_limit=left)
+
+
+def take_best(answers: Iterable[Outcome | Attempt], enough: tuple[Reason, ...] = ()) -> Outcome:
+    """Take answers in turn until one is proven, stopped or ``enough``; return the best, the later one of equals.
+
+    An attempt in place of an answer is one that does not count; UnsupportedError if there is no other.
+    """
+    best, attempts, interrupted = None, list[Attempt](), False
+    for answer in answers:
+        if isinstance(answer, Attempt):
+            attempts.append(answer)
+            continue
+        reason, interrupted = answer.attempt.reason, answer.interrupted
+        attempts += answer.attempts or [answer.attempt]
+        if best is None or reason > best.attempt.reason or (reason == best.attempt.reason and _as_good(answer, best)):
+            best = answer
+        if reason in (Reason.STOPPED, Reason.PROVEN, *enough):
+            break
+    if best is None:
+        raise UnsupportedError(" Before that: ".join(reversed(dict.fromkeys(attempt.message for attempt in attempts))))
+    return replace(best, attempts=tuple(attempts), interrupted=interrupted)
+
+
+def _as_good(answer: Outcome, best: Outcome) -> bool:
+    """Whether of two answers for one reason, this has no more violation, and its claim holds up to the same sizes."""
+    if answer.infeasibility is not None and best.infeasibility is not None:
+        return answer.infeasibility.bound.multiple >= best.infeasibility.bound.multiple
+    if answer.certificate is None or best.certificate is None:
+        return best.certificate is None
+    return answer.primal or answer.certificate.violation <= best.certificate.violation
 
 
 class Method(Protocol):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,14 +14,19 @@ from lin_freq_ocp.base.phrases import html_table, term_rows
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, bounds_between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof
+from lin_freq_ocp.certificate.rays import Conflict, Direction, InfeasibilityProof, proof_margin
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.methods.candidate import Attempt, Reason
 from lin_freq_ocp.problem.description import problem_remarks
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.quantity import Reading
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.level_rows import LevelUse, level_use
 from lin_freq_ocp.transform.reductions import Reduced
+
+SMALL_MARGIN = 1e-5
+"""Margin of an infeasibility proof below which rounding of the data may explain it: the sparse program may still find a
+point that satisfies every constraint within the judge's tolerance."""
 
 MOST_READINGS = 8  # of limited spectra in a text, those nearest to their limits
 
@@ -107,6 +113,18 @@ class Evidence(ABC):
     def __str__(self) -> str: ...
 
 
+class Judged(NamedTuple):
+    """A trajectory with its multipliers and the certificate of both."""
+
+    trajectory: Trajectory
+    multipliers: Multipliers
+    certificate: Certificate
+
+    def with_bound(self, bound: Bound | None) -> Judged:
+        """Return the same with another bound on the optimal cost."""
+        return self._replace(certificate=replace(self.certificate, bound=bound))
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """The outcome of a solve; a field that does not apply is None.
@@ -143,6 +161,8 @@ class Outcome:
         If ``lfo.solve`` raised an InfeasibleError: the constraints in conflict, and the smallest relaxation that helps.
     reason : str
         Why "auto" chose the method; empty if the user did.
+    attempts : tuple of Attempt
+        What was tried, in this order: how each answer ended, and why another one was asked for.
     """
 
     problem: OptimalControlProblem
@@ -162,6 +182,25 @@ class Outcome:
     evidence: Evidence | None = None
     explanation: Explanation | None = None
     reason: str = ""
+    attempts: tuple[Attempt, ...] = ()
+
+    @cached_property
+    def attempt(self) -> Attempt:
+        """What ``attempts`` says of this answer, with the reason why another one may follow."""
+        if self.interrupted or self.status == Status.LIMIT:
+            reason = Reason.STOPPED
+        elif self.status == Status.OPTIMAL:
+            satisfied = self.certificate is None or self.certificate.pmp == "satisfied"
+            reason = Reason.PROVEN if satisfied and self.multipliers is not None else Reason.MULTIPLIERS
+        elif self.status == Status.INFEASIBLE and self.bound == RIGOROUS:
+            clear = self.ray is None or proof_margin(self.problem, self.ray) > SMALL_MARGIN
+            reason = Reason.PROVEN if clear else Reason.NEARLY_FEASIBLE
+        elif self.infeasibility is not None:
+            reason = Reason.CLAIMED
+        else:
+            solved = {Status.LOCALLY_OPTIMAL: Reason.LOCALLY_OPTIMAL, Status.UNBOUNDED: Reason.UNBOUNDED}
+            reason = solved.get(self.status, Reason.FEASIBLE if self.primal else Reason.FAILED)
+        return Attempt(self.method, self.status, reason, self.message)
 
     @property
     def primal(self) -> bool:

@@ -64,9 +64,9 @@ def solve_judged(
     """Solve a problem and judge the answer; ``lfo.solve`` documents parameters and errors, ``Request`` proof."""
     require_problem(problem)
     limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
-    require_options(method, backend, time_limit=time_limit, **limits)
     options = {**limits, "executor": executor, "start": start, "global_bound": global_bound}
     chosen = choose_method(problem, method, {"backend": None if backend == "auto" else backend, **options})
+    require_options(chosen, backend, time_limit=time_limit, **limits)
     first = None if start is None else start_of(problem, start)
     allowed = tolerance or getattr(chosen, "tolerance", None)
     request = Request(np.inf if time_limit is None else time_limit, allowed, progress, first, proof=proof)
@@ -198,4 +198,5 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
     candidate = best.reduced.recover(candidate_of(outcome))
     answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
-    return replace(answer, reason=outcome.reason, interrupted=rounds[-1].outcome.interrupted)
+    interrupted = rounds[-1].outcome.interrupted
+    return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)

@@ -21,8 +21,8 @@ FAR_BOUND = 1e4  # size, in expected units, from which bounds disturb solvers an
 
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
-    """The answer of one solve in given units; a point z with duals y is in the units of the program."""
+class ScaledAnswer:
+    """The answer of a solver in given units; a point z with duals y is in the units of the program."""
 
     candidate: Candidate
     scaling: Scaling
@@ -53,7 +53,7 @@ class ScaledSolver:
         """Whether there is no time left."""
         return now() >= self.end
 
-    def attempt(self, scaling: Scaling) -> Attempt:
+    def attempt(self, scaling: Scaling) -> ScaledAnswer:
         """Solve in the given units, at first without far bounds."""
         program = self.linear.sparse.scaled(scaling)
         near = program.without_bounds_beyond(FAR_BOUND)
@@ -64,17 +64,17 @@ class ScaledSolver:
         complete = self._solve(program, scaling)
         return complete if attempt.candidate.status == Status.UNBOUNDED else better_of(attempt, complete)
 
-    def solve_with_all_bounds(self, scaling: Scaling) -> Attempt:
+    def solve_with_all_bounds(self, scaling: Scaling) -> ScaledAnswer:
         """Solve in the given units with all bounds."""
         return self._solve(self.linear.sparse.scaled(scaling), scaling)
 
-    def solve_without_far_bounds(self, scaling: Scaling) -> Attempt | None:
+    def solve_without_far_bounds(self, scaling: Scaling) -> ScaledAnswer | None:
         """Solve without far bounds; None if no bound is far, or if the program is unbounded without them."""
         near = self.linear.sparse.scaled(scaling).without_bounds_beyond(FAR_BOUND)
         attempt = None if near is None else self._solve(near, scaling)
         return None if attempt is None or attempt.candidate.status == Status.UNBOUNDED else attempt
 
-    def recover(self, scaling: Scaling, program: Program, solution: Solution) -> Attempt:
+    def recover(self, scaling: Scaling, program: Program, solution: Solution) -> ScaledAnswer:
         """Return a solver's answer, which is in the units of ``scaling``, as a measured trajectory with multipliers."""
         z, y, claim = solution.z, solution.y, solution.claim
         late = claim is Claim.TIME_LIMIT
@@ -84,16 +84,16 @@ class ScaledSolver:
         with np.errstate(over="ignore"):
             finite = y is None or bool(np.isfinite(scaling.dual(y)).all())
         if not finite:  # too large for the units of the problem
-            return Attempt(failed, scaling)
+            return ScaledAnswer(failed, scaling)
         if claim is Claim.INFEASIBLE:
             ray = None if y is None else self.linear.multipliers(scaling.dual(y), 0.0)
             error = np.inf if y is None else program.infeasibility_residual(y)
-            return Attempt(Candidate(Status.INFEASIBLE, ray=ray, message=solution.message), scaling, error)
+            return ScaledAnswer(Candidate(Status.INFEASIBLE, ray=ray, message=solution.message), scaling, error)
         if claim is Claim.UNBOUNDED:
             along = None if z is None else self.linear.direction(scaling.primal(z))  # which the judge projects
-            return Attempt(Candidate(Status.UNBOUNDED, message=solution.message, descent=along), scaling, 0.0)
+            return ScaledAnswer(Candidate(Status.UNBOUNDED, message=solution.message, descent=along), scaling, 0.0)
         if z is None or y is None:
-            return Attempt(failed, scaling, late=late)
+            return ScaledAnswer(failed, scaling, late=late)
         if not program.P.nnz and not program.q.any():
             y = np.zeros_like(y)  # without a cost, multipliers of zero are exact, and the solver's are rounding errors
         point, duals = scaling.primal(z), scaling.dual(y)
@@ -108,25 +108,18 @@ class ScaledSolver:
         else:
             solved = residuals.worst <= max(SOLVED_TOLERANCE, self.tolerance or 0.0)
             status = Status.OPTIMAL if solved else Status.NUMERICAL_ERROR
-        candidate = Candidate(
-            status,
-            self.linear.trajectory(point),
-            self.linear.multipliers(duals, 1.0),
-            None,
-            residuals,
-            solution.message,
-            interrupted=interrupted,
-        )
+        found = self.linear.trajectory(point), self.linear.multipliers(duals, 1.0)
+        candidate = Candidate(status, *found, None, residuals, solution.message, interrupted=interrupted)
         if not np.isfinite(residuals.worst):
             point, duals = None, None
-        return Attempt(candidate, scaling, residuals.worst, point, duals, late)
+        return ScaledAnswer(candidate, scaling, residuals.worst, point, duals, late)
 
-    def _solve(self, program: Program, scaling: Scaling) -> Attempt:
+    def _solve(self, program: Program, scaling: Scaling) -> ScaledAnswer:
         solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
         return self.recover(scaling, program, solution)
 
 
-def better_of(first: Attempt, second: Attempt) -> Attempt:
+def better_of(first: ScaledAnswer, second: ScaledAnswer) -> ScaledAnswer:
     """Return the attempt with the smaller residuals; the first if the second was cut short."""
     if second.ended:
         return replace(first, candidate=replace(first.candidate, interrupted=second.candidate.interrupted))

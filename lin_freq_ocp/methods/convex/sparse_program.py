@@ -13,22 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import absorb_cost
-from lin_freq_ocp.methods.candidate import (
-    DEFAULTS,
-    SOLVED_TOLERANCE,
-    Candidate,
-    SolveOptions,
-    require_convex,
-    zero_multipliers,
-)
-from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, Attempt, ScaledSolver, better_of
+from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, ScaledAnswer, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
@@ -41,7 +32,6 @@ from lin_freq_ocp.program.units import (
     stated_scaling,
 )
 from lin_freq_ocp.transform.reductions import reduce_problem
-from lin_freq_ocp.transform.simulation import simulate
 
 REDUCTIONS = (absorb_cost,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
@@ -137,7 +127,7 @@ def convex_candidates(
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
 
 
-def _revise_units(solves: ScaledSolver, attempt: Attempt) -> Attempt:
+def _revise_units(solves: ScaledSolver, attempt: ScaledAnswer) -> ScaledAnswer:
     """Return the attempt, or a better one in the units of its point."""
     best = attempt
     for _ in range(REVISIONS):
@@ -153,7 +143,7 @@ def _revise_units(solves: ScaledSolver, attempt: Attempt) -> Attempt:
     return best
 
 
-def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> Iterator[Candidate]:
+def other_candidates(solves: ScaledSolver, natural: Scaling, best: ScaledAnswer) -> Iterator[Candidate]:
     """Yield candidates other than the best attempt until the time limit or Ctrl-C; ``natural``: the expected units."""
     if best.ended:
         return
@@ -161,7 +151,7 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
     linear = solves.linear
     # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
     best_point = best if best.z is not None else replace(best, error=np.inf)
-    others: list[Callable[[Attempt], Scaling | None]] = [
+    others: list[Callable[[ScaledAnswer], Scaling | None]] = [
         lambda _: plain_scaling(linear),
         lambda _: stated_scaling(linear),
         lambda _: natural,
@@ -187,12 +177,12 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: Attempt) -> I
             best_point = best_point if attempt.z is None else better_of(best_point, attempt)
 
 
-def _units_of_point(solves: ScaledSolver, attempt: Attempt, natural: Scaling, per_time: bool) -> Scaling | None:
+def _units_of_point(solves: ScaledSolver, attempt: ScaledAnswer, natural: Scaling, per_time: bool) -> Scaling | None:
     """Return the units in which the point of an attempt is of order 1; None if it has no point."""
     return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
 
 
-def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> Iterator[Candidate]:
+def _round_point(solves: ScaledSolver, natural: Scaling, attempt: ScaledAnswer) -> Iterator[Candidate]:
     """Yield a point with exact zeros in place of rounding errors, judged by the natural units, if that changes it."""
     if attempt.z is None or attempt.y is None or attempt.error > LARGEST_ERROR:
         return
@@ -205,23 +195,6 @@ def _round_point(solves: ScaledSolver, natural: Scaling, attempt: Attempt) -> It
         before = z, y
         scaled = natural.scaled_primal(z), natural.scaled_dual(y)
         yield solves.recover(natural, program, Solution(Claim.SOLVED, *scaled, attempt.candidate.message)).candidate
-
-
-def trajectory_without_cost(problem: OptimalControlProblem, near: Trajectory) -> Candidate | None:
-    """Return the trajectory with controls and first state at their references, and multipliers of zero.
-
-    What has no cost is that of the trajectory ``near``. None if the trajectory diverges.
-    """
-    cost, T = problem.quadratic, len(near.u)
-    priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
-    u = np.where(priced, cost.u_ref, near.u)
-    first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
-    follows = problem.form.response(T) is not None  # x_0 follows from the controls, too
-    try:
-        trajectory = simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
-    except NumericalError:
-        return None
-    return Candidate(Status.LIMIT, trajectory, zero_multipliers(problem, 1.0), message="controls at their references")
 
 
 def structured_first(problem: OptimalControlProblem) -> str:

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.hybrid.search.multipliers import candidates
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
+from lin_freq_ocp.solving.outcome import Judged
 
 MOST_FLIPS = 16  # flips that are verified, the steepest first: each needs a fit of multipliers
 
@@ -28,7 +29,7 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 
     Every flip that they suggest is tried: the judge checks a direction of descent in the mode sequence with the flip.
     """
-    best, _ = best_multipliers(problem, trajectory)
+    best = best_multipliers(problem, trajectory).certificate
     if not best.failed and _facts(best).flip_stationary:
         return best
     reduced, affine, at, arrays = judged_modes(problem, trajectory)
@@ -47,12 +48,12 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
 
 def best_multipliers(
     problem: OptimalControlProblem, trajectory: Trajectory, first: Multipliers | None = None
-) -> tuple[Certificate, Multipliers]:
-    """Return the best multipliers with their certificate; ``first`` are judged before others.
+) -> Judged:
+    """Return a trajectory with the best multipliers; ``first`` are judged before others.
 
     NumericalError if no fit could be solved and ``first`` is None.
     """
-    best: tuple[Certificate, Multipliers] | None = None
+    best: Judged | None = None
     reduced, affine, at, arrays = judged_modes(problem, trajectory)
     fits = map(reduced.multipliers, candidates(affine, at, arrays))  # in every mode sequence of the trajectory
     try:
@@ -61,9 +62,9 @@ def best_multipliers(
         zeros = replace(zero_multipliers(problem, 1.0), stage=named)
         for multipliers in chain([] if first is None else [first], fits, [zeros]):
             certificate = judge(problem, trajectory, multipliers)
-            if best is None or _rank(certificate) > _rank(best[0]):
-                best = certificate, multipliers
-            if not best[0].failed and _facts(best[0]).flip_stationary:
+            if best is None or _rank(certificate) > _rank(best.certificate):
+                best = Judged(trajectory, multipliers, certificate)
+            if not best.certificate.failed and _facts(best.certificate).flip_stationary:
                 break
             if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
                 break  # no other multipliers can help

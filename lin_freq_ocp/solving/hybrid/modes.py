@@ -21,7 +21,7 @@ from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates, trajectory_without_cost
+from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
@@ -33,10 +33,10 @@ from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.fixed_modes import FixedModes, fix_modes
-from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search
+from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search
 from lin_freq_ocp.solving.judging import judge_nearest
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Evidence, Outcome
+from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
 from lin_freq_ocp.transform.reductions import Reduced
 
@@ -288,7 +288,7 @@ def _judge_search(
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end, limit = clock + left, None if left == np.inf else left
     point = None if outcome.sequence is None else _solve_sequence(problem, outcome.sequence, limit, programs)
-    certificate = None if point is None else point[2]
+    certificate = None if point is None else point.certificate
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
     needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
@@ -301,10 +301,9 @@ def _judge_search(
             bound = tree_bound(problem, tree, end)
             if bound.value > proof.value:
                 outcome, proof = replace(outcome, tree=tree), bound
-    if certificate is not None:
-        certificate = replace(certificate, bound=proof.bound_for(problem))
-    judged = None if certificate is None or point is None else (*point[:2], certificate)
-    ending, seconds = _status(outcome, certificate, proof, gap), {**seconds, "certify": now() - clock}
+    judged = None if point is None else point.with_bound(proof.bound_for(problem))
+    ending = _status(outcome, None if judged is None else judged.certificate, proof, gap)
+    seconds = {**seconds, "certify": now() - clock}
     evidence = TreeEvidence(outcome.tree, proof)
     return outcome_of_search(problem, method, judged, ending, seconds, outcome.interrupted, outcome.sequence, evidence)
 
@@ -312,21 +311,13 @@ def _judge_search(
 def _solve_sequence(
     problem: OptimalControlProblem, sequence: Indices, time_limit: float | None, programs: ProgramCache | None
 ) -> Judged | None:
-    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all.
-
-    In place of one that does not satisfy the theorem comes a trajectory nearby that costs nothing: solvers approach it
-    to the root of their tolerance only.
-    """
+    """Return the first feasible answer for a mode sequence alone, as the judge finds; else the first of all."""
     first = None
     reduced = fix_modes(problem, sequence)
     options = SolveOptions(time_limit=time_limit)
     for candidate in convex_candidates(reduced.problem, SEQUENCE_BACKEND, options, programs):
         for point in _judge_candidate(reduced, candidate):
-            if point[2].feasible and point[2].pmp != "satisfied":
-                resting = trajectory_without_cost(reduced.problem, point[0])
-                points = () if resting is None else _judge_candidate(reduced, resting)
-                return next((one for one in points if one[2].cost <= point[2].cost and not one[2].failed), point)
-            if point[2].feasible:
+            if point.certificate.feasible:
                 return point
             first = first or point
     return first
@@ -336,13 +327,9 @@ def _judge_candidate(reduced: FixedModes, candidate: Candidate) -> Iterator[Judg
     """Yield the trajectories of a candidate for a mode sequence, judged with the best multipliers."""
     if candidate.trajectory is None or candidate.multipliers is None:
         return
-    candidate, _ = judge_nearest(reduced.problem, candidate, CONDITION_TOLERANCE)
-    assert candidate.trajectory is not None
-    assert candidate.multipliers is not None
-    for trajectory in reduced.trajectories(candidate.trajectory):
-        first = reduced.multipliers(candidate.multipliers, trajectory)
-        certificate, multipliers = best_multipliers(reduced.given, trajectory, first)
-        yield trajectory, multipliers, certificate
+    nearest = judge_nearest(reduced.problem, candidate, CONDITION_TOLERANCE)
+    for trajectory in reduced.trajectories(nearest.trajectory):
+        yield best_multipliers(reduced.given, trajectory, reduced.multipliers(nearest.multipliers, trajectory))
 
 
 def _status(

@@ -5,7 +5,7 @@ The local search over angles is sequential quadratic programming.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
@@ -20,9 +20,9 @@ from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.hybrid.smooth import Judged, outcome_of_search, refine_optimum
+from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.simulation import simulate
 
 COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
@@ -148,9 +148,8 @@ class _TrainSearch:
             first[CURRENT] = -(steps * (QUARTER - angles)).sum()
             train = simulate(problem, np.column_stack([dwell, np.sign(every) / 2]), first)
             local = LocalOptimum((every < 0).astype(np.intp), train, zero_multipliers(problem, 1.0), self._cost, 0.0)
-            trajectory, multipliers, certificate = refine_optimum(problem, local)
-            certificate = replace(certificate, bound=Bound(self._bound.value, RIGOROUS, sets=ANGLES))
-            judged, status = (trajectory, multipliers, certificate), certificate.status_within(self._gap)
+            judged = refine_optimum(problem, local).with_bound(Bound(self._bound.value, RIGOROUS, sets=ANGLES))
+            status = judged.certificate.status_within(self._gap)
         else:
             excluded = not message and self._bound.value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)

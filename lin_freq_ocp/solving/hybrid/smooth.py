@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,9 +23,9 @@ from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.hybrid.smooth import convex_bound, is_proven_convex, judged_modes, tangents_exclude
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate, judge
-from lin_freq_ocp.methods.candidate import require_convex, zero_multipliers
-from lin_freq_ocp.methods.convex.sparse_program import trajectory_without_cost
+from lin_freq_ocp.certificate.verdict import judge
+from lin_freq_ocp.methods.candidate import Attempt, require_convex, zero_multipliers
+from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
@@ -33,11 +34,11 @@ from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import box_of
-from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
-from lin_freq_ocp.solving.outcome import Evidence, Outcome
+from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
@@ -63,8 +64,6 @@ NEARLY_WITHIN = 0.01  # of a direction, by which it may leave the bounds: it kee
 MOST_STARTS = 6  # along a direction
 
 NO_SECONDS = {"setup": 0.0, "solve": 0.0, "certify": 0.0}
-
-Judged = tuple[Trajectory, Multipliers, Certificate]
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ class Nonsmooth:
             message = f"the path constraint {excluded[0][0]!r} does not hold at the fixed state of t = {excluded[0][1]}"
             return outcome_of_search(problem, "nonsmooth", None, (Status.INFEASIBLE, message), NO_SECONDS, False)
         judged = _solve_convex_terms(problem, request)
-        if judged is not None and judged[2].proven_within(self.gap or GLOBAL_GAP):
+        if judged is not None and judged.certificate.proven_within(self.gap or GLOBAL_GAP):
             seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
             return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
         is_proven = partial(_is_proven, problem, self.gap or GLOBAL_GAP)
@@ -135,9 +134,10 @@ class Nonsmooth:
             bounding = _Bounding(search, judged, self.gap or GLOBAL_GAP, now() + left)
             message = bounding.run() if left > 0 else UNBOUNDED
             judged = bounding.judged  # the bound may lead to a better answer
-            status = judged[2].status_within(bounding.gap)
+            status = judged.certificate.status_within(bounding.gap)
         seconds = {"setup": 0.0, "solve": solved - started, "certify": now() - solved}
-        return outcome_of_search(problem, "nonsmooth", judged, (status, message), seconds, search.interrupted)
+        ending, tried = (status, message), search.attempts
+        return outcome_of_search(problem, "nonsmooth", judged, ending, seconds, search.interrupted, attempts=tried)
 
 
 def _is_proven(problem: OptimalControlProblem, gap: float, local: LocalOptimum) -> bool:
@@ -156,26 +156,17 @@ def outcome_of_search(
     interrupted: bool,
     sequence: Indices | None = None,
     evidence: Evidence | None = None,
+    attempts: Sequence[Attempt] = (),
 ) -> Outcome:
     """Return the outcome of a search with its best judged point, if any; ``ending`` is its status with the message.
 
-    By default, the mode sequence is that of the trajectory.
+    By default, the mode sequence is that of the trajectory. ``attempts`` are the local searches.
     """
-    trajectory, multipliers, certificate = (None, None, None) if judged is None else judged
-    return Outcome(
-        problem=problem,
-        status=ending[0],
-        method=method,
-        backend=None,
-        seconds=seconds,
-        trajectory=trajectory,
-        multipliers=multipliers,
-        certificate=certificate,
-        message=ending[1],
-        interrupted=interrupted,
-        sequence=_modes(problem, trajectory) if sequence is None and trajectory is not None else sequence,
-        evidence=evidence,
-    )
+    (status, message), point = ending, (None, None, None) if judged is None else judged
+    if sequence is None and judged is not None:
+        sequence = _modes(problem, judged.trajectory)
+    outcome = Outcome(problem, status, method, None, seconds, *point, None, message, interrupted)
+    return replace(outcome, sequence=sequence, evidence=evidence, attempts=(*attempts, outcome.attempt))
 
 
 def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Judged | None:
@@ -190,11 +181,11 @@ def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Jud
     first = replace(found.multipliers, stage={term.name: found.multipliers.stage[term.name] for term in problem.terms})
     sequence, cost = _modes(problem, found.trajectory), problem.value(found.trajectory.x, found.trajectory.u)
     local = LocalOptimum(sequence, found.trajectory, first, cost, 0.0)
-    trajectory, multipliers, certificate = refine_optimum(problem, local, now() + request.time_limit)
+    judged = refine_optimum(problem, local, now() + request.time_limit)
+    trajectory, certificate = judged.trajectory, judged.certificate
     constant = certificate.cost - convex.value(trajectory.x, trajectory.u)
     rounding = ARITHMETIC_ROUNDING * (certificate.cost_scale + cost_scale(convex, trajectory))
-    bound = replace(bound, value=bound.value + constant - rounding)
-    return trajectory, multipliers, replace(certificate, bound=bound)
+    return judged.with_bound(replace(bound, value=bound.value + constant - rounding))
 
 
 def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
@@ -206,29 +197,27 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     with_adjoint = reduced.with_adjoint if isinstance(reduced, CostState) else reduced.multipliers
     given = with_adjoint(local.multipliers)
     first = reduced.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
-    certificate, multipliers = best_multipliers(problem, local.trajectory, first)
-    plain = local.trajectory, multipliers, certificate
-    resting = trajectory_without_cost(problem, local.trajectory) if certificate.failed else None
-    if resting is not None and resting.trajectory is not None:  # where rounding would count
-        at_rest = best_multipliers(problem, resting.trajectory, first)
-        if not at_rest[0].failed and at_rest[0].cost <= certificate.cost + certificate.allowed_gap:
-            certificate, multipliers = at_rest
-            plain = resting.trajectory, multipliers, certificate
-    if certificate.pmp == "satisfied" and is_smooth(problem):
+    plain = best_multipliers(problem, local.trajectory, first)
+    resting = trajectory_at_rest(problem, local.trajectory) if plain.certificate.failed else None
+    if resting is not None:  # where rounding would count
+        at_rest = best_multipliers(problem, resting, first)
+        allowed = plain.certificate.cost + plain.certificate.allowed_gap
+        plain = at_rest if not at_rest.certificate.failed and at_rest.certificate.cost <= allowed else plain
+    if plain.certificate.pmp == "satisfied" and is_smooth(problem):
         return plain
     try:
-        run = newton(reduced.problem, at, with_adjoint(multipliers), local.sequence, end=end)
+        run = newton(reduced.problem, at, with_adjoint(plain.multipliers), local.sequence, end=end)
     except UnsupportedError:
         return plain
     point = reduced.trajectory(run.trajectory), reduced.multipliers(run.multipliers)
-    points = plain, (*point, judge(problem, *point))
+    points = plain, Judged(*point, judge(problem, *point))
     return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
 
 
 def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:
     """Return the answer, or a better one to which its directions of descent of second order lead."""
     for _ in range(MOST_SADDLES):
-        test, sequence = judged[2].second_order, np.zeros(search.problem.horizon, dtype=np.intp)
+        test, sequence = judged.certificate.second_order, np.zeros(search.problem.horizon, dtype=np.intp)
         if test is None or test.direction is None:
             break
         for cost, start in _starts_along(search, judged, test.direction):
@@ -271,13 +260,12 @@ def _take_start(problem: OptimalControlProblem, start: Start, judged: Judged | N
     if start.trajectory is None:
         return judged
     cost = problem.value(start.trajectory.x, start.trajectory.u)
-    known = None if judged is None or not judged[2].feasible else judged[2]
+    known = None if judged is None or not judged.certificate.feasible else judged.certificate
     if known is not None and known.cost - cost <= SAVED_BY_TOLERANCE * known.cost_scale:
         return judged
     if not judge(problem, start.trajectory, zero_multipliers(problem, 1.0)).feasible:
         return judged
-    certificate, multipliers = best_multipliers(problem, start.trajectory, zero_multipliers(problem, 1.0))
-    return start.trajectory, multipliers, certificate
+    return best_multipliers(problem, start.trajectory, zero_multipliers(problem, 1.0))
 
 
 @dataclass
@@ -292,7 +280,7 @@ class _Bounding:
     sets: str = ""
 
     def __post_init__(self):
-        self._known = {_modes(self.search.problem, self.judged[0]).tobytes()}
+        self._known = {_modes(self.search.problem, self.judged.trajectory).tobytes()}
 
     def run(self) -> str:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
@@ -301,7 +289,7 @@ class _Bounding:
             with suppress(UnsupportedError):
                 self.best = least_by_formulas(self.search.problem)
                 self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
-        known = self.judged[2].bound
+        known = self.judged.certificate.bound
         if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
             self.best, self.sets = known.value, known.sets
         try:
@@ -315,18 +303,16 @@ class _Bounding:
             self.search.interrupted = True
         if self.best == -float("inf"):
             return message or UNBOUNDED
-        trajectory, multipliers, certificate = self.judged
-        bound = Bound(self.best, RIGOROUS, sets=self.sets)
-        self.judged = trajectory, multipliers, replace(certificate, bound=bound)
-        return "" if self._proven else message or f"the global bound leaves a gap of {self.judged[2].gap:.1e}"
+        self.judged = self.judged.with_bound(Bound(self.best, RIGOROUS, sets=self.sets))
+        return "" if self._proven else message or f"the global bound leaves a gap of {self.judged.certificate.gap:.1e}"
 
     @property
     def _wanted_gap(self) -> float:
-        return self.gap * self.judged[2].cost_scale
+        return self.gap * self.judged.certificate.cost_scale
 
     @property
     def _proven(self) -> bool:
-        return self.judged[2].cost - self.best <= self._wanted_gap
+        return self.judged.certificate.cost - self.best <= self._wanted_gap
 
     @np.errstate(invalid="ignore")  # inf - inf where a cost is not defined: no bound follows from NaN
     def _improve(self) -> bool:
@@ -345,14 +331,14 @@ class _Bounding:
             self._known.add(level.sequence.tobytes())
             if self.search.look_near(level.path, level.sequence) and self.search.best is not None:
                 better = refine_optimum(self.search.problem, self.search.best, self.deadline)
-                if better[2].pmp == "satisfied":
+                if better.certificate.pmp == "satisfied":
                     self.judged = better
                     return True
         return False
 
     def _report(self, level: int, share: float) -> None:
         if self.search.progress is not None:
-            cost = self.judged[2].cost
+            cost = self.judged.certificate.cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
 
 
@@ -418,10 +404,11 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
             violated = " or ".join(["dynamics", *constrained])
             nearest = f"; the nearest violates {violated} by {search.best.violation:.1e}"
         return Status.NUMERICAL_ERROR, f"no trajectory was found from {search.tried} starts{nearest}"
-    status = judged[2].status_within(GAP_TOLERANCE)
+    certificate = judged.certificate
+    status = certificate.status_within(GAP_TOLERANCE)
     if status == Status.OPTIMAL:
         return status, ""
-    facts = facts_where_modes_meet(judged[2])
+    facts = facts_where_modes_meet(certificate)
     if facts is not None and facts.gaps:
         holds = "hold" if facts.stationary_on_rims else "do not hold"
         advice = f"the map is not defined beyond it, and the conditions {holds} with the region as a constraint"
@@ -431,7 +418,7 @@ def _status(search: LocalSearch, judged: Judged | None) -> tuple[Status, str]:
     if status == Status.NUMERICAL_ERROR and search.message:
         return Status.LIMIT, search.message
     if status == Status.NUMERICAL_ERROR:
-        return status, f"the best point does not satisfy the maximum principle: {judged[2].worst.name}"
+        return status, f"the best point does not satisfy the maximum principle: {certificate.worst.name}"
     if status == Status.EXTREMAL:
-        return status, str(judged[2].second_order)
+        return status, str(certificate.second_order)
     return status, f"no global bound was asked for, and {plural(search.tried, 'start')} tried"

@@ -19,6 +19,7 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.methods.candidate import Attempt, Reason
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
 from lin_freq_ocp.methods.progress import Progress
@@ -229,9 +230,10 @@ class SmoothProgress(Progress):
 class LocalSearch:
     """One search; ``run`` it once, then ``look_near`` other starts.
 
-    ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``words`` say why
-    the search stopped early; ``progress`` is called after every start, the first being ``start``. Of smooth problems, a
-    local optimum that ``is_proven`` to be global ends the search, as does one that grows without a bound.
+    ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``attempts`` say
+    how each ended, and ``message`` why the search stopped early; ``progress`` is called after every start, the first
+    being ``start``. Of smooth problems, a local optimum that ``is_proven`` to be global ends the search, as does a
+    trajectory that grows without a bound.
     """
 
     problem: OptimalControlProblem
@@ -247,7 +249,7 @@ class LocalSearch:
     def __post_init__(self):
         self.end = now() + self.seconds
         self._known: set[tuple[object, ...]] = set()
-        self._final = self._repeated = False
+        self._repeated, self.attempts = False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
         self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
@@ -259,26 +261,32 @@ class LocalSearch:
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
         try:
-            if self.start is not None:
-                start = self.start.trajectory or self._constant_trajectory(SHARES[0])
-                for warm in (True, False) if self._smooth else (True,):
-                    self._try(start, self.start.sequence, warm=warm)
-                    if self._smooth and self.best is not None and self.best.feasible and self.best.converged:
-                        return self
-            self._on_grid(None)
-            for trajectory, sequence in self.starts():
-                feasible = self.best is not None and self.best.feasible
-                alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-                if self._late() or self._final or (alone and feasible and self.tried >= self.enough_starts):
-                    break
-                self._try(trajectory, sequence)
-            if self._smooth and self.best is not None and not self.best.feasible:
-                self._try(self.best.trajectory, self.best.sequence, warm=True)
+            for start, sequence, warm in self._all_starts():
+                reason = self._try(start, sequence, warm=warm)
+                if self._late() or reason in (Reason.PROVEN, Reason.UNBOUNDED):
+                    return self
             while not self._late() and (self._on_grid(self.best) or self._improve_neighbours()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
         return self
+
+    def _all_starts(self) -> Iterator[tuple[Trajectory, Indices, bool]]:
+        """Yield the given start, then those of ``starts`` until there are enough; the flag says if it is near."""
+        if self.start is not None:
+            given = self.start.trajectory or self._constant_trajectory(SHARES[0])
+            for warm in (True, False) if self._smooth else (True,):
+                yield given, self.start.sequence, warm
+                if self._smooth and self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
+                    return
+        self._on_grid(None)
+        for trajectory, sequence in self.starts():
+            alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
+            if alone and self._cost < np.inf and self.tried >= self.enough_starts:
+                break
+            yield trajectory, sequence, False
+        if self._smooth and self.best is not None and not self.best.feasible:
+            yield self.best.trajectory, self.best.sequence, True
 
     @property
     def enough_starts(self) -> int:
@@ -317,11 +325,12 @@ class LocalSearch:
                 return True
         return False
 
-    def _try(self, start: Trajectory, sequence: Indices, below: float = np.inf, warm: bool = False) -> None:
+    def _try(self, start: Trajectory, sequence: Indices, below: float = np.inf, warm: bool = False) -> Reason | None:
+        """Search from a start; return why another one may be tried, None if this one was tried before."""
         own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
         key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
         if self._late() or key in self._known:
-            return
+            return None
         self._known.add(key)
         self.tried += 1
         optimum = None
@@ -338,21 +347,30 @@ class LocalSearch:
             if optimum is not None and priced is not None:
                 trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
                 optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
-        best = self.best
-        if optimum is not None and best is not None:
-            # the cheaper one of two trajectories that have converged, or have not; else the smaller violation
-            ranks = [(one.feasible, one.feasible and one.converged) for one in (optimum, best)]
-            prices = float((np.abs(optimum.multipliers.eta) @ self._sizes).sum())  # of its violation, which is no gain
-            decrease = max(DECREASE * search_scale(self.problem, best.trajectory), prices * optimum.violation)
-            cheaper = optimum.cost < best.cost - decrease if best.feasible else optimum.violation < best.violation
-            self._repeated = ranks[0] == ranks[1] == (True, True) and abs(optimum.cost - best.cost) <= decrease
-            self.best = optimum if ranks[0] > ranks[1] or (ranks[0] == ranks[1] and cheaper) else best
-        elif optimum is not None:
+        reason = Reason.REFUSED if optimum is None else optimum.reason
+        if optimum is not None and self._improves(optimum):
             self.best = optimum
-        if self._smooth and optimum is not None and self.best is optimum and optimum.feasible:
-            self._final = self.is_proven(optimum) if optimum.converged else self._diverges(optimum.trajectory)
+            if self._smooth and reason is Reason.LOCALLY_OPTIMAL and self.is_proven(optimum):
+                reason = Reason.PROVEN
+            elif self._smooth and reason is Reason.FEASIBLE and self._diverges(optimum.trajectory):
+                reason = Reason.UNBOUNDED
+        if self.best is optimum or below == np.inf:  # of neighbouring sequences, the better ones
+            self.attempts.append(Attempt("barrier" if self._smooth else "sequential", None, reason))
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
+        return reason
+
+    def _improves(self, optimum: LocalOptimum) -> bool:
+        """Whether an optimum is preferred to the best one, by its reason, then with less violation or cost."""
+        best, self._repeated = self.best, False
+        if best is None or optimum.reason is not best.reason:
+            return best is None or optimum.reason > best.reason
+        if not best.feasible:
+            return optimum.violation < best.violation
+        prices = float((np.abs(optimum.multipliers.eta) @ self._sizes).sum())  # of its violation, which is no gain
+        decrease = max(DECREASE * search_scale(self.problem, best.trajectory), prices * optimum.violation)
+        self._repeated = best.converged and abs(optimum.cost - best.cost) <= decrease
+        return optimum.cost < best.cost - decrease
 
     @property
     def _cost(self) -> float:

@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.candidate import Reason
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
@@ -61,6 +62,12 @@ class LocalOptimum:
     def feasible(self) -> bool:
         """Whether it is a trajectory of its mode sequence."""
         return self.violation <= VIOLATION
+
+    @property
+    def reason(self) -> Reason:
+        """Return why another start may be tried after it."""
+        solved = Reason.LOCALLY_OPTIMAL if self.converged else Reason.FEASIBLE
+        return solved if self.feasible else Reason.FAILED
 
 
 def local_optimum(

@@ -1,0 +1,139 @@
+"""The order of local optima and of starts, with a method in place of the barrier that answers what a test wants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.replacing import substitute
+from lin_freq_ocp import library
+from lin_freq_ocp.methods import zero_multipliers
+from lin_freq_ocp.methods.hybrid import SMOOTH_STARTS, End, LocalOptimum, LocalSearch
+from lin_freq_ocp.results import Reason
+from lin_freq_ocp.transform import start_of
+
+PROBLEM = replace(library.pendulum_swing_up(horizon=4, sampling_time=0.1), control_set=lfo.Box(-5, 5))
+REST = lfo.simulate(PROBLEM, np.zeros((4, 1)))
+ALONE = np.zeros(4, dtype=np.intp)
+TRIED_ALL = 6  # five constant controls and a straight line
+
+
+def optimum(cost=1.0, violation=0.0, converged=True, eta=0.0, far=False):
+    """Return an answer of a local search, at rest or far away."""
+    multipliers = replace(zero_multipliers(PROBLEM, 1.0), eta=np.full((4, 2), eta))
+    trajectory = replace(REST, x=REST.x + 1e9) if far else REST
+    return LocalOptimum(ALONE, trajectory, multipliers, cost, violation, converged)
+
+
+def script(monkeypatch, answers):
+    """Let the barrier give these answers in turn, the last one for ever; return the list of its starts."""
+    starts = []
+
+    def answer(problem, start, end, warm):
+        starts.append(warm)
+        return answers[min(len(starts), len(answers)) - 1], End.OPTIMAL
+
+    substitute(monkeypatch, "methods.hybrid.smooth_optimum", answer)
+    return starts
+
+
+ASCENDING = {
+    "far from the dynamics": optimum(violation=1e-2),
+    "nearer": optimum(cost=2.0, violation=1e-3),
+    "not converged": optimum(cost=3.0, converged=False),
+    "not converged, and cheaper": optimum(cost=2.0, converged=False),
+    "converged": optimum(cost=4.0),
+    "converged, and cheaper": optimum(cost=3.0),
+}
+
+
+@pytest.mark.parametrize(("worse", "better"), list(zip(ASCENDING, list(ASCENDING)[1:], strict=False)))
+def test_of_two_optima_the_preferred_one_stays(worse, better, monkeypatch):
+    for names in ((worse, better), (better, worse)):
+        script(monkeypatch, [ASCENDING[name] for name in names])
+        search = LocalSearch(PROBLEM)
+        for shift in range(2):
+            search.look_near(replace(REST, x=REST.x + shift), ALONE)
+        assert search.best is ASCENDING[better]
+        assert search.attempts[-1].reason is ASCENDING[better].reason
+
+
+@pytest.mark.parametrize(
+    "no_gain",
+    [optimum(cost=1.0 - 1e-12), optimum(cost=1.0 - 1e-3, violation=1e-9, eta=1e9)],
+    ids=["rounding", "violation"],
+)
+def test_what_rounding_or_violation_saves_is_no_gain(no_gain, monkeypatch):
+    first = optimum()
+    script(monkeypatch, [first, no_gain])
+    search = LocalSearch(PROBLEM)
+    assert search.look_near(REST, ALONE)
+    assert not search.look_near(replace(REST, x=REST.x + 1), ALONE)
+    assert search.best is first
+
+
+def test_a_start_is_tried_once(monkeypatch):
+    starts, search = script(monkeypatch, [optimum()]), LocalSearch(PROBLEM)
+    for _ in range(2):
+        search.look_near(REST, ALONE)
+    assert starts == [True]
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (optimum(), [False] * SMOOTH_STARTS),
+        (optimum(converged=False), [False] * SMOOTH_STARTS),
+        (optimum(violation=1.0), [False] * TRIED_ALL + [True]),
+        (optimum(converged=False, far=True), [False]),
+    ],
+    ids=["converged", "feasible", "violated: all, then near the best", "growing without a bound"],
+)
+def test_how_many_starts_are_tried(answer, expected, monkeypatch):
+    starts = script(monkeypatch, [answer])
+    search = LocalSearch(PROBLEM).run()
+    assert starts == expected
+    assert search.tried == len(search.attempts) == len(expected)
+
+
+def test_a_proven_optimum_ends_the_search(monkeypatch):
+    starts = script(monkeypatch, [optimum()])
+    search = LocalSearch(PROBLEM, is_proven=lambda _: True).run()
+    assert (starts, search.attempts[-1].reason) == ([False], Reason.PROVEN)
+
+
+@pytest.mark.parametrize(("costs", "expected"), [((3.0, 3.0), 2), ((3.0, 4.0, 5.0, 6.0), 4)])
+def test_without_bounds_four_starts_are_enough_or_two_with_one_answer(costs, expected, monkeypatch):
+    starts = script(monkeypatch, [optimum(cost) for cost in costs])
+    LocalSearch(replace(PROBLEM, control_set=None)).run()
+    assert len(starts) == expected
+
+
+@pytest.mark.parametrize(
+    ("answers", "expected"),
+    [
+        ([optimum()], [True]),
+        ([optimum(converged=False), optimum()], [True, False]),
+        ([optimum(violation=1.0)], [True, False] + [False] * TRIED_ALL + [True]),
+    ],
+    ids=["near", "not near", "no answer near"],
+)
+def test_a_given_start_is_near_an_optimum_then_any_start_then_one_of_many(answers, expected, monkeypatch):
+    starts = script(monkeypatch, answers)
+    given = lfo.simulate(PROBLEM, np.full((4, 1), 0.123))
+    LocalSearch(PROBLEM, start=start_of(PROBLEM, given)).run()
+    assert starts == expected
+
+
+def test_where_the_barrier_does_not_fit_another_method_searches(monkeypatch):
+    def refuse(*given):
+        raise lfo.errors.UnsupportedError("too large")
+
+    substitute(monkeypatch, "methods.hybrid.smooth_optimum", refuse)
+    substitute(monkeypatch, "methods.hybrid.local_optimum", lambda *given: optimum())
+    search = LocalSearch(PROBLEM)
+    assert search.look_near(REST, ALONE)
+    assert [str(attempt) for attempt in search.attempts] == ["sequential: locally_optimal"]
