@@ -203,6 +203,6 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
     resting = at.max(0) <= rounding
     least = SCALE_FLOOR * size
-    least[: len(x)] = np.maximum(least[: len(x)], np.where(resting, rounding / CONDITION_TOLERANCE, 0.0))
+    least[: len(x)] = np.maximum(least[: len(x)], rounding / CONDITION_TOLERANCE)
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
     return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))

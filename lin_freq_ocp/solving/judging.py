@@ -105,13 +105,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
     known = any(term.semi_infinite is not None for term in problem.terms)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            judged = (
-                _judge_correction(problem, multipliers, one, allowed)
-                for one in corrections(problem, trajectory, multipliers)
-            )
-            proof = next((proof for proof in judged if proof is not None), None)
-    except UnsupportedError:  # they do not fit into memory, or would take too long
+        proof = correct_point(problem, trajectory, multipliers, allowed)
+    except UnsupportedError:
         proof, known = None, True
     if proof is not None:
         return proof
@@ -123,6 +118,19 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
             return proof
     own = own or judge(problem, trajectory, multipliers, allowed)
     return Judged(trajectory, multipliers, own if known else replace(own, worth_of_residuals=np.inf))
+
+
+def correct_point(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, allowed: float
+) -> Judged | None:
+    """Return a corrected trajectory that is proven optimal, in digits of the user's coordinates; None if there is none.
+
+    UnsupportedError if corrections do not fit into memory, or would take too long.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = corrections(problem, trajectory, multipliers)
+        judged = (_judge_correction(problem, multipliers, one, allowed) for one in found)
+        return next((proof for proof in judged if proof is not None), None)
 
 
 def _judge_correction(

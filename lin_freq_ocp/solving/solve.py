@@ -12,6 +12,7 @@ References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programmin
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -33,6 +34,7 @@ from lin_freq_ocp.solving.families import choose_method, require_shorthand, save
 from lin_freq_ocp.solving.judging import (
     allowed_residual,
     candidate_of,
+    correct_point,
     judge_candidate,
     recover_outcome,
     reduce_fractional_samples,
@@ -113,14 +115,25 @@ def solve_translated(method: Method, translation: Translation, request: Request)
 def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float | None = None) -> Outcome:
     """Return the outcome of the given problem from that of the translated problem.
 
-    Its states are rounded to the digits of the given coordinates, and its certificate belongs to the rounded states.
+    Its states are rounded to the digits of the given coordinates, and its certificate belongs to the rounded states. An
+    optimum that moves little more than these digits is corrected in them: there, rounding of the data may decide.
     """
     if not translation.moves:
         return outcome
-    outcome = recover_outcome(translation, outcome, allowed_residual(tolerance))
+    allowed, optimal = allowed_residual(tolerance), outcome.status == Status.OPTIMAL
+    outcome = recover_outcome(translation, outcome, allowed)
     trajectory, unproven = outcome.trajectory, outcome.status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR)
     if outcome.certificate is None or trajectory is None or not unproven:
         return outcome
+    if optimal and outcome.multipliers is not None and not translation.problem.mode_names:
+        with suppress(UnsupportedError):
+            rounded = translation.start(trajectory)
+            proof = correct_point(translation.problem, rounded, outcome.multipliers, allowed)
+            if proof is not None:
+                trajectory = translation.trajectory(proof.trajectory)
+                certificate = proof.certificate.raised(translation.cost)
+                point = {"trajectory": trajectory, "multipliers": proof.multipliers, "certificate": certificate}
+                return replace(outcome, status=Status.OPTIMAL, message="", **point)
     # rounding of a state may be the reason that the answer is not optimal
     rounding, motion = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
     lost = np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0)

@@ -1,6 +1,6 @@
-"""Ends and references of 1e-14 to 0.1 in place of zero change no status, and the cost by no more than they allow.
+"""Ends and references of 1e-17 to 0.1 in place of zero change no status, and the cost by no more than they allow.
 
-A measured state and a reference that was computed are hardly ever zero.
+A measured state and a reference that was computed are hardly ever zero, and a loop comes to its set point step by step.
 """
 
 from __future__ import annotations
@@ -44,8 +44,12 @@ class Outcome:
 
 
 def with_small_numbers(problem: lfo.OptimalControlProblem, values: np.ndarray) -> lfo.OptimalControlProblem:
-    """Return a problem of pairs with these values in place of zeros: of the speed at both ends, and of references."""
-    changes: dict[str, Any] = {"initial_state": lfo.sets.Point([1.5, values[0]])}
+    """Return a problem of pairs with these values in place of zeros: of the speed at both ends, and of references.
+
+    Where there is a fifth value, the position begins that far from its reference.
+    """
+    position = 0.6 + values[4] if len(values) > 4 else 1.5
+    changes: dict[str, Any] = {"initial_state": lfo.sets.Point([position, values[0]])}
     if isinstance(problem.terminal_state, lfo.sets.Point):
         changes["terminal_state"] = lfo.sets.Point([0.2, values[1]])
     x_ref, u_ref = problem.quadratic.x_ref, problem.quadratic.u_ref
@@ -55,7 +59,7 @@ def with_small_numbers(problem: lfo.OptimalControlProblem, values: np.ndarray) -
 
 
 def check(seed: int) -> Outcome:
-    """Solve a random pair of features with zeros and with small numbers."""
+    """Solve a random pair of features with zeros and with small numbers, far from the reference or at it."""
     rng, features = np.random.default_rng([seed, 47]), sorted(pairs.FEATURES.keys() - NO_POINT)
     while True:
         names = tuple(str(name) for name in rng.choice(features, 2, replace=False))
@@ -68,11 +72,11 @@ def check(seed: int) -> Outcome:
             continue
         if problem.state_dim == 2 and isinstance(problem.initial_state, lfo.sets.Point):
             break
-    small = float(10.0 ** rng.uniform(-14, -1))
-    values = small * rng.choice([-1.0, 0.0, 1.0], 4) * rng.uniform(0.1, 1, 4)
+    small, count = float(10.0 ** rng.uniform(-17, -1)), int(rng.integers(4, 6))
+    values = small * rng.choice([-1.0, 0.0, 1.0], count) * rng.uniform(0.1, 1, count)
     method = str(rng.choice(METHODS))
     statuses, costs = list[str](), list[float]()
-    for numbers in (np.zeros(4), values):
+    for numbers in (np.zeros(count), values):
         given = with_small_numbers(problem, numbers)
         try:
             result = lfo.solve(given, pairs.quick_method(given) if method == "quick" else method, throw=False)
