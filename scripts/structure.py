@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_238,
-    "code lines": 42_175,
-    "code lines, linear part": 21_233,
+    "shipped lines": 45_239,
+    "code lines": 42_176,
+    "code lines, linear part": 21_234,
     "code lines, hybrid": 8_682,
     SHARE_SAID: 19.5,  # at least
     "files": 311,
