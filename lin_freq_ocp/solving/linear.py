@@ -12,7 +12,7 @@ from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
-from lin_freq_ocp.certificate.rays import proof_margin, prove_infeasible
+from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.candidate import Attempt, Candidate, Reason, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judge_candidate, verified_direction
 from lin_freq_ocp.solving.method import Method, Request, take_best
-from lin_freq_ocp.solving.outcome import SMALL_MARGIN, Outcome
+from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import solve_spectral
 
 CONDENSED = "condensed"  # what the Fourier-domain method is called where it solves again in few unknowns
@@ -218,7 +218,7 @@ class Structured(_Linear):
 
         def accept_ray(ray: Multipliers) -> bool:
             proof = prove_infeasible(problem, ray)
-            return proof is not None and proof.bound.kind == RIGOROUS and proof_margin(problem, ray) > SMALL_MARGIN
+            return proof is not None and proof.bound.kind == RIGOROUS
 
         candidates = solve_structured(problem, trial.options, accept_ray, stage_cache=stage_cache)
         yield from map(trial.judge_point, candidates)

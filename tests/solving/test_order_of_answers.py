@@ -197,6 +197,26 @@ def test_a_direction_whose_program_is_too_large_is_not_looked_for(monkeypatch):
     assert lfo.solve(FALLING, method="spectral", throw=False).status == "numerical_error"
 
 
+NEARLY = replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + 1e-7])
+
+
+@pytest.mark.parametrize(
+    ("problem", "reason"),
+    [(PROBLEM, Reason.LOCALLY_OPTIMAL), (FALLING, Reason.UNBOUNDED), (NEARLY, Reason.NEARLY_FEASIBLE)],
+    ids=["local optimum", "unbounded", "nearly feasible"],
+)
+def test_an_answer_of_the_sparse_program_ends_the_solve(problem, reason, monkeypatch):
+    def doubt(problem, candidate, *options):
+        outcome = judge_candidate(problem, candidate, *options)
+        return replace(outcome, status=Status.LOCALLY_OPTIMAL) if outcome.status == "optimal" else outcome
+
+    substitute(monkeypatch, "solving.judge_candidate", doubt)
+    for method in ("convex", "auto"):
+        *before, last = lfo.solve(problem, method=method, throw=False).attempts
+        assert (last.method, last.reason) == ("convex", reason)
+        assert ("convex", reason) not in [(attempt.method, attempt.reason) for attempt in before]
+
+
 def test_the_answer_of_a_warm_start_counts_only_if_it_is_proven(monkeypatch):
     """The method itself may prove what pivoting from a trajectory nearby does not."""
     guess = replace(solve_convex(PROBLEM, "clarabel"), message="guess")
