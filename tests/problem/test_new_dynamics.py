@@ -2,82 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import ClassVar
-
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.own_kinds import Bilinear, DelayedInput, FromRest
 from helpers.seeds import turn
-from lin_freq_ocp.base import assign
 from lin_freq_ocp.pages import draw_figures, render_page
-from lin_freq_ocp.problem import Dynamics, signal_labels
-from lin_freq_ocp.solvers import Nonsmooth
 from lin_freq_ocp.solving import FAMILIES, Family, Shorthand
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class DelayedInput(Dynamics):
-    """x_{t+1} = A x_t + B u_{t-1}, in the states (x_t, u_{t-1}): the methods are those of linear dynamics."""
-
-    A: np.ndarray
-    B: np.ndarray
-
-    def __init__(self, A, B, sampling_time=None):
-        A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
-        n, m = B.shape
-        assign(self, A=A, B=B, **signal_labels(n + m, m, sampling_time, None, None))
-
-    @cached_property
-    def standard_form(self):
-        n, m = self.B.shape
-        A = np.block([[self.A, self.B], [np.zeros((m, n + m))]])
-        B = np.vstack([np.zeros((n, m)), np.eye(m)])
-        return lfo.LinearDynamics(A, B, None, self.sampling_time, self.state_names, self.control_names)
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class Bilinear(Dynamics):
-    """x_{t+1} = A x_t + u_t N x_t + B u_t, with a single control."""
-
-    A: np.ndarray
-    N: np.ndarray
-    B: np.ndarray
-
-    def __init__(self, A, N, B):
-        A, N, B = (np.asarray(part, dtype=float) for part in (A, N, B))
-        assign(self, A=A, N=N, B=B, **signal_labels(len(B), 1, None, None, None))
-
-    @cached_property
-    def standard_form(self):
-        def f(x, u):
-            return [
-                sum((a + c * u[0]) * one for a, c, one in zip(row, slope, x, strict=True)) + b * u[0]
-                for row, slope, b in zip(self.A, self.N, self.B, strict=True)
-            ]
-
-        return lfo.PiecewiseSmoothDynamics.from_formulas(f, self.state_dim, 1)
-
-    def facts(self, labels):
-        return [("dynamics", "bilinear: (A + u N) x + B u")]
-
-    def stepper(self, horizon):
-        return lambda t, x, u: (self.A + u[0] * self.N) @ x + self.B * u[0]
-
-
-@dataclass(frozen=True)
-class FromRest:
-    """A method for bilinear dynamics that leaves the work to the search over smooth pieces."""
-
-    global_bound: bool = False
-
-    shorthand: ClassVar[str] = "from_rest"
-    takes_start: ClassVar[bool] = False
-
-    def solve(self, problem, request):
-        return replace(Nonsmooth(global_bound=self.global_bound).solve(problem, request), method="from_rest")
 
 
 @pytest.fixture

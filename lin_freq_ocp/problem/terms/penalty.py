@@ -12,7 +12,7 @@ normal cone. In a problem with eta_C = 0, finite weights count as zero.
 A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``weights``, ``excess``,
 ``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not weight * max(excess, 0), also
 ``cost`` and ``slope``; and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
-methods and never ask for the class. ``tests/problem/test_new_term.py`` shows a complete example.
+methods and never ask for the class. ``tests/helpers/own_kinds.py`` has a complete example.
 """
 
 from __future__ import annotations
