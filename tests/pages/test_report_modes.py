@@ -18,11 +18,12 @@ import lin_freq_ocp as lfo
 from helpers.compared_pages import blanks
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
 from lin_freq_ocp import OptimalControlProblem, Trajectory, compare, library, solve
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import kinks
-from lin_freq_ocp.comparison.trajectories import NO_MODE, mode_sequence
+from lin_freq_ocp.comparison import NO_MODE, mode_sequence
 from lin_freq_ocp.pages import (
     THEMED,
     THEMED_TINTS,
@@ -51,7 +52,6 @@ from lin_freq_ocp.pages import (
 )
 from lin_freq_ocp.problem import problem_facts
 from lin_freq_ocp.results import Comparison, Multipliers, Result
-from lin_freq_ocp.solving.hybrid import smooth as solve_smooth
 from lin_freq_ocp.transform.hybrid import piecewise_affine
 
 
@@ -86,7 +86,7 @@ def by_hand() -> Result:
 def without_bounds():
     """Smooth pieces get no global bound here: pages without one are looked at, and it takes its time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(solve_smooth, "GLOBAL_SECONDS", 0.0)
+        substitute(patch, "solving.hybrid.GLOBAL_SECONDS", 0.0)
         yield
 
 
