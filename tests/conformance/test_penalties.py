@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.instances import classes_of
-from helpers.instances.penalties import DIM, GROUPS, HARD_KINDS, KINDS, SOFT_KINDS, h, inside, normal
+from helpers.instances.penalties import DIM, GROUPS, HARD_KINDS, KINDS, OF_ONE_GROUP, SOFT_KINDS, h, inside, normal
 from helpers.seeds import examples, seeds
 from lin_freq_ocp.problem import HARD, ConicForm, NormBall, Penalty, Within
 from lin_freq_ocp.program import Claim, Program, backend
@@ -124,6 +124,18 @@ def least_price(form: ConicForm, v: np.ndarray) -> float:
     program = Program(P, prices, A, form.lower - values - 1e-9, form.upper - values + 1e-9, cones=form.cones)
     solution = backend("clarabel")(program, 1e-9, None)
     return prices @ solution.z if solution.claim is Claim.SOLVED else np.inf
+
+
+@pytest.mark.parametrize("name", OF_ONE_GROUP)
+def test_penalties_of_several_times_are_stacked_with_their_limits_or_not_at_all(name):
+    """Sets per time make one term of those with the same signature."""
+    rng = np.random.default_rng(3)
+    one, other = OF_ONE_GROUP[name](rng), OF_ONE_GROUP[name](rng)
+    assert (one.signature == other.signature) == one.stackable
+    both, v = one.stacked([one, other] if one.stackable else [one, one]), 2 * rng.standard_normal((2, DIM))
+    parts = [(one, v[:1]), (other if one.stackable else one, v[1:])]
+    np.testing.assert_allclose(both.cost(v), np.concatenate([part.cost(values) for part, values in parts]))
+    np.testing.assert_allclose(both.violation(v), np.vstack([part.violation(values) for part, values in parts]))
 
 
 def test_multipliers_across_a_norm_have_a_gap_of_second_order():

@@ -46,6 +46,15 @@ KINDS = {
     "largest excess": Kind(lambda rng: LargestExcess(limits(rng, GROUPS), np.asarray(rng.uniform(0.1, 2.0))), False),
     "of a user": Kind(lambda rng: WeightedMax(rng.uniform(0.5, 2.0, DIM), rng.uniform(0.1, 2.0)), False),
 }
+OF_ONE_GROUP: dict[str, Callable[[np.random.Generator], Penalty]] = {  # as a set has them at one time
+    "hard half-spaces": lambda rng: HalfSpaces(limits(rng, DIM), HARD),
+    "soft half-spaces": lambda rng: HalfSpaces(limits(rng, DIM), np.asarray(rng.uniform(0.1, 2.0))),
+    "cone": lambda rng: StandardCone(),
+    "hard norm": lambda rng: NormBall(2, np.asarray(rng.uniform(0.2, 2.0)), HARD),
+    "soft norm": lambda rng: NormBall(2, np.asarray(rng.uniform(0.2, 2.0)), np.asarray(rng.uniform(0.1, 2.0))),
+    "interval": KINDS["interval"].make,
+    "of a user": KINDS["of a user"].make,
+}
 HARD_KINDS = [name for name, kind in KINDS.items() if kind.hard]
 SOFT_KINDS = [name for name, kind in KINDS.items() if not kind.hard]
 
