@@ -12,12 +12,13 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.instances.methods import FAMILY_OF, METHODS, OWN_FAMILY, PROBLEMS, TOO_LONG
 from helpers.own_kinds import Bilinear
+from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.solving import FAMILIES
 
 PROVEN = {"optimal", "locally_optimal"}
 
-each_method = pytest.mark.parametrize(("kind", "method"), METHODS, ids=str)
+each_method = pytest.mark.parametrize(("kind", "method"), seeds(METHODS), ids=str)
 
 
 @pytest.fixture(autouse=True)
