@@ -10,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.instances import classes_of
 from helpers.instances.dynamics import INSTANCES, T
+from helpers.seeds import seeds
 from lin_freq_ocp.problem import Dynamics
 
 DERIVED = {"StandardDynamics", "ModesWithCost"}  # a base class, and dynamics with a cost, which a reformulation makes
@@ -47,7 +48,7 @@ def test_simulations_and_the_standard_form_have_the_states_of_the_definition(nam
     np.testing.assert_array_equal(lfo.simulate(same, instance.u).x, lfo.simulate(problem, instance.u).x)
 
 
-@each_kind
+@pytest.mark.parametrize("name", seeds(INSTANCES))
 def test_the_judge_accepts_a_simulation_and_no_other_trajectory(name):
     instance = INSTANCES[name]
     moved = instance.x + 1e-3 * (np.arange(T + 1) == 3)[:, None]
@@ -130,7 +131,7 @@ def test_derived_dynamics_are_those_of_the_given_ones(name):
             dynamics.disturbed(push)
 
 
-@each_kind
+@pytest.mark.parametrize("name", seeds(INSTANCES))
 def test_it_describes_itself_and_is_saved(name, tmp_path):
     instance = INSTANCES[name]
     dynamics, problem = instance.dynamics, instance.problem

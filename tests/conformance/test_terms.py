@@ -43,7 +43,7 @@ WORDS = {
 }
 
 
-@pytest.mark.parametrize("name", OF_A_USER)
+@pytest.mark.parametrize("name", seeds(OF_A_USER))
 def test_a_class_of_a_user_matters_and_is_exported_and_described(name):
     """tests/files/test_cvxpy_terms.py exports each feature of the package."""
     problem = STATEMENTS[name]()

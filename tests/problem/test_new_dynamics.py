@@ -47,8 +47,3 @@ def test_it_is_reported_and_compared(registered):
     comparison = lfo.compare(given)
     assert comparison.constrained.certificate.pmp == "satisfied"
     assert "bilinear" in render_page(comparison, draw_figures(comparison))
-
-
-def test_without_a_registration_the_methods_are_those_of_the_standard_form():
-    result = lfo.solve(problem(BILINEAR), "nonsmooth")
-    assert result.certificate.pmp == "satisfied"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.instances.statements import OF_A_USER, STATEMENTS
+from helpers.instances.statements import STATEMENTS
 from helpers.linear_kinds import KINDS, infeasible
 from helpers.seeds import seeds
 from lin_freq_ocp.certificate import prove_infeasible
@@ -22,7 +22,7 @@ def compiled(request):
     return request.param == "compiled"
 
 
-@pytest.mark.parametrize("kind", seeds([*KINDS, *OF_A_USER]))
+@pytest.mark.parametrize("kind", seeds([*KINDS, "variation of the controls"]))
 def test_every_kind_is_solved(kind, compiled):
     problem = STATEMENTS[kind]()
     found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
