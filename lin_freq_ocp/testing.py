@@ -34,6 +34,7 @@ from lin_freq_ocp.transform.limits import constraints, numbers
 from lin_freq_ocp.transform.reformulations import RATE_LIMIT
 
 __all__ = ["Case", "Report", "check", "check_terms", "conformance_cases"]
+DOOR = ["INSTANCES", "PENDULUM", "PIECEWISE_AFFINE", "STATED", "reference_problem"]  # for the tests of the package
 
 Kind = Literal["linear", "piecewise affine", "piecewise smooth"]
 Solver = Callable[[lfo.OptimalControlProblem], lfo.Trajectory | None]  # None: infeasible, or no answer

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 
 import pytest
 from hypothesis import HealthCheck, settings
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
@@ -13,7 +14,7 @@ from helpers.browsers import browser as browser
 from helpers.browsers import chromium as chromium
 from helpers.clocks import Clock
 from helpers.compilers import no_compiler as no_compiler
-from helpers.drawings import BLANK, UnmovedPanels
+from helpers.drawings import BLANK
 from helpers.drawings import blank as blank
 from helpers.drawings import images as images
 from helpers.explanations import explain_once
@@ -97,7 +98,7 @@ def _plain_drawings():
     """
     with pytest.MonkeyPatch.context() as patch:
         substitute(patch, "pages.PIXELS_PER_INCH", 60)
-        patch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", UnmovedPanels)
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda layout, figure: None)
         patch.setattr(Drawing, "png", lambda drawing: BLANK)
         yield
 

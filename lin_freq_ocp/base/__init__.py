@@ -24,11 +24,11 @@ def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Cal
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "cones": "Cone",
-    "interrupts": "interrupts_noted", "kinds": "register_all", "resources": "ALWAYS_THERE memory_limit",
-    "semidefinite": "RISES is_semidefinite",
-    "phrases": "NOTHING join_words number runs_in_words split_unit",
+    "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "kinds": "register_all",
+    "cones": "Cone apply_scaling apply_scaling_twice compute_scaling product quotient spectral_values steepest",
+    "interrupts": "interrupts_noted leave leave_silently let_commands_decide",
+    "phrases": "NOTHING join_words number runs_in_words split_unit", "semidefinite": "RISES is_semidefinite",
     "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
-    "uncovered_point",
+    "uncovered_point", "resources": "ALWAYS_THERE memory_limit",
 })
 # fmt: on

@@ -130,6 +130,21 @@ class Cells:
         """Return the lowest limit on each cell."""
         return self.limit - np.abs(self.slope)
 
+    def undecided(self, ratio: float) -> Indices:
+        """Return the cells on which |V| <= ratio * l is not proven."""
+        sums, margin = np.abs(self.a).sum(1), ratio * self.least - self.error
+        left = np.flatnonzero(sums > margin)
+        if not len(left):
+            return left
+        few = self.take(left)
+        square = _product(few.a.real, few.a.real) + _product(few.a.imag, few.a.imag)
+        centre, slope = ratio * few.limit - few.error, ratio * few.slope
+        square[:, 0] -= centre**2
+        square[:, 1] -= 2 * centre * slope
+        square[:, 2] -= slope**2
+        rounding = COEFFICIENT_ROUNDING * (sums[left] + np.abs(centre) + np.abs(slope)) ** 2
+        return left[((square @ BERNSTEIN).max(1) + rounding > 0) | (margin[left] <= 0)]
+
 
 def bound_peak(cells: Cells) -> Peak:
     """Return the largest |V| / l on cells, at a parameter, with proof."""
@@ -142,7 +157,7 @@ def bound_peak(cells: Cells) -> Peak:
         first = first_largest(seen, at)
         found, value, frequency = float(seen.max()), float(seen[first]), float(at[first])
         proven = max(proven, found * (1 + RATIO) + 2 * float(cells.error[best] / cells.limit[best]))
-        cells = cells.take(_undecided_cells(cells, proven))
+        cells = cells.take(cells.undecided(proven))
         if not len(cells.a) or 2 * len(cells.a) > MOST_CELLS:
             break
         ends = np.ones(len(cells.a))
@@ -150,22 +165,6 @@ def bound_peak(cells: Cells) -> Peak:
     if len(cells.a):
         proven = max(proven, float(((np.abs(cells.a).sum(1) + cells.error) / cells.least).max()))
     return Peak(proven, found, frequency)
-
-
-def _undecided_cells(cells: Cells, ratio: float) -> Indices:
-    """Return the cells on which |V| <= ratio * l is not proven."""
-    sums, margin = np.abs(cells.a).sum(1), ratio * cells.least - cells.error
-    left = np.flatnonzero(sums > margin)
-    if not len(left):
-        return left
-    few = cells.take(left)
-    square = _product(few.a.real, few.a.real) + _product(few.a.imag, few.a.imag)
-    centre, slope = ratio * few.limit - few.error, ratio * few.slope
-    square[:, 0] -= centre**2
-    square[:, 1] -= 2 * centre * slope
-    square[:, 2] -= slope**2
-    rounding = COEFFICIENT_ROUNDING * (sums[left] + np.abs(centre) + np.abs(slope)) ** 2
-    return left[((square @ BERNSTEIN).max(1) + rounding > 0) | (margin[left] <= 0)]
 
 
 def _product(p: NDArray[Scalar], q: NDArray[Scalar]) -> NDArray[Scalar]:

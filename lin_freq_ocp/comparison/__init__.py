@@ -1,1 +1,12 @@
 """Filters and input shapers, compared with the solution under the frequency constraint."""
+
+from lin_freq_ocp.base import lazy_exports
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "compare": "SEARCH_SECONDS compare_methods", "filters": "FILTERS apply_filter filter_limits filter_stop",
+    "moves": "INSENSITIVITY LONGEST_PROFILE SHAPERS TRIED boxes_of impulse_text impulses remember_zero shape_controls "
+    "shortest_moves vibration why_not_shaped",
+    "trajectories": "NO_MODE ProblemSignal controls_of measured_solution mode_sequence",
+})
+# fmt: on

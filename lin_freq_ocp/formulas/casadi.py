@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 # Operations of CasADi with kinks or jumps, which their derivatives do not show.
 KINKED = ("FABS", "FMAX", "FMIN", "MMAX", "MMIN", "SIGN", "COPYSIGN", "FLOOR", "CEIL", "FMOD", "REMAINDER",
           "IF_ELSE_ZERO", "NORM1", "NORMINF")  # fmt: skip
+FUNCTIONS = ("SIN", "COS", "TAN", "SINH", "COSH", "TANH")  # each with its inverse
 # Operations of CasADi that formulas have; constants among them are folded by CasADi.
 OPERATIONS: dict[str, Callable[..., Formula]] = {
     "ASSIGN": lambda a: a,
@@ -36,20 +37,9 @@ OPERATIONS: dict[str, Callable[..., Formula]] = {
     "TWICE": lambda a: 2.0 * a,
     "SQ": lambda a: a**2,
     "INV": lambda a: 1.0 / a,
-    "EXP": np.exp,
-    "LOG": np.log,
     "SQRT": lambda a: _root(a),
-    "SIN": np.sin,
-    "COS": np.cos,
-    "TANH": np.tanh,
-    "ATAN": np.arctan,
-    "TAN": np.tan,
-    "SINH": np.sinh,
-    "COSH": np.cosh,
-    "ASIN": np.arcsin,
-    "ACOS": np.arccos,
-    "ASINH": np.arcsinh,
-    "ATANH": np.arctanh,
+    **{name: getattr(np, name.lower()) for name in ("EXP", "LOG", *FUNCTIONS)},
+    **{f"A{name}": getattr(np, f"arc{name.lower()}") for name in FUNCTIONS},
     "ATAN2": Formula.arctan2,
     "POW": lambda a, b: _power(a, b),
     "CONSTPOW": lambda a, b: _power(a, b),

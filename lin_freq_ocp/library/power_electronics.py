@@ -7,7 +7,7 @@ patterns remove harmonics with few levels, or have the least distortion with few
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, log, tanh
+from math import exp
 
 import numpy as np
 
@@ -56,7 +56,7 @@ def buck_affine(
         Seconds: the switching period Tc.
     pieces : int
         Of the second mode. 1: e/s with s as it is at ``linearised_at``, exact at that voltage and on the border. More:
-        triangles that follow the fraction over all voltages; ``buck_error`` says how closely.
+        triangles that follow the fraction over all voltages; docs/hybrid_systems.md says how closely.
     linearised_at : float
         Volts; looked at with one piece only.
     control_spectrum : band, list of bands, list of bins, "freq" or None
@@ -115,29 +115,6 @@ def buck_affine(
         control_spectrum=control_band(control_spectrum, T),
         name="buck_affine",
     )
-
-
-def buck_error(
-    pieces: int,
-    sampling_time: float = 2.5e-4,
-    linearised_at: float = 2.35,
-    voltage_bounds: Sequence[float] = (2.2, 6.0),
-) -> float:
-    """Return the largest error of i+ in A that the pieces of ``buck_affine`` make of the second mode.
-
-    Over all 0 <= i <= I_ref and all voltages within the bounds; it is attained. The parameters are those of
-    ``buck_affine``. With the defaults: 4.1 A with one piece, at 6 V, where it predicts currents far below zero, which
-    are out of bounds; then 0.25 A with 2 pieces, 0.14 A with 3, 0.073 A with 5, 0.037 A with 9.
-    """
-    count = positive_integer("pieces", pieces)
-    lowest, highest = (voltage - POLE for voltage in _voltages(voltage_bounds))
-    kept = _border(positive_number("sampling_time", sampling_time))[0]
-    if count == 1:
-        exact = _above_pole(linearised_at)
-        relative = max(abs(1 - lowest / exact), abs(1 - highest / exact))
-    else:
-        relative = tanh(log(highest / lowest) / (4 * (count - 1)))
-    return CURRENT_REFERENCE * (1 - kept) * relative
 
 
 def _voltages(bounds: Sequence[float]) -> tuple[float, float]:

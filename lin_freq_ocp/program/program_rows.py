@@ -67,10 +67,7 @@ class ProgramRows:
         if self.block is not other.block or self.name != other.name or self.shape != other.shape:
             return False
         maps = self.map, other.map
-        if maps[0] is None or maps[1] is None:
-            same = maps[0] is maps[1]
-        else:
-            same = maps[0].same_rows(maps[1])
+        same = maps[0] is maps[1] if maps[0] is None or maps[1] is None else maps[0].same_rows(maps[1])
         arrays = [(getattr(self, name), getattr(other, name)) for name in ("entries", "weights", "prices", "cones")]
         arrays += [(getattr(self.slacks, name), getattr(other.slacks, name)) for name in ("data", "indices", "indptr")]
         return same and all(one is another or np.array_equal(one, another) for one, another in arrays)

@@ -142,7 +142,7 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
     gap = getattr(method, "gap", None)
     tolerance = gap if gap != getattr(type(method), "gap", None) else saved["tolerance"]
     further: dict[str, object] = {} if saved["node_limit"] is None else {"node_limit": saved["node_limit"]}
-    if name == "auto" and not getattr(method, "global_bound", True):
+    if not getattr(method, "global_bound", True) and "global_bound" in family_of(problem).shorthands[name].options:
         further["global_bound"] = False
     return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **further}
 

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 
 

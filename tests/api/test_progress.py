@@ -3,6 +3,7 @@
 IPython and the terminal are stand-ins that record what they are told to show.
 """
 
+import multiprocessing
 import sys
 from io import BytesIO, TextIOWrapper
 from types import ModuleType, SimpleNamespace
@@ -10,8 +11,9 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.api import solve
+from lin_freq_ocp.api import progress_line, report_progress
 
 SHORT = {"horizon": [60, 80]}
 STARTS = [[0.0, 0.0], [0.1, 0.0]]
@@ -58,7 +60,7 @@ def displayed(monkeypatch):
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     for name in ("FIRST_SECONDS", "TERMINAL_SECONDS", "BETWEEN_SECONDS"):
-        monkeypatch.setattr(solve, name, 0.0)
+        substitute(monkeypatch, f"api.{name}", 0.0)
     return found
 
 
@@ -101,14 +103,14 @@ def test_a_terminal_shows_a_line_that_is_gone_in_the_end(displayed, name, monkey
 
 def test_a_line_is_not_longer_than_the_terminal(displayed, monkeypatch):
     stream = open_terminal(monkeypatch)
-    with solve.report_progress(None, str) as report:
+    with report_progress(None, str) as report:
         report("a" * 50)
         assert stream.buffer.getvalue().decode() == "\r" + "a" * 39
 
 
 def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
     stream = open_terminal(monkeypatch)
-    monkeypatch.setattr(solve, "TERMINAL_SECONDS", 1e3)
+    substitute(monkeypatch, "api.TERMINAL_SECONDS", 1e3)
     CALLS["solve_many"][0]()
     assert stream.buffer.getvalue() == b""
 
@@ -116,7 +118,7 @@ def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
 def test_a_stream_that_another_library_has_put_for_a_terminal_is_left_alone(displayed, monkeypatch):
     open_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
-    assert solve.progress_line() is None
+    assert progress_line() is None
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -138,32 +140,32 @@ def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monke
 
 def test_without_ipython_nothing_is_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
-    assert solve.progress_line() is None
+    assert progress_line() is None
     CALLS["sweep"][0]()
     assert "IPython" not in sys.modules
 
 
 def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
-    assert solve.progress_line() is not None
-    monkeypatch.setattr(solve, "parent_process", lambda: "the kernel")
-    assert solve.progress_line() is None
+    assert progress_line() is not None
+    monkeypatch.setattr(multiprocessing.process, "_parent_process", "the kernel")
+    assert progress_line() is None
 
 
 def test_quick_calls_show_nothing(displayed, monkeypatch):
-    monkeypatch.setattr(solve, "FIRST_SECONDS", 1e3)
+    substitute(monkeypatch, "api.FIRST_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert displayed.bundles == []
 
 
 def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
-    monkeypatch.setattr(solve, "BETWEEN_SECONDS", 1e3)
+    substitute(monkeypatch, "api.BETWEEN_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert [one.get("text/plain") for one in displayed.bundles] == ["0 of 2 solved", None]
 
 
 def test_an_error_leaves_nothing_of_the_line(displayed):
     def failing():
-        with solve.report_progress(None, lambda reached: f"<b>{reached}</b>") as report:
+        with report_progress(None, lambda reached: f"<b>{reached}</b>") as report:
             report(3)
             raise RuntimeError
 

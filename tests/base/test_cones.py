@@ -5,7 +5,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lin_freq_ocp.base import Cone, cones
+from lin_freq_ocp.base import (
+    Cone,
+    apply_scaling,
+    apply_scaling_twice,
+    compute_scaling,
+    product,
+    quotient,
+    spectral_values,
+    steepest,
+)
 
 SIZES = (3, 2)
 
@@ -128,34 +137,30 @@ def points(request):
 
 def test_product_and_quotient_invert_each_other(points):
     ends, s, z, d = points
-    np.testing.assert_allclose(cones.quotient(ends, s, cones.product(ends, s, d)), d, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(cones.product(ends, s, z), cones.product(ends, z, s), rtol=1e-12)
+    np.testing.assert_allclose(quotient(ends, s, product(ends, s, d)), d, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(product(ends, s, z), product(ends, z, s), rtol=1e-12)
 
 
 def test_the_scaling_takes_both_points_to_one_and_that_of_swapped_points_is_its_inverse(points):
     ends, s, z, d = points
-    forth, back = cones.compute_scaling(ends, s, z), cones.compute_scaling(ends, z, s)
-    lam = cones.apply_scaling(ends, *forth, z)
-    np.testing.assert_allclose(cones.apply_scaling(ends, *back, s), lam, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(
-        cones.apply_scaling(ends, *back, cones.apply_scaling(ends, *forth, d)), d, rtol=0, atol=1e-7
-    )
-    twice = cones.apply_scaling(ends, *forth, cones.apply_scaling(ends, *forth, d))
-    np.testing.assert_allclose(
-        cones.apply_scaling_twice(ends, *forth, d), twice, rtol=1e-6, atol=1e-9 * np.abs(twice).max()
-    )
-    duality = cones.product(ends, lam, lam)[[*range(ends[0]), *ends[:-1]]].sum()
+    forth, back = compute_scaling(ends, s, z), compute_scaling(ends, z, s)
+    lam = apply_scaling(ends, *forth, z)
+    np.testing.assert_allclose(apply_scaling(ends, *back, s), lam, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(apply_scaling(ends, *back, apply_scaling(ends, *forth, d)), d, rtol=0, atol=1e-7)
+    twice = apply_scaling(ends, *forth, apply_scaling(ends, *forth, d))
+    np.testing.assert_allclose(apply_scaling_twice(ends, *forth, d), twice, rtol=1e-6, atol=1e-9 * np.abs(twice).max())
+    duality = product(ends, lam, lam)[[*range(ends[0]), *ends[:-1]]].sum()
     assert duality == pytest.approx((s * z).sum(), rel=1e-9)
 
 
 def test_the_steepest_slope_is_that_of_the_step_to_the_boundary(points):
     ends, s, _, d = points
-    slope = cones.steepest(ends, s, d)
+    slope = steepest(ends, s, d)
     assert slope > 0
     size = np.abs(s + d / slope).max()
-    assert abs(cones.spectral_values(ends, s + d / slope).min()) <= 1e-9 * size
-    assert cones.spectral_values(ends, s + 0.999 * d / slope).min() > 0
-    assert cones.steepest(ends, s, s) == 0
+    assert abs(spectral_values(ends, s + d / slope).min()) <= 1e-9 * size
+    assert spectral_values(ends, s + 0.999 * d / slope).min() > 0
+    assert steepest(ends, s, s) == 0
 
 
 def test_points_are_raised_into_the_cone_and_the_inverse_is_the_gradient_of_the_barrier():

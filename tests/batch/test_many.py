@@ -14,8 +14,8 @@ from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from lin_freq_ocp.batch import many as many_module
 from lin_freq_ocp.batch import solve_part, tour
+from lin_freq_ocp.solving import Resolver
 
 PENDULUM = lfo.library.pendulum(horizon=60, sampling_time=0.04)
 STARTS = PENDULUM.initial_state.lower + 1e-3 * np.random.default_rng(1).standard_normal((12, 4))
@@ -120,7 +120,7 @@ def test_other_methods_judge_one_by_one(method, serial):
 def test_joint_rows_are_solved_and_judged_as_a_batch(monkeypatch):
     rows = lfo.StageRows([[0.0, 0.0, 1.0, 0.0]], [[0.0]], [0.9])
     problem = replace(PENDULUM, stage_rows=rows)
-    monkeypatch.setattr(many_module, "_solve_single", lambda *given: pytest.fail("one was left alone"))
+    monkeypatch.setattr(Resolver, "solve", lambda *given: pytest.fail("one was left alone"))
     found = lfo.solve_many(problem, STARTS[:2])
     assert found.costs[1] == pytest.approx(lfo.solve(problem.with_ends(STARTS[1])).cost, rel=1e-8)
 

@@ -11,7 +11,6 @@ from scipy.signal.windows import chebwin
 from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.certificate import TERMS, Cells, certified_peak
-from lin_freq_ocp.certificate import peaks as cells
 from lin_freq_ocp.problem import limits_on
 
 WHOLE = [(0.0, np.pi)]
@@ -110,10 +109,10 @@ def test_a_cell_whose_end_exceeds_its_limit_by_rounding_is_not_proven(seed):
     limit = float(np.abs(a.sum()))
     while Fraction(limit) ** 2 >= exact:
         limit = float(np.nextafter(limit, 0.0))
-    assert cells._undecided_cells(single_cell(a, limit), 1.0).tolist() == [0]
+    assert single_cell(a, limit).undecided(1.0).tolist() == [0]
 
 
 def test_a_cell_is_proven_only_with_the_error_of_its_polynomial():
     """|g| = 1 and a limit of 1.05: |V| may be 1.04 or 1.06."""
-    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.04), 1.0).tolist() == []
-    assert cells._undecided_cells(single_cell([1.0], 1.05, 0.06), 1.0).tolist() == [0]
+    assert single_cell([1.0], 1.05, 0.04).undecided(1.0).tolist() == []
+    assert single_cell([1.0], 1.05, 0.06).undecided(1.0).tolist() == [0]

@@ -10,7 +10,7 @@ import pytest
 
 from helpers.checks import cancellation, cost_units, jumps, small_ends, weights
 from helpers.seeds import seeds
-from lin_freq_ocp.loop.step_problem import ControlLimits
+from lin_freq_ocp.loop import ControlLimits
 
 
 @pytest.mark.parametrize("seed", seeds([2, 3, 5, 9, 13, 14]))

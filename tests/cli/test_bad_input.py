@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.replacing import substitute
 from helpers.seeds import turn
-from lin_freq_ocp.cli.console import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
+from lin_freq_ocp.cli import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
 schema = 1

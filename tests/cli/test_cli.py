@@ -19,9 +19,8 @@ from helpers.command_line import COMMAND, once, parsed, run
 from helpers.compared_pages import blanks
 from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.cli import app as cli
-from lin_freq_ocp.cli import console
-from lin_freq_ocp.cli.app import COMMANDS
+from lin_freq_ocp import cli
+from lin_freq_ocp.cli import BAD_INPUT, COMMANDS
 
 # --- for people -----------------------------------------------------------------------------------------------------
 
@@ -60,7 +59,7 @@ def test_version():
 
 def test_an_unknown_command_names_the_nearest():
     status, out, err = run("slove", "pendulum")
-    assert (status, out) == (console.BAD_INPUT, "")
+    assert (status, out) == (BAD_INPUT, "")
     assert "No such command 'slove'. Did you mean 'solve'?" in err
 
 
@@ -261,9 +260,7 @@ def test_a_nearby_parameter_is_suggested():
 
 def test_the_help_imports_no_command():
     """It would take a second. The first line of each command is read from its source."""
-    text = (
-        "import sys\nfrom lin_freq_ocp.cli.app import main\ntry: main(['-h'])\nexcept SystemExit: print(*sys.modules)"
-    )
+    text = "import sys\nfrom lin_freq_ocp.cli import main\ntry: main(['-h'])\nexcept SystemExit: print(*sys.modules)"
     shown = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True).stdout
     help_text, _, modules = shown.rpartition("\n  schema")
     assert not {"numpy", "lin_freq_ocp.cli.solve", "lin_freq_ocp.cli.show"} & set(modules.split())

@@ -9,7 +9,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp import cli
 
 VARIABLE = "_LIN_FREQ_OCP_COMPLETE"
 

@@ -13,7 +13,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
 from helpers.seeds import seeds
-from lin_freq_ocp.cli.show import SCHEMAS, as_toml
+from lin_freq_ocp.cli import SCHEMAS, as_toml
 from lin_freq_ocp.files import problem_text
 
 

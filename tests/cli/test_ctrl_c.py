@@ -11,7 +11,7 @@ import pytest
 
 from helpers.patience import PATIENCE, wait_until
 from helpers.seeds import turn
-from lin_freq_ocp.base import interrupts
+from lin_freq_ocp.base import leave, leave_silently, let_commands_decide
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
 
@@ -103,9 +103,9 @@ def test_scripts_that_import_the_package_keep_their_ctrl_c(monkeypatch, argument
     monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "lin_freq_ocp", "solve"])
     before = signal.getsignal(signal.SIGINT)
     try:
-        interrupts.leave_silently()
-        assert (signal.getsignal(signal.SIGINT) is interrupts.leave) == ours
-        assert interrupts.let_commands_decide() == ours
+        leave_silently()
+        assert (signal.getsignal(signal.SIGINT) is leave) == ours
+        assert let_commands_decide() == ours
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
@@ -114,5 +114,5 @@ def test_scripts_that_import_the_package_keep_their_ctrl_c(monkeypatch, argument
 def test_other_modules_keep_their_ctrl_c(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["-m"])
     monkeypatch.setattr(sys, "orig_argv", ["python", "-m", "my_module", "lin_freq_ocp"])
-    interrupts.leave_silently()
+    leave_silently()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

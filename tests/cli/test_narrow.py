@@ -10,7 +10,7 @@ from rich.table import Table
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.cli.console import fit_table, out, print_terms
+from lin_freq_ocp.cli import fit_table, out, print_terms
 from lin_freq_ocp.pages import certificate_table, comparison_table
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, filter_stop
+from lin_freq_ocp.comparison import FILTERS, apply_filter, filter_stop
 
 
 @pytest.fixture(scope="module")

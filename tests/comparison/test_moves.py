@@ -10,8 +10,7 @@ from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
 from helpers.replacing import substitute
 from helpers.seeds import turn
-from lin_freq_ocp.comparison import moves as moves_of
-from lin_freq_ocp.comparison.moves import shortest_moves, vibration, why_not_shaped
+from lin_freq_ocp.comparison import boxes_of, remember_zero, shortest_moves, vibration, why_not_shaped
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.pages import draw_figures, moves_rows, moves_sentence, render_page, ringing_of
 from lin_freq_ocp.results import Status
@@ -75,7 +74,7 @@ def test_words_table_and_page(comparison):
 
 @turn(2)
 def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
-    monkeypatch.setattr(moves_of, "LONGEST_PROFILE", 2)
+    substitute(monkeypatch, "comparison.LONGEST_PROFILE", 2)
     problem = lfo.library.printer_move(30, vibration_bound=0.002)
     moves = lfo.compare(problem, ["ZV"]).moves
     (move,) = moves.shaped
@@ -86,7 +85,7 @@ def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
 
 @turn(0)
 def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
-    monkeypatch.setattr(moves_of, "TRIED", 6)
+    substitute(monkeypatch, "comparison.TRIED", 6)
     (move,) = lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]).moves.shaped
     assert (move.samples - 28) % 9 == 0
     assert move.description.endswith("; profiles tried are 9 samples apart")
@@ -137,7 +136,7 @@ def test_shapers_for_two_modes_of_a_rate_limited_move():
     u = move.measured.trajectory.u
     assert np.abs(np.diff(u, axis=0, prepend=0.0)).max() <= 3.0 + 1e-9
     assert u[-1] == pytest.approx(0.0, abs=1e-9)
-    boxes = moves_of.boxes_of(move.measured.problem)
+    boxes = boxes_of(move.measured.problem)
     assert [tuple(box.low) for box in boxes] == [(18.0, 0.02), (33.0, 0.02)]
     for box in boxes:
         largest = vibration(box, move.measured.trajectory, np.linspace(box.low[0], box.high[0], 101)).max()
@@ -146,9 +145,9 @@ def test_shapers_for_two_modes_of_a_rate_limited_move():
 
 def test_only_states_that_remember_controls_are_zero_at_the_ends():
     printer = lfo.library.printer_move()
-    assert moves_of.remember_zero(printer) is printer
+    assert remember_zero(printer) is printer
     limited = lfo.rate_limited(printer, 3.0, previous=[1.0])
-    zeroed = moves_of.remember_zero(limited)
+    zeroed = remember_zero(limited)
     assert (zeroed.initial_box.lower[2], zeroed.initial_box.upper[2]) == (1.0, 1.0)  # where zero is not admissible
     assert (zeroed.terminal_box.lower[2], zeroed.terminal_box.upper[2]) == (0.0, 0.0)
     assert np.array_equal(zeroed.terminal_box.lower[:2], limited.terminal_box.lower[:2])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lin_freq_ocp.comparison.moves import INSENSITIVITY, SHAPERS, impulse_text, impulses, shape_controls
+from lin_freq_ocp.comparison import INSENSITIVITY, SHAPERS, impulse_text, impulses, shape_controls
 from lin_freq_ocp.problem import VibrationLimit, VibrationMap
 
 H = 1e-3  # half a period of 10 Hz is 50 samples

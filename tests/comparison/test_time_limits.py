@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.command_line import run
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.comparison.compare import SEARCH_SECONDS, compare_methods
+from lin_freq_ocp.comparison import SEARCH_SECONDS, compare_methods
 from lin_freq_ocp.files import comparison_summary
 from lin_freq_ocp.pages import finding_of
 from lin_freq_ocp.results import Status

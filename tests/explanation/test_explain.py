@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.replacing import substitute
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.explanation.explanation import least_cure
+from lin_freq_ocp.explanation import least_cure
 from lin_freq_ocp.solving import solve_judged
 from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
 

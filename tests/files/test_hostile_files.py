@@ -19,7 +19,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from helpers.replacing import substitute
-from lin_freq_ocp.api.runs import Rerun, outcome_fields, rerun_summary
+from lin_freq_ocp.api import Rerun, outcome_fields, rerun_summary
 from lin_freq_ocp.files import BEGINNING, LARGE, MOST_ENTRIES, sweep_summary, to_json
 from lin_freq_ocp.pages import sweep_table
 

@@ -18,9 +18,9 @@ from helpers.clocks import Clock
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
 from helpers.replacing import substitute
-from lin_freq_ocp.api.runs import SAME_COST, Rerun
+from lin_freq_ocp import cli
+from lin_freq_ocp.api import SAME_COST, Rerun
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.files import dump_run, result_summary
 
 CART = lfo.OptimalControlProblem(

@@ -20,9 +20,9 @@ from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, is_valid, printed
 from helpers.seeds import seeds
-from lin_freq_ocp.api.solve import ERRORS
+from lin_freq_ocp.api import ERRORS
 from lin_freq_ocp.certificate import Condition, Conflict
-from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.cli import cli
 from lin_freq_ocp.files import (
     SETS,
     TableRecord,

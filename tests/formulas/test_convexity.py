@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex, least_curvature
-from lin_freq_ocp.formulas.jets import jets_of, values_of
-from lin_freq_ocp.formulas.text import formula_from_text
+from lin_freq_ocp.formulas import convex_curvature, formula_from_text, is_convex, jets_of, least_curvature, values_of
 
 T = 4
 CONVEX = [  # text, and half the width of the box; inf: everywhere

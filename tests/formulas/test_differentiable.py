@@ -18,10 +18,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.batch import fingerprint
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.dynamics import SmoothMode
-from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
-from lin_freq_ocp.formulas.nodes import nodes_in_order
-from lin_freq_ocp.formulas.text import formula_from_text
+from lin_freq_ocp.formulas import Formula, formula_from_text, interval_jets, jets_of, nodes_in_order, values_of
 
 X, U = lfo.signals(2, 1)
 POLE, KEPT = 2.0, exp(-0.5)

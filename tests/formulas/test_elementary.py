@@ -7,9 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
-from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
-from lin_freq_ocp.formulas.operations import scalar_functions
-from lin_freq_ocp.formulas.text import formula_from_text
+from lin_freq_ocp.formulas import formula_from_text, interval_jets, jets_of, scalar_functions, values_of
 
 X, U = lfo.signals(1, 1)
 CENTRES = {"log": 1.0, "sqrt": 1.0}  # the others are defined from -0.9 to 0.9

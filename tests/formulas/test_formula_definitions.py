@@ -13,8 +13,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM
 from helpers.seeds import seeds
-from lin_freq_ocp.formulas.jets import values_of
-from lin_freq_ocp.formulas.nodes import nodes_in_order
+from lin_freq_ocp.formulas import nodes_in_order, values_of
 from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 SCHEMA = Draft202012Validator(PROBLEM)

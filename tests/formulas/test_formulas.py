@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
 from helpers.seeds import examples, seeds
-from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.jets import jets_of, values_of
-from lin_freq_ocp.formulas.nodes import nodes_in_order, text_of
-from lin_freq_ocp.formulas.text import MOST_LEVELS, formula_from_text
+from lin_freq_ocp.formulas import MOST_LEVELS, Formula, formula_from_text, jets_of, nodes_in_order, text_of, values_of
 
 N, M = 2, 1
 X, U = lfo.signals(N, M)

@@ -7,12 +7,23 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
-from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.intervals import add, exponential, inverse, multiply, outward, scale
-from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
-from lin_freq_ocp.formulas.nodes import text_of
-from lin_freq_ocp.formulas.operations import OPERATIONS, ScalarFunction
-from lin_freq_ocp.formulas.text import formula_from_text, read_definitions
+from lin_freq_ocp.formulas import (
+    OPERATIONS,
+    Formula,
+    ScalarFunction,
+    add,
+    exponential,
+    formula_from_text,
+    interval_jets,
+    inverse,
+    jets_of,
+    multiply,
+    outward,
+    read_definitions,
+    scale,
+    text_of,
+    values_of,
+)
 
 X, U = lfo.signals(1, 1)
 

@@ -7,8 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
-from lin_freq_ocp.formulas.jets import interval_jets, jets_of, values_of
-from lin_freq_ocp.formulas.text import formula_from_text, listed_formulas
+from lin_freq_ocp.formulas import formula_from_text, interval_jets, jets_of, listed_formulas, values_of
 
 MASSES = [2.0, -1.0, 0.5]
 

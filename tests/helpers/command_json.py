@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.api.solve import ERRORS
+from lin_freq_ocp.api import ERRORS
 
 HARMLESS = ("--set", f"cutoff={np.pi!r}")
 """A low pass at the Nyquist frequency: it removes nothing, and says so in a warning."""

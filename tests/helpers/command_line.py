@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from lin_freq_ocp.cli import app as cli
+from lin_freq_ocp import cli
 
 
 def run(*arguments: str) -> tuple[int, str, str]:

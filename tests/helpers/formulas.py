@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.formulas import Formula
-from lin_freq_ocp.formulas.nodes import text_of
+from lin_freq_ocp.formulas import Formula, text_of
 
 UNARY = [
     lambda a: a**2,

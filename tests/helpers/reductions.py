@@ -17,7 +17,7 @@ from lin_freq_ocp.methods import absorb_cost
 from lin_freq_ocp.methods.spectral import SoftBounds, priced_bounds, row_form, soft_bins
 from lin_freq_ocp.problem import HARD, FrequencyConstraint, HalfSpaces, StageMap, SumMap, Term
 from lin_freq_ocp.sets import Polyhedron, Soft
-from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
+from lin_freq_ocp.solving.hybrid import fix_modes
 from lin_freq_ocp.transform import (
     RATE_LIMIT,
     Reduction,

@@ -8,7 +8,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from lin_freq_ocp.cli.show import SCHEMAS
+from lin_freq_ocp.cli import SCHEMAS
 from lin_freq_ocp.files import to_json
 
 FOLDER = files("lin_freq_ocp.files") / "schemas"

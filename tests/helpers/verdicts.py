@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.api import result as results
+from lin_freq_ocp.api import present_as
 from lin_freq_ocp.certificate import GAP_TOLERANCE, RIGOROUS, Condition
 from lin_freq_ocp.results import Certificate, Status
 from lin_freq_ocp.solving import Outcome
@@ -74,7 +74,6 @@ class Record:
 
     def watch(self) -> None:
         """Replace the functions that return verdicts by ones that record them, in every module that has them."""
-        present_as = results.present_as
 
         def present(cls: type, record: object) -> object:
             if isinstance(record, Outcome) and record.status != Status.LIMIT:

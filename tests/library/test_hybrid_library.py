@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.hybrid_equations import STEPS, outside, random_points, single_step
 from lin_freq_ocp import library
-from lin_freq_ocp.cli.problems import build
+from lin_freq_ocp.cli import build
 from lin_freq_ocp.errors import ProblemError
 
 ALL = pytest.mark.parametrize("name", library.PIECEWISE_AFFINE)

@@ -7,7 +7,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp import library
-from lin_freq_ocp.library.swing_up import GRAVITY
+
+GRAVITY = 9.81  # m/s^2
 
 
 def test_a_pendulum_without_torque_keeps_its_energy():

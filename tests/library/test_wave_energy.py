@@ -5,7 +5,6 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.errors import ProblemError
-from lin_freq_ocp.library.waveforms import coefficients_at
 
 POWERS = [(None, 140.007195), (2000.0, 98.11269), (1000.0, 58.75533)]  # W
 
@@ -19,11 +18,16 @@ def test_power_within_a_bound_on_the_force(force, power):
 
 
 def test_coefficients_are_linear_between_those_of_the_file():
-    found = coefficients_at(np.array([0.0, 0.075, 0.05, 0.1, 2.5, 2.51]), 45.0)
-    assert found.valid.tolist() == [False, True, True, True, True, False]
-    assert found.excitation[1] == pytest.approx(found.excitation[2:4].mean())
-    assert not found.admittance[~found.valid].any()
-    assert (found.admittance[found.valid].real > 0).all()
+    """Bins of a record of 40 s are multiples of 0.025 Hz; the file has those from 0.05 to 2.5 Hz by 0.05 Hz."""
+    excitation = {}
+    for k in (2, 3, 4):
+        problem = lfo.library.wave_energy(horizon=250, record=40.0, wave_frequency=k / 40)
+        excitation[k] = problem.dynamics.offset[k, 0] / problem.dynamics.G[k, 0, 0]
+    assert excitation[3] == pytest.approx((excitation[2] + excitation[4]) / 2)
+    admittance, known = problem.dynamics.G[:, 0, 0], ~problem.control_stop[:, 0]
+    assert np.flatnonzero(known).tolist() == list(range(2, 101))
+    assert not admittance[~known].any()
+    assert (admittance[known].real > 0).all()
 
 
 def test_a_record_whose_last_harmonic_is_the_nyquist_frequency():

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
 from helpers.seeds import seeds
-from lin_freq_ocp.loop.step_problem import known_states
+from lin_freq_ocp.loop import known_states
 
 X_0 = np.array([0.05, 0.03, 0.1, 0.1])
 LIMITED = {

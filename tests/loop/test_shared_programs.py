@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.step_problem import with_past
+from lin_freq_ocp.loop import with_past
 from lin_freq_ocp.methods import MOST_PROGRAMS, ProgramCache
 from lin_freq_ocp.program import LinearProgram
 from lin_freq_ocp.transform import Change

@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
 from helpers.seeds import seeds
-from lin_freq_ocp.loop.step_problem import soften
+from lin_freq_ocp.loop import soften
 from lin_freq_ocp.methods.structured import solve_structured
 
 PENALTIES = 1e2, 1e3, 1e5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.step_problem import checked_penalties, excess, soften
+from lin_freq_ocp.loop import checked_penalties, excess, soften
 from lin_freq_ocp.transform import translation_of
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]])

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.loop.step_problem import free_first_state
+from lin_freq_ocp.loop import free_first_state
 from lin_freq_ocp.methods.hybrid import TreeSearch
 
 

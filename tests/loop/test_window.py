@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.loop.step_problem import depends_on_past, free_first_state, with_past
+from lin_freq_ocp.loop import depends_on_past, free_first_state, with_past
 from lin_freq_ocp.transform import Change
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)

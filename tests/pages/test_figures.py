@@ -11,6 +11,7 @@ import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from helpers.compared_pages import case, price_axes
+from helpers.drawings import LAID_OUT
 from helpers.seeds import seeds, turn
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, compare, solve
 from lin_freq_ocp.errors import SolveError
@@ -160,7 +161,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
 @turn(0)
 def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):
     """The other tests draw without the layout."""
-    monkeypatch.setattr("lin_freq_ocp.pages.figures.look.ConstrainedLayoutEngine", ConstrainedLayoutEngine)
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", LAID_OUT)
     figure = comparison_figure(case("two controls"))
     figure.draw_without_rendering()
     panels = [ax.get_tightbbox() for ax in figure.axes]

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.comparison.filters import apply_filter, filter_limits, filter_stop
+from lin_freq_ocp.comparison import apply_filter, filter_limits, filter_stop
 from lin_freq_ocp.pages import (
     REFERENCE,
     certificate_table,

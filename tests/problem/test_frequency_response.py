@@ -21,17 +21,6 @@ def random_response(rng, horizon, p, m, mode, **named):
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("horizon", [6, 7])
-def test_outputs_are_convolutions(mode, horizon):
-    rng = np.random.default_rng(0)
-    dynamics, kernel = random_response(rng, horizon, 2, 3, mode)
-    u, N = rng.standard_normal((horizon, 3)), len(kernel)
-    problem = lfo.OptimalControlProblem(dynamics, horizon, lfo.QuadraticCost(R=1.0))
-    expected = [sum(kernel[(t - s) % N] @ u[s] for s in range(horizon)) for t in range(horizon + 1)]
-    assert np.allclose(lfo.simulate(problem, u).x, expected, rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize("mode", MODES)
 def test_the_adjoint_and_the_matrix_are_those_of_the_response(mode):
     rng = np.random.default_rng(1)
     dynamics, _ = random_response(rng, 7, 2, 3, mode)

@@ -33,20 +33,6 @@ def test_successors_are_the_sums_of_the_definition(varying):
     np.testing.assert_array_equal(found, dynamics.successors(x[:-1], u))  # x_T is not used
 
 
-@pytest.mark.parametrize("varying", VARYING)
-def test_pull_back_is_the_adjoint_of_the_linear_part(varying):
-    dynamics = LinearDynamics(**dynamics_data(3, varying))
-    rng = generator(4)
-    for _ in range(5):
-        x, u, eta = rng.normal(size=(T, N)), rng.normal(size=(T, M)), rng.normal(size=(T, N))
-        linear = dynamics.successors(x, u) - dynamics.successors(np.zeros((T, N)), np.zeros((T, M)))
-        in_x, in_u = dynamics.pull_back(eta)
-        assert in_x.shape == (T, N)
-        assert in_u.shape == (T, M)
-        for t in range(T):  # stage by stage, so that a shift in time cannot cancel
-            assert eta[t] @ linear[t] == pytest.approx(in_x[t] @ x[t] + in_u[t] @ u[t], rel=1e-12, abs=1e-12)
-
-
 def test_magnitudes_bound_every_term():
     data = dynamics_data(5, "A B offset")
     x, u = generator(6).normal(size=(T, N)), generator(7).normal(size=(T, M))

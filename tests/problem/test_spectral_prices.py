@@ -11,7 +11,7 @@ from scipy.signal import get_window
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.loop.step_problem import excess
+from lin_freq_ocp.loop import excess
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram
 from lin_freq_ocp.transform import translation_of
 

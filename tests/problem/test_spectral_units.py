@@ -14,9 +14,9 @@ from scipy.signal import get_window, periodogram
 import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM
 from helpers.schemas import faults as faults_of_schema
-from lin_freq_ocp.comparison.trajectories import controls_of
+from lin_freq_ocp.comparison import controls_of
 from lin_freq_ocp.files import result_summary
-from lin_freq_ocp.loop.step_problem import excess
+from lin_freq_ocp.loop import excess
 from lin_freq_ocp.pages import answer_data, comparison_rows, faults, held_panels, result_data, spectra_figure
 from lin_freq_ocp.transform import all_limits, translation_of
 

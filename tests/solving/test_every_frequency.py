@@ -12,7 +12,7 @@ from helpers.clocks import Clock
 from helpers.seeds import seeds, turn, whole_sample
 from lin_freq_ocp import Trajectory
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.comparison.trajectories import ProblemSignal, measured_solution
+from lin_freq_ocp.comparison import ProblemSignal, measured_solution
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.files import result_summary
 from lin_freq_ocp.results import Multipliers, Status

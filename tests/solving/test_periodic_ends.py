@@ -12,7 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from helpers.spectral_plants import certificate_of_claim
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 

@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import rays
 from helpers.seeds import seeds, turn
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
 from lin_freq_ocp.methods import Candidate, steepest_recession
 from lin_freq_ocp.program import REGISTER, Claim, backend

@@ -67,21 +67,19 @@ def test_the_table_knows_every_method():
 
 @pytest.mark.parametrize("kind", PROBLEMS)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_is_taken_or_refused(kind, method, option):
-    given = {option: OPTIONS[option]}
-    if (kind, method) not in TAKEN:
-        with pytest.raises(
-            lfo.errors.UnsupportedError, match=f"method: got '{method}', which is for .* dynamics; expected"
-        ):
-            choose_method(PROBLEMS[kind], method, given)
-    elif option in TAKEN[kind, method]:
-        found = choose_method(PROBLEMS[kind], method, given)
-        fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
-        assert not fields or OPTIONS[option] in {getattr(found, name, None) for name in fields}
-    else:
-        with pytest.raises(lfo.errors.UnsupportedError, match=f"{option}: got .* for the method '{method}' and {kind}"):
-            choose_method(PROBLEMS[kind], method, given)
+def test_an_option_is_taken_or_refused(kind, method):
+    for option, value in OPTIONS.items():
+        if (kind, method) not in TAKEN:
+            words = f"method: got '{method}', which is for .* dynamics; expected"
+        elif option not in TAKEN[kind, method]:
+            words = f"{option}: got .* for the method '{method}' and {kind}"
+        else:
+            found = choose_method(PROBLEMS[kind], method, {option: value})
+            fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
+            assert not fields or value in {getattr(found, name, None) for name in fields}
+            continue
+        with pytest.raises(lfo.errors.UnsupportedError, match=words):
+            choose_method(PROBLEMS[kind], method, {option: value})
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)

@@ -15,8 +15,8 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.seeds import seeds, turn
+from lin_freq_ocp import cli
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.cli import app as cli
 from lin_freq_ocp.transform.hybrid import piecewise_smooth
 
 HORIZON, STEP = 30, 0.1

@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.known_optima import solved
 from helpers.seeds import turn
 from lin_freq_ocp import library
-from lin_freq_ocp.formulas.jets import jets_of
+from lin_freq_ocp.formulas import jets_of
 
 R, L, TC, I_REF = 2.0, 1e-3, 2.5e-4, 1.0
 POLE, A = I_REF * R, exp(-R * TC / L)

@@ -8,42 +8,13 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.own_kinds import SteadyGain
 from helpers.seeds import turn
-from lin_freq_ocp.problem import HARD, FrequencyConstraint, NormBall, StageMap, SumMap, Term
 from lin_freq_ocp.testing import check_terms
 from lin_freq_ocp.transform import all_limits, changed_fields, constraints, numbers
 
 T = 12
 PLANT = lfo.LinearDynamics([[1.0, 0.5], [0.0, 1.0]], [[0.125], [0.5]], state_names=["position [m]", "speed [m/s]"])
-
-
-class SteadyGain(FrequencyConstraint):
-    """|sum_t v_t| <= limit: a bound on bin 0 of a single signal."""
-
-    label = "steady gain"
-
-    def __init__(self, limit: float):
-        self.limit = limit
-
-    def describe(self, names):
-        return f"the sum of {names[0]} is at most {self.limit:g}"
-
-    def terms(self, signal, field, source):
-        ones = np.ones((signal.length, 1, 1))
-        parts = (ones, None) if signal.D is None else (None, ones)
-        ball = NormBall(2, np.asarray(self.limit), HARD)
-        sum_of = SumMap((StageMap(np.arange(signal.length), *parts, np.zeros(1)),), np.zeros(1))
-        yield Term(f"steady gain of {signal.names[0]}", signal.kind, sum_of, ball, source)
-
-    def augmented(self, n, k):
-        return [self]
-
-    @property
-    def levels(self):
-        return np.asarray(self.limit)
-
-    def at_levels(self, levels):
-        return type(self)(float(levels))
 
 
 class Stubborn(SteadyGain):

@@ -9,22 +9,6 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.transform import Change, far_origin, translated_by, translation_of
 
 ORIGIN = np.array([5.0, -3.0])
-SETS = {
-    "box": lfo.Box([-1, None], [1, 2]),
-    "polyhedron": lfo.sets.Polyhedron([[1.0, 2.0], [0.0, -1.0]], [3.0, np.inf]),
-    "ball": lfo.sets.Ball(2.0, centre=[0.5, 0.0]),
-    "ellipsoid": lfo.sets.Ellipsoid([[1.0, 0.5]], 1.5, centre=1.0),
-    "cone": lfo.sets.SecondOrderCone([[1.0, 0.0]], [0.1], [0.0, 2.0], 1.0),
-    "intersection": lfo.Box(-3, 3) & lfo.sets.Ball(2.0),
-    "everything": lfo.sets.Everything(),
-}
-
-
-@pytest.mark.parametrize("kind", SETS)
-def test_a_set_holds_the_same_points(kind):
-    points = np.random.default_rng(0).uniform(-4, 4, (200, 2))
-    moved = SETS[kind].translated(ORIGIN)
-    np.testing.assert_allclose(moved.violation(points - ORIGIN), SETS[kind].violation(points), atol=1e-13)
 
 
 def everything(**changed):
@@ -73,28 +57,6 @@ def test_offsets_are_rounded_once():
     dynamics = lfo.LinearDynamics([[1.0, 0.125], [0.0, 1.0]], [[0.0], [1.0]], [0.1, 0.0])
     moved = dynamics.translated(np.array([1e9, 8.0]))
     np.testing.assert_array_equal(moved.offset, [1.1, 0.0])
-
-
-def test_modes_move_along():
-    modes = [
-        lfo.AffineMode([[0.5]], [[1.0]], G=[[-1.0]], h=[-2.0]),
-        lfo.AffineMode([[0.5]], [[1.0]], G=[[1.0]], h=[2.0]),
-    ]
-    dynamics = lfo.PiecewiseAffineDynamics(modes).translated(np.array([100.0]))
-    x = np.array([[-99.0], [-97.0]])
-    assert dynamics.sequence_of(np.vstack([x, x[:1]]), np.zeros((2, 1))).tolist() == [1, 0]
-
-
-@pytest.mark.parametrize("formula", ["abs(x_0) + x_0*u_0", "sin(x_0) + max(u_0, x_0)", "x_0**2 - u_0"])
-def test_formulas_move_along(formula):
-    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas([formula], 1, 1)
-    moved = dynamics.translated(np.array([3.0]))
-    assert moved.mode_names == dynamics.mode_names
-    step, other = dynamics.stepper(5), moved.stepper(5)
-    for x, u in np.random.default_rng(3).uniform(-2, 2, (20, 2)):
-        np.testing.assert_allclose(
-            other(0, np.array([x - 3.0]), np.array([u])), step(0, np.array([x]), [u]) - 3.0, atol=1e-12
-        )
 
 
 def located(**changed):

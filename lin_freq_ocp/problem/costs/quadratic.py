@@ -47,7 +47,7 @@ class Cost(ABC):
     """A cost; sums of costs are costs, ``sum`` of a list included. All but ``SmoothCost`` are convex.
 
     A new nonsmooth cost is a subclass of ``NonsmoothCost`` in a file of its own. To be written to problem files it is
-    listed in ``files/problem_tables.py``. ``tests/problem/test_new_term.py`` shows a complete one.
+    listed in ``files/problem_tables.py``. ``tests/helpers/own_kinds.py`` has a complete one.
     """
 
     @property

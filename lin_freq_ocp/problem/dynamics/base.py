@@ -4,7 +4,7 @@ A new class of dynamics is a subclass of ``Dynamics`` in a file of its own: its 
 ``standard_form`` returns the equivalent linear, piecewise-affine or piecewise-smooth dynamics. Its operations,
 methods of solution and judge are those of the standard form, unless the class overrides them or has its own entry in
 the tables ``FAMILIES`` (solving/families.py) and ``JUDGES`` (certificate/verdict.py).
-``tests/problem/test_new_dynamics.py`` shows complete examples.
+``tests/helpers/own_kinds.py`` has complete examples.
 """
 
 from __future__ import annotations

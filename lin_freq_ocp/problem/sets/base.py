@@ -6,7 +6,7 @@ and the CVXPY export need nothing else. Methods without a docstring are describe
 
 A new set is a subclass of ``ConvexSet`` in its own file, with ``dimension``, ``parts`` and ``describe``; a part takes
 any penalty of ``problem/terms``. For problem files it needs an entry in ``files/problem_tables.py``.
-``tests/problem/test_new_set.py`` has a complete one.
+``tests/helpers/own_kinds.py`` has a complete one.
 """
 
 from __future__ import annotations

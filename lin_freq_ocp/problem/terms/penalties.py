@@ -38,6 +38,8 @@ class HalfSpaces(Penalty):
     """h(v) = sum of weight * max(v - limit, 0), entry by entry: v <= limit, where the weight is infinite."""
 
     takes_batches: ClassVar[bool] = True
+    polyhedral: ClassVar[bool] = True
+    stackable: ClassVar[bool] = True
     limit: Array  # (groups, dim) or (dim,); inf where there is none
     weight: Array  # price per unit of violation, inf for a hard limit; broadcasts to (groups, dim)
 
@@ -48,10 +50,6 @@ class HalfSpaces(Penalty):
     @property
     def unlimited(self) -> Mask:
         return np.isinf(self.limit)
-
-    @property
-    def polyhedral(self) -> bool:
-        return True
 
     def excess(self, v: Array) -> Array:
         return v - self.limit
@@ -149,6 +147,7 @@ class Within(Penalty):
 class NormBall(Penalty):
     """h(v) = sum over groups of weight * max(|v| - radius, 0): |v| <= radius, where the weight is infinite."""
 
+    stackable: ClassVar[bool] = True
     order: float  # 1: sum of absolute values; 2: Euclidean; inf: largest absolute value
     radius: Array  # (groups,) or (), 0 or above; with an infinite weight, 0 means v = 0; inf where there is no limit
     weight: Array  # (groups,) or ()
@@ -243,6 +242,8 @@ class NormBall(Penalty):
 @dataclass(frozen=True, eq=False)
 class StandardCone(Penalty):
     """The second-order cone v_0 >= |(v_1, v_2, ...)| in every group, always hard: h is its indicator."""
+
+    stackable: ClassVar[bool] = True  # they have no limits
 
     @property
     def weights(self) -> Array:

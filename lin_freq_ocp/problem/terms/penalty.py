@@ -12,7 +12,7 @@ normal cone. In a problem with eta_C = 0, finite weights count as zero.
 A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``weights``, ``excess``,
 ``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not weight * max(excess, 0), also
 ``cost`` and ``slope``; and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
-methods and never ask for the class. ``tests/problem/test_new_term.py`` shows a complete example.
+methods and never ask for the class. ``tests/helpers/own_kinds.py`` has a complete example.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ class Penalty(ABC):
     """h(v) = sum of weight * max(excess, 0), a convex function of values (groups, dim); infinite weights are hard."""
 
     takes_batches: ClassVar[bool] = False  # whether values may have leading axes, for many trajectories
+    polyhedral: ClassVar[bool] = False  # whether the bounds on the values are equivalent to the penalty
+    stackable: ClassVar[bool] = False  # whether ``stacked`` joins penalties with different limits
 
     @property
     @abstractmethod
@@ -66,17 +68,12 @@ class Penalty(ABC):
     @property
     def signature(self) -> tuple[object, ...]:
         """Return the properties that penalties of different times must share to be stacked."""
-        return type(self), bool(np.isinf(self.weights).all())
+        return (type(self), bool(np.isinf(self.weights).all())) if self.stackable else (id(self),)
 
     @property
     def unlimited(self) -> Mask:
         """Return which values have no limit and hence no multiplier; broadcasts to (groups, dim)."""
         return np.zeros(1, dtype=bool)
-
-    @property
-    def polyhedral(self) -> bool:
-        """Whether the bounds on the values are equivalent to the penalty."""
-        return False
 
     @abstractmethod
     def excess(self, v: Array) -> Array:

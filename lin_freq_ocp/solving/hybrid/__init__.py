@@ -1,18 +1,17 @@
 """From a problem with modes, kinks or levels to a judged outcome: the methods that this folder registers."""
 
-from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.hybrid.pulse_train import PulseTrain
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.certify import CERTIFIERS
 from lin_freq_ocp.solving.families import FAMILIES, SOLVER, Family, Shorthand
 from lin_freq_ocp.solving.hybrid.certify_modes import certify_modes
+from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
 from lin_freq_ocp.solving.hybrid.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.hybrid.pulse_train import Angles
-from lin_freq_ocp.solving.hybrid.smooth import Nonsmooth
+from lin_freq_ocp.solving.hybrid.smooth import GLOBAL_SECONDS, MOST_SADDLES, Nonsmooth
 
+__all__ = ["GLOBAL_SECONDS", "MOST_SADDLES", "fix_modes"]
 GAPS = {"tolerance": "gap", "gap": "gap"}
 SEARCH = {**GAPS, "node_limit": "node_limit"}
 PARALLEL = {**SEARCH, "executor": "executor"}
@@ -41,10 +40,5 @@ FAMILIES[PiecewiseSmoothDynamics] = Family(
     in_loop="nonsmooth",  # a global bound takes seconds
 )
 
-
-def _certify_modes(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
-    return certify_modes(problem, trajectory).within(allowed)
-
-
-CERTIFIERS[PiecewiseAffineDynamics] = _certify_modes
-CERTIFIERS[PiecewiseSmoothDynamics] = _certify_modes
+CERTIFIERS[PiecewiseAffineDynamics] = lambda given, at, allowed: certify_modes(given, at).within(allowed)
+CERTIFIERS[PiecewiseSmoothDynamics] = CERTIFIERS[PiecewiseAffineDynamics]

@@ -25,8 +25,7 @@ from lin_freq_ocp.certificate.hybrid import (
     value_bounds,
 )
 from lin_freq_ocp.errors import UnsupportedError
-from lin_freq_ocp.formulas.intervals import multiply, outward
-from lin_freq_ocp.formulas.jets import interval_jets, jets_of
+from lin_freq_ocp.formulas import interval_jets, jets_of, multiply, outward
 from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
 
 ROUNDING = 1e-9

@@ -22,7 +22,7 @@ from helpers.checks.outcome import finding_of
 from helpers.command_line import run
 from helpers.generated import STRICT
 from lin_freq_ocp.files import head, header, problem_text, save_csv, to_json
-from lin_freq_ocp.loop.embedded import markdown
+from lin_freq_ocp.loop import markdown
 from lin_freq_ocp.methods import compiler
 from lin_freq_ocp.pages import Session, page
 

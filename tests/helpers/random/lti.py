@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.base import Array, Indices
-from lin_freq_ocp.loop.step_problem import soften
+from lin_freq_ocp.loop import soften
 from lin_freq_ocp.program import LinearProgram
 
 KINDS = ("stable", "marginal", "integrators", "unstable", "slow", "mixed")

@@ -12,7 +12,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.spectral_plants import END, START, A, B, T, plant, problem_of, tube
-from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.problem import time_signal
 from lin_freq_ocp.program import real_rows

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.instances.statements import STATEMENTS
 from helpers.linear_kinds import KINDS, infeasible
 from helpers.seeds import seeds
 from lin_freq_ocp.certificate import prove_infeasible
@@ -21,9 +22,9 @@ def compiled(request):
     return request.param == "compiled"
 
 
-@pytest.mark.parametrize("kind", seeds(KINDS))
+@pytest.mark.parametrize("kind", seeds([*KINDS, "variation of the controls"]))
 def test_every_kind_is_solved(kind, compiled):
-    problem = KINDS[kind]()
+    problem = STATEMENTS[kind]()
     found = next(solve_structured(problem, SolveOptions(compiled=compiled)))
     assert found.status == "optimal"
     certificate = lfo.certify(problem, found.trajectory, found.multipliers)

@@ -14,7 +14,7 @@ from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.schemas import RESULT, faults, printed
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate import judge
-from lin_freq_ocp.cli.app import cli
+from lin_freq_ocp.cli import cli
 from lin_freq_ocp.files import certificate_summary, save_solution
 from lin_freq_ocp.methods import uniqueness
 from lin_freq_ocp.methods.hybrid import multipliers_with_weights

@@ -12,7 +12,7 @@ from helpers.formula_costs import PUBLISHED, clnlbeam
 from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import kinks
-from lin_freq_ocp.comparison.trajectories import mode_sequence
+from lin_freq_ocp.comparison import mode_sequence
 
 SmoothCost = lfo.costs.SmoothCost
 A, B = [[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]]

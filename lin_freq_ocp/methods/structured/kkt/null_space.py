@@ -233,7 +233,6 @@ class Coefficients:
         counts = [self.horizon + 1 if free is None else len(free) for free in self._free]
         self._ends = np.cumsum([0, *counts])
         self.count = int(self._ends[-1])
-        self.stop_rows = np.concatenate([np.zeros(0, dtype=np.intp), *(band.rows for band in bands)])
         self.banded = np.array([free is not None for free in self._free], dtype=bool)
 
     def analysis(self, w: Array) -> Array:

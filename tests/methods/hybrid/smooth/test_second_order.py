@@ -8,10 +8,10 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
+from helpers.replacing import substitute
 from helpers.seeds import seeds, turn
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.methods import zero_multipliers
-from lin_freq_ocp.solving.hybrid import smooth
 
 
 def double_well(horizon=4, **sets):
@@ -69,7 +69,7 @@ def test_a_saddle_is_left_by_the_search():
 
 
 def test_a_saddle_that_is_not_left_is_an_answer(monkeypatch):
-    monkeypatch.setattr(smooth, "MOST_SADDLES", 0)
+    substitute(monkeypatch, "solving.hybrid.MOST_SADDLES", 0)
     result = lfo.solve(double_well(), global_bound=False, start=np.zeros((4, 1)))
     assert result.status == "extremal"
     assert "the cost falls to second order along a direction" in result.message
