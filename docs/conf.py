@@ -54,8 +54,10 @@ suppress_warnings = ["config.cache", "ref.python"]
 def save_figures(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
     """Save each Figure that an example holds for the first time, and return the text that shows them.
 
-    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure.
+    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure. The
+    picture that the example itself saves in its folder goes.
     """
+    Path(variables["src_file"]).with_suffix(".png").unlink(missing_ok=True)
     shown = variables["example_globals"].setdefault("_shown", [])
     paths = list[str]()
     for figure in _figures(variables["example_globals"]):

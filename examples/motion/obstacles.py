@@ -4,9 +4,10 @@ Between two obstacles, with a low pass on the force
 
 A mass moves between two discs, while its actuator follows up to 1.5 Hz.
 
-The discs are path constraints h(x) <= 0, which are not convex. Without the low pass, the
-best path touches both discs. Filtered afterwards, its force leads through one of them
-and misses the end. With the low pass as a constraint, the path stays outside of both.
+The discs are path constraints h(x) <= 0, which are not convex. Without the low pass,
+the best path touches both discs. Filtered afterwards, its force leads through one of
+them and misses the end. With the low pass as a constraint, the path stays outside of
+both.
 """
 
 import matplotlib.pyplot as plt
@@ -37,7 +38,7 @@ problem = lfo.OptimalControlProblem(
     control_set=lfo.Box(-8, 8),
     initial_state=[-1, 0, 0, 0],
     terminal_state=[1, 0, 0, 0],
-    control_spectrum=lfo.low_pass(cutoff_hz=1.5),
+    control_spectrum=lfo.low_pass(cutoff_hz=1.5),  # change this number
     stage_rows=lfo.sets.PathConstraint(inside, name="discs"),
     name="obstacles",
 )
@@ -65,3 +66,5 @@ for name, path in (
     axes.plot(path.x[:, 0], path.x[:, 1], ".-", markersize=4, label=name)
 axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 axes.legend()
+figure.savefig("obstacles.png")
+print("picture: obstacles.png")
