@@ -35,6 +35,7 @@ problem = lfo.OptimalControlProblem(
     control_spectrum=lfo.low_pass(cutoff_hz=cutoff_hz),
     name="pendulum",
 )
+print("The search for the conflict and its repairs takes some seconds.")
 try:
     lfo.solve(problem)
 except lfo.errors.InfeasibleError as error:

@@ -37,6 +37,7 @@ move = lfo.OptimalControlProblem(
     name="gantry",
 )
 limited = lfo.rate_limited(move, jerk, previous=0, following=0)
+print("The search for the shortest moves takes some seconds.")
 comparison = lfo.compare(limited, ["ZVD"])
 for plan in comparison.moves.all:
     print(f"{plan.name:10}{plan}")

@@ -42,6 +42,7 @@ problem = lfo.OptimalControlProblem(
     stage_rows=lfo.sets.PathConstraint(inside, name="discs"),
     name="obstacles",
 )
+print("The searches with and without the low pass take some seconds.")
 comparison = lfo.compare(problem)
 replay = comparison.filtered[0].replay
 (discs,) = problem.stage_rows
@@ -53,7 +54,7 @@ for name, path in (
     depth = discs.violation(path.x, path.u).max()
     missed = np.abs(path.x[-1, :2] - problem.terminal_box.lower[:2]).max()
     print(f"{name:12} within a disc by {depth:.4f} m^2, ends {missed:.3f} m away")
-print(comparison.constrained.certificate)
+print(f"maximum principle: {comparison.constrained.certificate.pmp}")
 
 figure, axes = plt.subplots(figsize=(7, 4))
 for centre, radius in zip(CENTRES, RADII, strict=True):

@@ -23,7 +23,7 @@ for filtered in comparison.filtered:
 extra = comparison.constrained.cost / comparison.classical.cost - 1
 largest = comparison.constrained_measures.max_control
 print(f"constrained  {largest:.3f} N, meets the end, costs {extra:.1%} more")
-print(comparison.constrained.certificate)
+print(f"maximum principle: {comparison.constrained.certificate.pmp}")
 figure = comparison.plot()
 figure.savefig("pendulum.png")
 print("picture: pendulum.png")

@@ -34,6 +34,7 @@ problem = lfo.OptimalControlProblem(
     control_spectrum=vibration,
     name="printer move",
 )
+print("The search for the shortest moves takes some seconds.")
 comparison = lfo.compare(problem)
 for move in comparison.moves.all:
     print(f"{move.name:10}{move}")

@@ -53,6 +53,7 @@ def pulse(horizon: int) -> lfo.OptimalControlProblem:
     return replace(limited, terminal_state=ends)
 
 
+print("The search for the shortest pulse takes some seconds.")
 minimum = lfo.minimum_time(pulse, horizons=(20, 120))
 print(f"{minimum.horizon} samples of {1e3 * raster:g} us; {minimum.proof}")
 figure = minimum.result.plot()

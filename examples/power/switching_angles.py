@@ -37,6 +37,7 @@ problem = lfo.OptimalControlProblem(
     ),
     name="switching angles",
 )
+print("The search over all angles takes some seconds.")
 result = lfo.solve(problem)
 print(f"{result.status}: cost {result.cost:.6g}, gap {result.gap:.1e}")
 x = result.trajectory.x
