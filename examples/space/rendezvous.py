@@ -72,7 +72,7 @@ problem = lfo.OptimalControlProblem(
     name="rendezvous",
 )
 result = lfo.solve(problem)
-used = period * np.abs(result.control).sum(axis=0) / 1e3  # m/s
+used = period * abs(result.control).sum(axis=0) / 1e3  # m/s
 print(f"solved by method {result.method}: cost {result.cost:.6g}, gap {result.gap:.1e}")
 print(f"thrust for {used[0]:.3f} m/s radially and {used[1]:.3f} m/s along the track")
 figure = result.plot()
