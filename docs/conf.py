@@ -54,8 +54,10 @@ suppress_warnings = ["config.cache", "ref.python"]
 def save_figures(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
     """Save each Figure that an example holds for the first time, and return the text that shows them.
 
-    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure.
+    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure. The
+    picture that the example itself saves in its folder goes.
     """
+    Path(variables["src_file"]).with_suffix(".png").unlink(missing_ok=True)
     shown = variables["example_globals"].setdefault("_shown", [])
     paths = list[str]()
     for figure in _figures(variables["example_globals"]):
@@ -87,6 +89,33 @@ def _save_first_panel(figure: Figure, path: str) -> None:
         artist.set_visible(True)
 
 
+SKETCHES = {  # of _static/sketches, with the examples that have this plant
+    "cart": ("first_steps", "problem_files", "certify_another_tool"),
+    "cart_pendulum": (
+        *("pendulum", "receding_horizon", "masked_pendulum", "price_of_bandwidth"),
+        *("infeasible", "long_horizons", "many_initial_states"),
+    ),
+    "discs": ("obstacles",),
+    "gantry": ("gantry",),
+    "gradient_coil": ("minimum_time",),
+    "inverter": ("inverter", "switching_angles"),
+    "mass_chain": ("several_controls",),
+    "mass_on_a_spring": ("oscillating_mass", "oscillating_mass_in_c"),
+    "motor_and_wheels": ("torque_map",),
+    "point_absorber": ("wave_energy",),
+    "printer": ("printer_move",),
+    "quarter_car": ("suspension",),
+    "rendezvous": ("rendezvous",),
+    "satellite": ("satellite",),
+    "scanner": ("scanner",),
+    "stepping_stones": ("stepping_stones",),
+    "swing_up": ("swing_up",),
+    "tank": ("kinks",),
+    "two_masses": ("state_frequency_constraint",),
+    "wall": ("wall",),
+}
+FIRST_BLOCK = ".. GENERATED FROM PYTHON SOURCE LINES"  # of sphinx-gallery, after the docstring
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
@@ -114,9 +143,19 @@ def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object
             )
 
 
+def show_sketch(app: Sphinx, page: str, source: list[str]) -> None:
+    """Show the plant of an example after its docstring, within the page, so that the sketch has the page's colours."""
+    folders, example = page.split("/")[:-1], page.split("/")[-1]
+    if folders[:1] == ["gallery"] and example != "index":
+        (sketch,) = (name for name, examples in SKETCHES.items() if example in examples)
+        docstring, blocks = source[0].split(FIRST_BLOCK, 1)
+        source[0] = f"{docstring}.. raw:: html\n   :file: ../../_static/sketches/{sketch}.svg\n\n{FIRST_BLOCK}{blocks}"
+
+
 def setup(app: Sphinx) -> None:
     """Write the pages of the reference and the contents of the first page, and read docstrings as plain text."""
     for script in ("reference.py", "first_page.py"):
         subprocess.run([sys.executable, str(HERE / script)], check=True)
     app.add_lexer("mermaid", TextLexer)
+    app.connect("source-read", show_sketch)
     app.connect("autodoc-process-docstring", plain_text, priority=400)

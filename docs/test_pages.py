@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -28,6 +29,17 @@ def test_what_a_page_shows_runs(page, tmp_path):
             (tmp_path / "page.py").write_text(text)
         arguments = ["page.py"] if kind == "python" else ["-m", "lin_freq_ocp", *shlex.split(text)[2:]]
         subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize(
+    "sketch", sorted((ROOT / "docs" / "_static" / "sketches").iterdir()), ids=lambda path: path.stem
+)
+def test_a_sketch_has_a_description_and_the_colours_of_the_page(sketch):
+    root = ElementTree.fromstring(sketch.read_text(encoding="utf-8"))
+    assert root.get("role") == "img"
+    assert len(root.get("aria-label").split()) > 3
+    colours = {element.get(kind, "none") for element in root.iter() for kind in ("stroke", "fill")}
+    assert colours == {"none", "currentColor"}
 
 
 @pytest.mark.parametrize("page", ["source.md", "architecture.md"])

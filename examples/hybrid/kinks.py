@@ -19,7 +19,9 @@ def tank(x: np.ndarray, u: np.ndarray) -> list:
     """Fill a tank that overflows at 1 and leaks with the square root of its level."""
     return [
         lfo.minimum(
-            x[0] + 0.2 * u[0] - 0.1 * np.sqrt(x[0] + 0.01), 1.0, names=("filling", "full")
+            x[0] + 0.2 * u[0] - 0.1 * np.sqrt(x[0] + 0.01),
+            1.0,
+            names=("filling", "full"),
         )
     ]
 
@@ -30,7 +32,7 @@ problem = lfo.OptimalControlProblem(
     ),
     horizon=4,
     cost=lfo.QuadraticCost(R=1.0, p=[-20.0]),
-    control_set=lfo.Box(0, 2),
+    control_set=lfo.Box(0, 2),  # of the inflow: change this number
     state_set=lfo.Box(0, 1),
     initial_state=[0.2],
     control_spectrum=lfo.stop_band(bins=[2]),  # the pump must not alternate
@@ -47,3 +49,5 @@ print("modes ", " ".join(problem.mode_names[i] for i in result.sequence))
 print(f"maximum principle {certificate.pmp}; {certificate.borders}")
 print(f"cost {result.cost:.6f}, no trajectory below {result.lower_bound}")
 figure = result.plot()
+figure.savefig("kinks.png")
+print("picture: kinks.png")

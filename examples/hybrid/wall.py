@@ -5,8 +5,8 @@ Contact: a pendulum at an elastic wall
 A pendulum may lean on an elastic wall, which gives two affine modes.
 
 The inverted pendulum of 1 kg and 1 m, linearised at the top, falls towards a wall at
-0.1 rad. Over 20 steps of 20 ms, the cost weighs angle, rate and torque. The torque is at
-most 4 N m and has no frequencies above 15 Hz. The search proves that no other mode
+0.1 rad. Over 20 steps of 20 ms, the cost weighs angle, rate and torque. The torque is
+at most 4 N m and has no frequencies above 15 Hz. The search proves that no other mode
 sequence costs less.
 """
 
@@ -30,7 +30,7 @@ problem = lfo.OptimalControlProblem(
     dynamics=dynamics,
     horizon=20,
     cost=lfo.QuadraticCost(Q=np.diag([200, 20]), R=2.0, P=np.diag([200, 20])),
-    control_set=lfo.Box(-4, 4),
+    control_set=lfo.Box(-4, 4),  # change this number
     state_set=lfo.Box([-0.2, -1.5], [0.2, 1.5]),
     initial_state=[0.08, 0.6],
     control_spectrum=lfo.low_pass(cutoff_hz=15),
@@ -52,5 +52,9 @@ comparison = lfo.compare(problem)
 for filtered in comparison.filtered:
     measures = filtered.replay.measures
     energy = measures.stopband_energy
-    print(f"{filtered.name:15} cost {measures.cost:.4f}, energy in the band {energy:.2g}")
+    print(
+        f"{filtered.name:15} cost {measures.cost:.4f}, energy in the band {energy:.2g}"
+    )
 figure = comparison.plot()
+figure.savefig("wall.png")
+print("picture: wall.png")

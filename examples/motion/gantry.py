@@ -4,11 +4,11 @@ A gantry: least time with a jerk limit and two resonances
 
 Move a gantry by 0.3 m at 1 kHz, and leave neither of two resonances vibrating.
 
-The speed is at most 1 m/s, the acceleration 10 m/s^2, and its change 2 m/s^2 per sample.
-The resonances at 12.3 and 31 Hz are known to 10 %; their vibration after the move is at
-most 0.2 m/s^2. The move starts and ends without a jump of the acceleration.
-``lfo.compare`` finds the shortest move with a proof, and the shortest move with an input
-shaper for both resonances.
+The speed is at most 1 m/s, the acceleration 10 m/s^2, and its change 2 m/s^2 per
+sample. The resonances at 12.3 and 31 Hz are known to 10 %; their vibration after the
+move is at most 0.2 m/s^2. The move starts and ends without a jump of the acceleration.
+``lfo.compare`` finds the shortest move with a proof, and the shortest move with an
+input shaper for both resonances.
 """
 
 import lin_freq_ocp as lfo
@@ -37,8 +37,11 @@ move = lfo.OptimalControlProblem(
     name="gantry",
 )
 limited = lfo.rate_limited(move, jerk, previous=0, following=0)
+print("The search for the shortest moves takes some seconds.")
 comparison = lfo.compare(limited, ["ZVD"])
 for plan in comparison.moves.all:
     print(f"{plan.name:10}{plan}")
 print("no shorter one exists:", comparison.moves.proof)
 figure = comparison.plot()
+figure.savefig("gantry.png")
+print("picture: gantry.png")

@@ -4,9 +4,10 @@ Between two obstacles, with a low pass on the force
 
 A mass moves between two discs, while its actuator follows up to 1.5 Hz.
 
-The discs are path constraints h(x) <= 0, which are not convex. Without the low pass, the
-best path touches both discs. Filtered afterwards, its force leads through one of them
-and misses the end. With the low pass as a constraint, the path stays outside of both.
+The discs are path constraints h(x) <= 0, which are not convex. Without the low pass,
+the best path touches both discs. Filtered afterwards, its force leads through one of
+them and misses the end. With the low pass as a constraint, the path stays outside of
+both.
 """
 
 import matplotlib.pyplot as plt
@@ -37,10 +38,11 @@ problem = lfo.OptimalControlProblem(
     control_set=lfo.Box(-8, 8),
     initial_state=[-1, 0, 0, 0],
     terminal_state=[1, 0, 0, 0],
-    control_spectrum=lfo.low_pass(cutoff_hz=1.5),
+    control_spectrum=lfo.low_pass(cutoff_hz=1.5),  # change this number
     stage_rows=lfo.sets.PathConstraint(inside, name="discs"),
     name="obstacles",
 )
+print("The searches with and without the low pass take some seconds.")
 comparison = lfo.compare(problem)
 replay = comparison.filtered[0].replay
 (discs,) = problem.stage_rows
@@ -52,7 +54,7 @@ for name, path in (
     depth = discs.violation(path.x, path.u).max()
     missed = np.abs(path.x[-1, :2] - problem.terminal_box.lower[:2]).max()
     print(f"{name:12} within a disc by {depth:.4f} m^2, ends {missed:.3f} m away")
-print(comparison.constrained.certificate)
+print(f"maximum principle: {comparison.constrained.certificate.pmp}")
 
 figure, axes = plt.subplots(figsize=(7, 4))
 for centre, radius in zip(CENTRES, RADII, strict=True):
@@ -65,3 +67,5 @@ for name, path in (
     axes.plot(path.x[:, 0], path.x[:, 1], ".-", markersize=4, label=name)
 axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 axes.legend()
+figure.savefig("obstacles.png")
+print("picture: obstacles.png")

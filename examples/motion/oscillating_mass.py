@@ -4,13 +4,13 @@ A quiet band of the applied force
 
 A mass on a spring is held at rest against random pushes.
 
-The force is at most 1 N. Its actuator has a resonance at 8 Hz that the controller's model
-does not have, so that the force must stay below 0.06 N in the band of 5.5 to 10.5 Hz.
+The force is at most 1 N. Its actuator has a resonance at 8 Hz that the controller's
+model does not have, so that the force must stay below 0.06 N between 5.5 and 10.5 Hz.
 
 A notch on each plan does not limit the applied force, because the loop applies only the
 first sample of each plan. Windows over applied and planned samples limit it; without a
-taper, the strong low frequencies leak into the band. ``lfo.spectrum.closed_loop`` chooses
-tapered windows.
+taper, the strong low frequencies leak into the band. ``lfo.spectrum.closed_loop``
+chooses tapered windows.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import lin_freq_ocp as lfo
 
 STEPS, SEED, SAMPLING = 300, 0, 0.02
 BAND = lfo.spectrum.notch(centre_hz=8, width_hz=5)
-AMPLITUDE = 0.06  # N, of a sinusoid in the band
+AMPLITUDE = 0.06  # N, of a sinusoid in the band: change this number
 LATE = 100  # samples at the end, whose vibration counts
 REST = np.zeros(40)  # no force before the loop begins
 
@@ -76,7 +76,9 @@ def main() -> lfo.results.ClosedLoop:
         past=REST,
     )
     noise = np.random.default_rng(SEED).normal(scale=[1e-3, 1e-2], size=(STEPS, 2))
-    print(f"{'':26}{'position':>16}{'in the band':>14}{'vibration':>12}{'softened':>10}")
+    print(
+        f"{'':26}{'position':>16}{'in the band':>14}{'vibration':>12}{'softened':>10}"
+    )
     for name, spectrum in {
         "no limit": None,
         "notch of each plan": BAND,
@@ -86,7 +88,8 @@ def main() -> lfo.results.ClosedLoop:
         with warnings.catch_warnings():  # that a notch limits each plan only
             warnings.simplefilter("ignore", lfo.errors.ClosedLoopWarning)
             controller = lfo.RecedingHorizon(
-                replace(base, control_spectrum=spectrum), soft={"control_spectrum": 100.0}
+                replace(base, control_spectrum=spectrum),
+                soft={"control_spectrum": 100.0},
             )
         loop = controller.run(base.initial_box.lower, STEPS, disturbance=noise)
         (windows,) = loop.spectra(control_spectrum=limit)
@@ -102,3 +105,5 @@ def main() -> lfo.results.ClosedLoop:
 
 if __name__ == "__main__":
     figure = main().plot()
+    figure.savefig("oscillating_mass.png")
+    print("picture: oscillating_mass.png, of the last loop")

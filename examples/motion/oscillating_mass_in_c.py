@@ -28,6 +28,7 @@ import lin_freq_ocp as lfo
 warnings.simplefilter("ignore", lfo.errors.ClosedLoopWarning)
 
 SAMPLING = 0.05  # s
+CUTOFF_HZ = 4.0  # of each plan: change this number
 FIRMWARE = """
 #include "controller.h"
 #include <stdio.h>
@@ -64,7 +65,7 @@ problem = lfo.OptimalControlProblem(
     control_set=lfo.Box(-0.7, 0.7),
     state_set=lfo.Box([-0.35, -1.0], [0.35, 1.0]),
     initial_state=[0.3, 0.0],
-    control_spectrum=lfo.low_pass(cutoff_hz=4.0),
+    control_spectrum=lfo.low_pass(cutoff_hz=CUTOFF_HZ),
     name="oscillating mass",
 )
 controller = lfo.RecedingHorizon(problem, soft={"state_set": 100.0})
@@ -94,4 +95,6 @@ else:
     for ax, name in zip(axes, ["position [m]", "force [N]", "difference"], strict=True):
         ax.set_ylabel(name)
     axes[2].set_xlabel("time [s]")
-    shutil.rmtree(folder)
+    figure.savefig("oscillating_mass_in_c.png")
+    print("picture: oscillating_mass_in_c.png")
+shutil.rmtree(folder)

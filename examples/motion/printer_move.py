@@ -6,8 +6,8 @@ Move a print head by 40 mm and leave its frame at rest, compared with input shap
 
 The acceleration is at most 8 m/s^2, the speed 0.5 m/s. The frame resonates at 25 Hz,
 known to 10 %, and its vibration after the move is at most 5 % of the largest
-acceleration. ``lfo.compare`` finds the shortest move with a proof that one sample less is
-infeasible, and the shortest move with each shaper.
+acceleration. ``lfo.compare`` finds the shortest move with a proof that one sample less
+is infeasible, and the shortest move with each shaper.
 """
 
 import lin_freq_ocp as lfo
@@ -34,7 +34,10 @@ problem = lfo.OptimalControlProblem(
     control_spectrum=vibration,
     name="printer move",
 )
+print("The search for the shortest moves takes some seconds.")
 comparison = lfo.compare(problem)
 for move in comparison.moves.all:
     print(f"{move.name:10}{move}")
 figure = comparison.plot()
+figure.savefig("printer_move.png")
+print("picture: printer_move.png")

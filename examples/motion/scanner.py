@@ -44,5 +44,7 @@ problem = lfo.OptimalControlProblem(
 result = lfo.solve(problem)
 error = np.abs(result.trajectory.x[:, 0] - triangle).max()
 print(f"largest error {1e3 * error:.0f} nm of {8e3:.0f} nm; gap {result.gap:.0e}")
-print(result)
+print(f"{result.status}: cost {result.cost:.6g}; {result.certificate.pmp}")
 figure = result.plot()
+figure.savefig("scanner.png")
+print("picture: scanner.png")

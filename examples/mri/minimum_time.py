@@ -5,8 +5,8 @@ MRI: the shortest gradient pulse that spares two acoustic bands
 The shortest gradient pulse with a moment of 5 mT/m ms and no first moment.
 
 The amplitude is at most 33 mT/m, the slew rate 150 T/m/s, and the spectrum is small at
-every frequency of two bands where the scanner is loud. The moments are states with A = I,
-to which the samples of the pulse add, so that their dynamics depend on time:
+every frequency of two bands where the scanner is loud. The moments are states with
+A = I, to which the samples of the pulse add, so that their dynamics depend on time:
 ``minimum_time`` takes a function that builds the problem for each horizon.
 """
 
@@ -49,9 +49,13 @@ def pulse(horizon: int) -> lfo.OptimalControlProblem:
         name="gradient pulse",
     )
     limited = lfo.rate_limited(problem, change, previous=[0.0])
-    return replace(limited, terminal_state=[5, 0, 0])  # both moments, and the last sample
+    ends = [5, 0, 0]  # both moments, and the last sample
+    return replace(limited, terminal_state=ends)
 
 
+print("The search for the shortest pulse takes some seconds.")
 minimum = lfo.minimum_time(pulse, horizons=(20, 120))
 print(f"{minimum.horizon} samples of {1e3 * raster:g} us; {minimum.proof}")
 figure = minimum.result.plot()
+figure.savefig("minimum_time.png")
+print("picture: minimum_time.png")

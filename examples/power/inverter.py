@@ -8,8 +8,8 @@ The output takes the levels -1, 0 and 1 over 96 samples of a period. Its fundame
 the amplitude 0.9, and the cost is its mean square. With duty cycles, a few samples lie
 between two levels, and the harmonics are exactly zero. With whole samples, every sample
 takes a level, and the harmonics are at most 0.02: the search starts from the best
-rounding of the few samples in between, and proves how much better any other sequence can
-be. For free switching angles, see :doc:`switching_angles`.
+rounding of the few samples in between, and proves how much better any other sequence
+can be. For free switching angles, see :doc:`switching_angles`.
 """
 
 from dataclasses import replace
@@ -41,7 +41,7 @@ duty = lfo.OptimalControlProblem(
     name="inverter",
 )
 shared = lfo.solve(duty)
-print(shared)
+print(f"duty cycles: mean square {shared.cost:.4f}; {shared.level_use}")
 
 # %%
 # Whole samples: the harmonics as a mask, and the best of all roundings as a start.
@@ -70,3 +70,5 @@ axes.step(degrees, level, where="post", linewidth=3, alpha=0.5, label="duty cycl
 axes.step(degrees, result.control, where="post", label="whole samples")
 axes.set(xlabel="angle [deg]", ylabel="level")
 axes.legend()
+figure.savefig("inverter.png")
+print("picture: inverter.png")

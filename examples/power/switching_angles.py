@@ -6,8 +6,8 @@ Five switching angles of a quarter period remove the harmonics 5, 7, 11 and 13.
 
 The output takes the levels -1, 0 and 1 with quarter-wave symmetry. ``PulseTrain`` makes
 the angles controls: each step of the dynamics is one switch. The cost is the square of
-the distortion. The search proves that no other five angles, and no other order of steps,
-cost less.
+the distortion. The search proves that no other five angles, and no other order of
+steps, cost less.
 """
 
 import matplotlib.pyplot as plt
@@ -37,11 +37,14 @@ problem = lfo.OptimalControlProblem(
     ),
     name="switching angles",
 )
+print("The search over all angles takes some seconds.")
 result = lfo.solve(problem)
-print(result)
+print(f"{result.status}: cost {result.cost:.6g}, gap {result.gap:.1e}")
 x = result.trajectory.x
 print("angles [deg]", np.degrees(x[1:-1, 0]).round(3))
 print(f"distortion of the integrated output {100 * result.cost**0.5:.3f} %")
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 axes.step(np.degrees(x[:, 0]), np.append(x[:-1, 1], x[-2, 1]), where="post")
 axes.set(xlabel="angle [deg]", ylabel="level")
+figure.savefig("switching_angles.png")
+print("picture: switching_angles.png")

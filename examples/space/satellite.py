@@ -2,12 +2,13 @@
 A satellite: a turn that does not shake its panels
 ==================================================
 
-Turn a satellite by 45 degrees with a torque that a low pass keeps below two panel modes.
+Turn a satellite by 45 degrees with a torque that a low pass keeps below two panel
+modes.
 
-The turn takes 60 s. The torque is at most 0.8 N m, the rate between -0.025 and
-0.0255 rad/s. The plant is a ``StateSpace`` of python-control, assembled from inertia,
-couplings and modal frequencies. With the hub free, the modes are at 0.16 and 0.18 Hz; the
-torque has no DFT bin above 0.1 Hz.
+The turn takes 60 s. The torque is at most 0.8 N m, the rate between -0.025 and 0.0255
+rad/s. The plant is a ``StateSpace`` of python-control, assembled from inertia,
+couplings and modal frequencies. With the hub free, the modes are at 0.16 and 0.18 Hz;
+the torque has no DFT bin above 0.1 Hz.
 """
 
 import control
@@ -44,8 +45,10 @@ problem = lfo.OptimalControlProblem(
     name="satellite",
 )
 result = lfo.solve(problem)
-print(result)
+print(f"{result.status}: cost {result.cost:.6g}; {result.certificate.pmp}")
 deflection = np.abs(result.trajectory.x[:, 1:3]).max(axis=0)
 largest = abs(result.control).max()
 print(f"largest torque {largest:.3f} N m, deflections {deflection.round(3)}")
 figure = result.plot()
+figure.savefig("satellite.png")
+print("picture: satellite.png")
