@@ -126,14 +126,18 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
     if outcome.certificate is None or trajectory is None or not unproven:
         return outcome
     if optimal and outcome.multipliers is not None and not translation.problem.mode_names:
+        proof = None
         with suppress(UnsupportedError):
-            rounded = translation.start(trajectory)
-            proof = correct_point(translation.problem, rounded, outcome.multipliers, allowed)
-            if proof is not None:
-                trajectory = translation.trajectory(proof.trajectory)
-                certificate = proof.certificate.raised(translation.cost)
-                point = {"trajectory": trajectory, "multipliers": proof.multipliers, "certificate": certificate}
-                return replace(outcome, status=Status.OPTIMAL, message="", **point)
+            proof = correct_point(translation.problem, translation.start(trajectory), outcome.multipliers, allowed)
+        if proof is not None:
+            return replace(
+                outcome,
+                status=Status.OPTIMAL,
+                message="",
+                trajectory=translation.trajectory(proof.trajectory),
+                multipliers=proof.multipliers,
+                certificate=proof.certificate.raised(translation.cost),
+            )
     # rounding of a state may be the reason that the answer is not optimal
     rounding, motion = np.spacing(np.abs(translation.origin)), np.ptp(trajectory.x, axis=0)
     lost = np.divide(rounding, motion, out=np.zeros(len(motion)), where=motion > 0)

@@ -12,6 +12,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, seal
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.reformulations import translation_of
 
@@ -55,11 +56,11 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
     n, influence, ends = problem.state_dim, Influence.of(problem), _sizes_of_ends(problem)
-    stated = influence.without_rounding(ends, problem.level_sizes > 0)
+    stated = influence.without_rounding(ends, _sizes_of_rows(problem, _excess), problem.level_sizes > 0)
     sizes = np.where(stated > 0, stated, _sizes_of_bounds(problem, influence, stated))
     known = sizes[:n] > 0
     if not sizes.all():
-        limited = _limited_sizes(problem)
+        limited = _sizes_of_rows(problem, _limit)
         sizes = _complete_sizes(
             np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])), influence.implied
         )
@@ -70,10 +71,14 @@ def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
 
 
 def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
-    """Return the largest of the ends, references that the cost weighs, and levels, (n+m,)."""
-    cost = problem.quadratic
-    references = (np.where(by, r, 0.0) for by, r in zip(cost.weighs, (cost.x_ref, cost.u_ref), strict=True))
-    of_x, of_u = (np.abs(reference).reshape(-1, reference.shape[-1]).max(0) for reference in references)
+    """Return the largest of the ends, levels and references, (n+m,), where the cost of a component is least."""
+    cost, of_references = problem.quadratic, list[Array]()
+    weights = (cost.x_ref, cost.q, cost.Q), (cost.u_ref, cost.r, cost.R)
+    for by, (reference, slope, curvature) in zip(cost.weighs, weights, strict=True):
+        curved, steep = (np.abs(part.reshape(-1, len(by))).max(0) for part in (_diagonals(curvature), slope))
+        shift = np.divide(steep, curved, out=np.zeros(len(by)), where=curved > 0)
+        of_references.append(np.maximum(np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0), shift))
+    of_x, of_u = of_references
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
     return np.concatenate([np.maximum(ends, of_x), np.maximum(of_u, problem.level_sizes)])
 
@@ -99,21 +104,33 @@ def _median_size(bounds: Array) -> Array:
     return np.take_along_axis(sizes, middle, axis=0).mean(axis=0)
 
 
-def _limited_sizes(problem: OptimalControlProblem) -> Array:
-    """Return the smallest value to which a set or row limits each component, (n+m,); 0 where none does."""
+def _sizes_of_rows(problem: OptimalControlProblem, reach: Callable[[Penalty, Array], Array]) -> Array:
+    """Return the least size at which a component alone has a row's reach, (n+m,), 0 without one.
+
+    ``reach`` (times, rows) or (times, 1) is that of a penalty with the values of its rows at the origin.
+    """
     n, m = problem.state_dim, problem.control_dim
     least = np.full(n + m, np.inf)
     for term in problem.terms:
         form = term.map.stage_form(n, m)
         if form is None:
             continue
-        limit = (np.broadcast_to(term.penalty.sizes(), term.shape) + np.abs(form[1])).max(0)
-        coefficients = np.abs(form[0]).max(0)
+        coefficients, limit = np.abs(form[0]).max(0), reach(term.penalty, form[1]).max(0)[:, None]
         for weights, part in ((coefficients[:, :n], least[:n]), (coefficients[:, n:], least[n:])):
-            counts = (weights >= WEIGHTY * weights.max(1, keepdims=True)) & (weights > 0) & (limit[:, None] > 0)
-            allowed = np.divide(limit[:, None], weights, out=np.full(weights.shape, np.inf), where=counts)
+            counts = (weights >= WEIGHTY * weights.max(1, keepdims=True)) & (weights > 0) & (limit > 0)
+            allowed = np.divide(limit, weights, out=np.full(weights.shape, np.inf), where=counts)
             np.minimum(part, allowed.min(0), out=part)
     return np.where(np.isfinite(least), least, 0.0)
+
+
+def _limit(penalty: Penalty, origin: Array) -> Array:
+    """Return how far the limits of rows are away from zero."""
+    return np.broadcast_to(penalty.sizes(), origin.shape) + np.abs(origin)
+
+
+def _excess(penalty: Penalty, origin: Array) -> Array:
+    """Return by how much the origin violates rows, below 0 where it does not."""
+    return penalty.excess(origin)
 
 
 @dataclass(frozen=True)
@@ -149,29 +166,31 @@ class Influence:
         A state gets the right side from the known components; if that is zero, or it is a control, the value with which
         it alone causes a known x_i.
         """
-        caused = self.horizon * (self.others @ known + self.offset)
-        needed = self.needed(known[: len(caused)], chosen)
-        return np.append(np.where(caused > 0, caused, needed[: len(caused)]), needed[len(caused) :])
+        n, drift = len(self.offset), self.horizon * self.offset
+        caused = self.horizon * self.others @ np.append(np.maximum(known[:n], drift), known[n:]) + drift
+        needed = self.needed(known[:n], chosen)
+        return np.append(np.where(caused > 0, caused, needed[:n]), needed[n:])
 
-    def without_rounding(self, stated: Array, levels: Mask) -> Array:
+    def without_rounding(self, stated: Array, excess: Array, levels: Mask) -> Array:
         """Return sizes of ends and references, with 0 for those that say nothing of their components.
 
         A speed of 1e-9 says nothing of the speed that takes a mass a metre away. The size of a state is at least
         NOTICED times what the others change in a single step. Where all of them together change a state by too little
         within the horizon, the one that changes it most is too small. The size of a control without ``levels``, (m,),
-        is at least NOTICED times the least with which it causes a state.
+        is at least NOTICED times the least with which it causes a state. Any component may have to move by its
+        ``excess``, (n+m,), to satisfy rows that the origin violates.
         """
         n, T = len(self.offset), self.horizon
         for _ in stated:  # without one of them, others may say nothing either
-            x, u = stated[:n], stated[n:]
-            changes = self.others * np.append(np.maximum(x, self.offset), np.where(u > 0, u, self.needed(x)[n:]))
+            x, moved, u = stated[:n], np.maximum(np.maximum(stated, excess)[:n], self.offset), stated[n:]
+            changes = self.others * np.append(moved, np.where(u > 0, u, self.needed(moved)[n:]))
             change, largest = changes.sum(axis=1), changes.argmax(axis=1)
-            needed = self.needed(_complete_sizes(x, lambda states: self.needed(states)[:n]))[n:]
+            needed = self.needed(_complete_sizes(moved, lambda states: self.needed(states)[:n]))[n:]
             others = np.append(change + self.offset, np.where(levels, 0.0, needed))
             lacking = np.flatnonzero((T * change < NOTICED * x) & (change > 0))
             causes = largest[lacking]
             np.maximum.at(others, causes, x[lacking] / (T * self.others[lacking, causes]))
-            said = np.where(stated >= NOTICED * others, stated, 0.0)
+            said = np.where(stated >= NOTICED * np.maximum(others, excess), stated, 0.0)
             if (said == stated).all():
                 break
             stated = said
@@ -185,6 +204,11 @@ def _complete_sizes(sizes: Array, implied: Callable[[Array], Array]) -> Array:
             break
         sizes = np.where(sizes > 0, sizes, implied(sizes))
     return sizes
+
+
+def _diagonals(matrices: Array) -> Array:
+    """Return the diagonals of matrices (..., n, n), (..., n)."""
+    return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
 def _finite(box: Box) -> Array:

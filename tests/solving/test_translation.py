@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.checks import translation
+from helpers.checks import pairs, translation
 from helpers.rounded_products import exact_optimum
 from helpers.seeds import seeds
 
@@ -130,12 +130,30 @@ def test_where_nothing_moves_rounding_is_no_residual():
     assert lfo.certify(problem, trajectory).feasible
 
 
-def test_rounding_that_hides_a_move_is_named():
-    """A move of 1 at 1e14, where neighbouring numbers are 1/64 apart."""
-    result = lfo.solve(move(1e14), throw=False)
-    assert result.status != "optimal"
-    assert translation.ROUNDED in result.message
-    assert not result.certificate.globally_optimal
+@pytest.mark.parametrize(("origin", "distance"), [(1e15, 0.125), (1e14, 1.0), (1e14, 1 / 64), (1e6, 2.0**-30)])
+def test_rounding_of_states_hides_no_cost(origin, distance):
+    """At 1e14 neighbouring numbers are 1/64 apart; the controls, and what they cost, are as exact as anywhere."""
+    problem = move(origin, distance)
+    assert lfo.solve(problem).cost == pytest.approx(lfo.solve(move(0.0, distance)).cost, rel=1e-9)
+    resting = lfo.certify(problem, lfo.simulate(problem, np.zeros((20, 1))))
+    assert not resting.globally_optimal
+
+
+@pytest.mark.parametrize("features", [("linear dynamics",), ("mask",), ("levels",)], ids=", ".join)
+@pytest.mark.parametrize("deviation", [1e-16, 1e-14, 1e-12, 1e-10])
+def test_a_loop_that_comes_to_its_set_point_is_optimal_at_every_step(deviation, features):
+    problem = pairs.problem_of(*features)  # with the reference (0.6, 0)
+    for start in ([0.6, deviation], [0.6 + deviation, 0.0]):
+        result = lfo.solve(problem.with_ends(initial_state=start), throw=False)
+        assert result.status == "optimal"
+        assert result.cost < 100 * deviation**2 + 1e-30
+
+
+@pytest.mark.parametrize("deviation", [1e-14, 1e-11, 1e-9])
+def test_a_smooth_plant_near_its_set_point_is_solved(deviation):
+    problem = pairs.problem_of("smooth dynamics")
+    costs = [lfo.solve(problem.with_ends(initial_state=[0.6 + d, 0.0]), "nonsmooth").cost for d in (0.0, deviation)]
+    assert costs[1] == pytest.approx(costs[0], abs=1e-10 + deviation)
 
 
 def test_multipliers_of_zero_prove_nothing_of_an_end_that_is_missed_by_a_little():
