@@ -23,8 +23,10 @@ from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
     ControlLimits,
     checked_penalties,
+    complete_reference,
     depends_on_past,
     excess,
+    first_known_states,
     free_first_state,
     known_states,
     limits_of_plans,
@@ -281,7 +283,7 @@ class Controller:
         ``acted`` is the control that acted in the last step, if it was not the controller's.
         """
         n, left = self.problem.state_dim, self.unknown_dim
-        if not 0 < left < n:
+        if left == n:
             return self.measured(field, value, n)
         vector = one_component(real_array(field, value), left)
         if vector.shape != (left,):
@@ -291,8 +293,8 @@ class Controller:
             own = self._applied[-1 - self.delay] if len(self._applied) > self.delay else none
             state = np.array(self._step(0, self._steps[-1].state, own if acted is None else acted))
         else:
-            begin = self.problem.initial_box
-            state = np.where(begin.fixed, begin.lower, 0.0)
+            state = np.zeros(n)
+            state[self._known] = first_known_states(self.problem, self._known)
         state[~self._known] = vector
         return state
 
@@ -301,10 +303,7 @@ class Controller:
         given = real_array("references.x_ref", (references or {}).get("x_ref", 0.0))
         if references is None or not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references
-        own = self.problem.quadratic.x_ref
-        complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
-        complete[..., ~self._known] = given
-        return {**references, "x_ref": complete}
+        return {**references, "x_ref": complete_reference(self.problem, self._known, given)}
 
     def measured(self, field: str, value: ArrayLike, size: int, advice: str = "") -> Array:
         """Return a finite vector of this size; else ProblemError."""

@@ -15,8 +15,9 @@ from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.loop.embedded import REALS, log_header, step_problem
-from lin_freq_ocp.loop.step_problem import ControlLimits, excess
+from lin_freq_ocp.loop.embedded import log_header, step_problem
+from lin_freq_ocp.loop.step_problem import ControlLimits, complete_reference, excess, first_known_states, known_states
+from lin_freq_ocp.loop.step_tables import REALS
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
@@ -72,7 +73,7 @@ class CertifiedLog(ControllerLog):
     Attributes
     ----------
     states, controls : (N, n), (N, m)
-        As logged.
+        As logged; without the states that follow from the controls alone.
     references : (N, n) or None
         As logged.
     statuses : tuple of StepStatus
@@ -136,7 +137,7 @@ class CertifiedLog(ControllerLog):
 
 def read_log(path: Path, problem: OptimalControlProblem) -> ControllerLog:
     """Read a log of a controller of this problem; ProblemError with the line if it is none."""
-    n, m = problem.state_dim, problem.control_dim
+    n, m = int((~known_states(problem.linear)).sum()), problem.control_dim
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     except OSError as error:
@@ -181,11 +182,8 @@ def certify_log(
     stated = step_problem(problem, penalties)
     log = read_log(path, stated)
     valid = np.array([status is not StepStatus.NO_STATE for status in log.statuses], dtype=bool)
-    starts = log.states
-    if delay:  # the control that was returned last leads to the state from which a plan begins
-        starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.form.stepper(1)
-        for k in np.flatnonzero(valid):
-            starts[k], acting = step(0, log.states[k], acting), log.controls[k]
+    known = known_states(stated.linear)
+    starts = _starts_of_plans(stated, known, log, delay)
     resolver, verdicts = Resolver(stated), dict[int, _Verdict]()
     steps = np.flatnonzero(valid).tolist()
     for first in range(0, len(steps), STEPS_AT_ONCE):
@@ -195,7 +193,8 @@ def certify_log(
             if log.references is None:
                 plan = resolver.plan(starts[k])
             else:
-                references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
+                tracked = np.tile(log.references[k], (stated.horizon + 1, 1))
+                references = {"x_ref": complete_reference(stated, known, tracked)}
             change = Change(starts[k], references=references)
             if plan is not None:
                 groups.setdefault(id(plan.translation), {})[k] = plan
@@ -233,6 +232,26 @@ def certify_log(
         gaps=np.array([one.gap for one in each]),
         differences=differences,
     )
+
+
+def _starts_of_plans(problem: OptimalControlProblem, known: Mask, log: ControllerLog, delay: int) -> Array:
+    """Return the states from which the logged plans begin, (N, n): measured ones, and those that follow from controls.
+
+    With a delay, the control that was returned last leads from the measured state to them. It also acts at a step
+    without a state.
+    """
+    step, m = problem.form.stepper(problem.horizon), problem.control_dim
+    starts, kept = np.zeros((len(log.states), problem.state_dim)), first_known_states(problem, known)
+    returned, acting = np.zeros(m), np.zeros(m)
+    for k, status in enumerate(log.statuses):
+        x, valid = starts[k], status is not StepStatus.NO_STATE
+        x[~known], x[known] = (log.states[k] if valid else 0.0), kept
+        acting, returned = returned, log.controls[k] if valid else returned
+        after = step(0, x, acting if delay else returned)
+        kept = after[known]
+        if delay:
+            starts[k] = after
+    return starts
 
 
 def _difference(problem: OptimalControlProblem, rounding: float, x: Array, u: Array, plan: Trajectory) -> float:

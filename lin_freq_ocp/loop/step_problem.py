@@ -59,11 +59,28 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalCont
 
 
 def known_states(dynamics: LinearDynamics) -> Mask:
-    """Return the states, (n,), that follow from the controls before alone, such as the last control itself."""
+    """Return the states, (n,), that follow from the controls before alone, such as the last control itself.
+
+    None where all states would: a loop measures some.
+    """
     A, known = dynamics.gains()[0], np.zeros(dynamics.state_dim, dtype=bool)
     for _ in range(dynamics.state_dim):
         known = ~(A[:, ~known] != 0).any(axis=1)
-    return known
+    return known & ~known.all()
+
+
+def first_known_states(problem: OptimalControlProblem, known: Mask) -> Array:
+    """Return the states that follow from the controls alone at the first step: of the initial state, zero without."""
+    begin = problem.initial_box
+    return np.where(begin.fixed, begin.lower, 0.0)[known]
+
+
+def complete_reference(problem: OptimalControlProblem, known: Mask, given: Array) -> Array:
+    """Return x_ref, (..., n), from that of the measured states; states that follow from controls keep their own."""
+    own = problem.quadratic.x_ref
+    complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
+    complete[..., ~known] = given
+    return complete
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@
 
 #define N CONTROLLER_STATES
 #define M CONTROLLER_CONTROLS
+#define MEASURED CONTROLLER_MEASURED
 #define LIMITS {{ limits }}
 #define EPSILON {{ real.literal(real.epsilon) }}
 #define LARGEST_TERM {{ real.literal(largest_term) }} /* of a control, in its unit */
@@ -72,19 +73,52 @@ static int hidden(const lfo_real *plan, const lfo_real *x) {
 void controller_begin(controller *c) {
   memset(c->start, 0, sizeof c->start);
   memset(c->last, 0, sizeof c->last);
+{% if known %}
+  memset(c->acted, 0, sizeof c->acted);
+  memcpy(c->kept, kept_begin, sizeof c->kept);
+  c->begun[0] = 0;
+{% endif %}
   lfo_begin(&model, &c->memory, c->reals, c->members, c->flags);
 }
 
+void controller_applied(controller *c, const lfo_real u[CONTROLLER_LENGTH(M)]) { memcpy(c->last, u, sizeof c->last); }
+
+{% if known %}
+/* The whole state: states that follow from the controls alone go on by the control that acted. */
+static void complete(controller *c, const lfo_real *measured, lfo_real *x) {
+  lfo_real next[N - MEASURED];
+  const lfo_real *acted = {{ "c->acted" if delay else "c->last" }};
+  for (int i = 0; c->begun[0] && i < N - MEASURED; i++)
+    next[i] = kept_d[i] + product(kept_A + i * (N - MEASURED), c->kept, N - MEASURED) + product(kept_B + i * M, acted, M);
+  if (c->begun[0]) memcpy(c->kept, next, sizeof next);
+  c->begun[0] = 1;
+  memcpy(c->acted, c->last, sizeof c->last);
+  for (int i = 0; i < N; i++) x[i] = place[i] < MEASURED ? measured[place[i]] : c->kept[place[i] - MEASURED];
+}
+
+{% endif %}
 {% if references %}
-int controller_step(controller *c, const lfo_real x[N], const lfo_real reference[N], lfo_real u[M]) {
+int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEASURED)],
+                    const lfo_real reference[CONTROLLER_LENGTH(MEASURED)], lfo_real u[CONTROLLER_LENGTH(M)]) {
 {% else %}
-int controller_step(controller *c, const lfo_real x[N], lfo_real u[M]) {
+int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEASURED)],
+                    lfo_real u[CONTROLLER_LENGTH(M)]) {
+{% endif %}
+{% if known %}
+  lfo_real x[N];
+{% else %}
+  const lfo_real *x = measured;
 {% endif %}
   lfo_real start[CONTROLLER_PARAMETERS], control[M]{{ ", begin[N]" if delay }};
   int status, finite = 1;
+{% if known %}
+  complete(c, measured, x);
+{% endif %}
   for (int i = 0; i < N; i++) start[i] = (x[i] - origin[i]) / state_unit[i];
 {% if references %}
-  for (int i = 0; i < N; i++) start[N + i] = (reference[i] - origin[i]) / state_unit[i];
+{% for i in at_measured %}
+  start[N + {{ loop.index0 }}] = (reference[{{ loop.index0 }}] - origin[{{ i }}]) / state_unit[{{ i }}];
+{% endfor %}
 {% endif %}
   for (int i = 0; i < CONTROLLER_PARAMETERS; i++)
     finite &= start[i] >= -CONTROLLER_LARGEST && start[i] <= CONTROLLER_LARGEST;

@@ -45,22 +45,18 @@ static void add(lfo_real *restrict a, lfo_real factor, const lfo_real *restrict 
 }
 
 int lfo_reals(const lfo_model *p) {
-  int k = p->most_active;
-  return 4 * p->r + 4 * p->T * p->m + 4 * k + k * p->r + k * k;
+  int r = p->r, T = p->T, m = p->m, k = p->most_active;
+#define LENGTH(name, length) +(length)
+  return 0 LFO_ARRAYS(LENGTH);
 }
 
 int lfo_rows(const lfo_model *p) { return p->families * (p->T + 1); }
 
 void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *members, signed char *flags) {
-  int r = p->r, k = p->most_active, Tm = p->T * p->m;
-  lfo_real **parts[] = {&s->xi, &s->row, &s->z, &s->seen, &s->base, &s->plan, &s->before, &s->g,
-                        &s->d,  &s->w,   &s->e, &s->lambda, &s->Q,  &s->R};
-  int sizes[] = {r, r, r, r, Tm, Tm, Tm, Tm, k, k, k, k, k * r, k * k};
+  int r = p->r, T = p->T, m = p->m, k = p->most_active;
   memset(s, 0, sizeof *s);
-  for (int i = 0; i < 14; i++) {
-    *parts[i] = reals;
-    reals += sizes[i];
-  }
+#define PLACE(name, length) s->name = reals, reals += length;
+  LFO_ARRAYS(PLACE)
   s->member = members;
   s->flag = flags;
   memset(flags, 0, (size_t)lfo_rows(p));

@@ -33,11 +33,15 @@ typedef struct {
   const short *column;                    /* (T+1): times with the same offsets, bounds and limits share a column */
 } lfo_model;
 
+/* The arrays of numbers of lfo_memory and their lengths, with k = most_active. Q and R: gradients of the active rows as
+   R'Q, Q orthonormal, R upper triangular. This list makes struct, allocation and size. */
+#define LFO_ARRAYS(X) \
+  X(xi, r) X(row, r) X(z, r) X(seen, r) X(base, T * m) X(plan, T * m) X(before, T * m) X(g, T * m) \
+  X(d, k) X(w, k) X(e, k) X(lambda, k) X(Q, k * r) X(R, k * k)
+#define LFO_FIELD(name, length) lfo_real *name;
+
 typedef struct { /* all that lasts from step to step; the arrays are the caller's, their sizes from lfo_reals and lfo_rows */
-  lfo_real *xi, *row, *z, *seen;          /* (r) */
-  lfo_real *base, *plan, *before, *g;     /* (T m) */
-  lfo_real *d, *w, *e, *lambda;           /* (most_active) */
-  lfo_real *Q, *R;                        /* gradients of the active rows as R'Q: Q orthonormal, R upper triangular */
+  LFO_ARRAYS(LFO_FIELD)
   int *member;                            /* (most_active): rows, family (T+1) + time */
   signed char *flag;                      /* a row: 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it */
   int active, plans, changes, sweeps, exceeded;

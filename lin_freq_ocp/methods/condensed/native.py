@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import math
+import re
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +19,12 @@ FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
 INTEGERS = ("T", "n", "m", "p", "r", "families", "columns", "most_active", "most_changes")
 REALS = ("tolerance", "dependent")
 BOUNDS = ("lower", "upper", "limit_low", "limit_up")
+KERNEL_ARRAYS = tuple(
+    re.findall(r"X\((\w+), ([^)]*)\)", Path(__file__).with_name("kernel.h").read_text(encoding="utf-8"))
+)
+"""LFO_ARRAYS of kernel.h: the names of the arrays of lfo_memory, and their lengths in letters of lfo_model and k."""
+
+COUNTS = ("active", "plans", "changes", "sweeps", "exceeded", "stuck")
 ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", *BOUNDS, "column")
 
 
@@ -33,10 +42,17 @@ class Memory(ctypes.Structure):
     """lfo_memory of kernel.h."""
 
     _fields_ = (
-        [(f"part_{i}", ctypes.c_void_p) for i in range(16)]
-        + [(name, ctypes.c_int) for name in ("active", "plans", "changes", "sweeps", "exceeded", "stuck")]
+        [(name, ctypes.c_void_p) for name, _ in KERNEL_ARRAYS]
+        + [("member", ctypes.c_void_p), ("flag", ctypes.c_void_p)]
+        + [(name, ctypes.c_int) for name in COUNTS]
         + [("worth", ctypes.c_double)]
     )
+
+
+def part_lengths(T: int, m: int, r: int, k: int) -> dict[str, int]:
+    """Return the lengths of the arrays of lfo_memory, for at most k active rows."""
+    letters = {"T": T, "m": m, "r": r, "k": k}
+    return {name: math.prod(letters[letter] for letter in length.split(" * ")) for name, length in KERNEL_ARRAYS}
 
 
 def library() -> ctypes.CDLL | None:
@@ -89,8 +105,9 @@ class NativeKernel:
         # pointers are made once: a call then takes a microsecond
         self._step, self._read = (model, memory, *pointers[3:5], None), (model, memory, pointers[5])
         compiled.lfo_begin(model, memory, *pointers[:3])
-        self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
-        self._rate = self._work[0][4 * r + 4 * T * m + most :]
+        lengths = part_lengths(T, m, r, most)
+        ends = np.cumsum(list(lengths.values()))[:-1]
+        self._parts = dict(zip(lengths, np.split(self._work[0], ends), strict=True))
 
     def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
@@ -113,7 +130,7 @@ class NativeKernel:
     @property
     def unknowns(self) -> Array:
         """Return xi of the last step, (r,), whether or not its working set has settled."""
-        return self._work[0][: self.tables.unknowns].copy()
+        return self._parts["xi"].copy()
 
     @property
     def ray(self) -> Array | None:
@@ -122,7 +139,7 @@ class NativeKernel:
         if not row:
             return None
         weights = np.zeros(self._weights.shape)
-        weights.flat[self._work[1][:active]] = self._rate[:active]
+        weights.flat[self._work[1][:active]] = self._parts["w"][:active]
         weights.flat[abs(row) - 1] = np.sign(row)
         return weights
 
@@ -134,7 +151,7 @@ class NativeKernel:
     @property
     def plan(self) -> Array:
         """Return v of the last step, (T m,)."""
-        return self._plan.copy()
+        return self._parts["plan"].copy()
 
     @property
     def multipliers(self) -> Array:
