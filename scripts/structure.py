@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_382,
-    "code lines": 42_286,
-    "code lines, linear part": 21_253,
+    "shipped lines": 46_210,
+    "code lines": 42_796,
+    "code lines, linear part": 21_473,
     "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
-    "files": 312,
+    "files": 314,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,

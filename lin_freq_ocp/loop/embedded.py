@@ -23,13 +23,15 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.loop.step_problem import free_first_state, soften
 from lin_freq_ocp.loop.step_tables import REALS, RECORDED, Real, RecordedStep, StepTables
-from lin_freq_ocp.methods.condensed.native import model_arrays
+from lin_freq_ocp.loop.windows import has_windows, promises
+from lin_freq_ocp.methods.condensed.native import WINDOW_ARRAYS, model_arrays
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 TEMPLATES = ("controller.h", "controller.c", "lfo_settings.h", "test_controller.c", "Makefile", "README.md")
 
 LARGEST_STATE = 1e12  # in its unit: squares of this and their sums stay finite in float
+RAISED = 200  # a past that exceeds a level by so many tolerances is reported
 HIDDEN = 100  # a control whose terms round by this many tolerances of a row is that of the feedback alone
 
 NOT_IN_C = re.compile(r"[^A-Za-z0-9 _.-]")  # no other character of a name reaches C, and no more than these
@@ -57,6 +59,8 @@ class GeneratedController:
         Most changes in so many disturbed steps, in double and without this cap.
     sweep_work, change_work : int
         Multiply-adds of a sweep, and at most of a change.
+    promises : tuple of str
+        The largest amplitudes of applied controls whose windows are limited.
 
     Examples
     --------
@@ -78,9 +82,10 @@ class GeneratedController:
     steps: int
     sweep_work: int
     change_work: int
+    promises: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return (
+        return "".join(f"{line}\n" for line in self.promises) + (
             f"{self.folder}: a controller of {plural(self.unknowns, 'unknown')} in {self.real}\n"
             f"tables {self.flash} bytes, RAM {self.ram} bytes, stack about {self.stack} bytes\n"
             f"at most {self.changes} changes in each of {self.steps} disturbed steps; the cap is {self.cap}\n"
@@ -126,13 +131,18 @@ def generate(
     except UnsupportedError as error:
         refused = str(error).removeprefix("method 'condensed': ")
         raise UnsupportedError(f"generate: {refused}") from None
+    if "control_spectrum" in penalties and has_windows(problem):
+        raise UnsupportedError(
+            "generate: control_spectrum: soft windows; those of a loop are hard, and always have a plan."
+        )
     if not steps:
         parts = f"{tables.ram} of struct controller, {tables.stack} of stack"
         advice = 'A shorter horizon, a lower cut-off, fewer bounds or real="float" need less.'
         raise ProblemError("memory", f"{limit} bytes", f"at least {tables.ram + tables.stack} bytes: {parts}", advice)
     most = max(step.changes for step in steps)
     counts = tables.solver.kernel.tables.unknowns, tables.flash, tables.ram, tables.stack, tables.cap, most, len(steps)
-    summary = GeneratedController(folder, real, *counts, *tables.work)
+    promised = tuple(promises(problem)) if has_windows(problem) else ()
+    summary = GeneratedController(folder, real, *counts, *tables.work, promised)
     texts = _files(problem, tables, steps[:RECORDED], summary, limit)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -176,6 +186,7 @@ def _files(
         "integers": integers,
         "numbers": {"tolerance": real.tolerance, "dependent": real.dependence},
         "largest": LARGEST_STATE,
+        "raised": 1 + RAISED * real.tolerance,
         "largest_term": HIDDEN * real.tolerance / real.epsilon,
         "limits": len(tables.arrays["limit_e"]),
         "delay": tables.delay,
@@ -185,7 +196,8 @@ def _files(
         "steps": len(steps),
         "capped": tables.cap < tables.tables.most_changes,
         "tables": [(name, *_lines(array, real)) for name, array in tables.arrays.items()],
-        "fields": [*model_arrays(tables.tables), "column"],
+        "fields": [*model_arrays(tables.tables), *(WINDOW_ARRAYS if tables.windows else ()), "column"],
+        "windows": [] if tables.windows is None else tables.windows.fields(integers["T"]),
         "recorded": [(name, *_lines(array, real)) for name, array in recorded.items()],
     }
     environment = Environment(

@@ -16,9 +16,13 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.loop.embedded import log_header, step_problem
+from lin_freq_ocp.loop.record import LoopRecord
 from lin_freq_ocp.loop.step_problem import ControlLimits, complete_reference, excess, first_known_states, known_states
 from lin_freq_ocp.loop.step_tables import REALS
+from lin_freq_ocp.loop.windows import WindowedPlanner, has_windows
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
@@ -26,6 +30,7 @@ from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
+REPORTED = 1e-3  # excess of a level from which controllers in float report it, and others do
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
@@ -93,6 +98,8 @@ class CertifiedLog(ControllerLog):
     differences : (N,)
         Largest difference of a control from the planned one, relative to the largest control of the plan, or to the
         bound on the side of the planned control if that is smaller. 0 if it moves a state by no more than rounding.
+    windows : tuple of WindowSpectra
+        The spectra of all windows of the applied controls, with their limits, from the logged controls alone.
 
     Examples
     --------
@@ -110,6 +117,7 @@ class CertifiedLog(ControllerLog):
     costs: Array
     gaps: Array
     differences: Array
+    windows: tuple[WindowSpectra, ...] = ()
 
     def __len__(self) -> int:
         return len(self.findings)
@@ -132,6 +140,7 @@ class CertifiedLog(ControllerLog):
         if proven.any():
             gap, apart = np.abs(self.gaps[proven]).max(), self.differences[proven].max()
             lines.append(f"largest gap {gap:.0e}; controls within {apart:.0e} of the optimal plans")
+        lines += [f"applied windows of {one.name}: at most {one.ratios.max():.3f} of the limit" for one in self.windows]
         return "\n".join([*lines, *(["the last line was incomplete and is left out"] if self.cut_off else [])])
 
 
@@ -184,8 +193,12 @@ def certify_log(
     valid = np.array([status is not StepStatus.NO_STATE for status in log.statuses], dtype=bool)
     known = known_states(stated.linear)
     starts = _starts_of_plans(stated, known, log, delay)
-    resolver, verdicts = Resolver(stated), dict[int, _Verdict]()
+    resolver, verdicts, windows = Resolver(stated), dict[int, _Verdict](), tuple[WindowSpectra, ...]()
     steps = np.flatnonzero(valid).tolist()
+    if has_windows(problem):
+        verdicts, steps = _windowed_verdicts(WindowedPlanner(problem, penalties, delay), log, starts, tolerance), []
+        applied = np.vstack([np.zeros((delay, stated.control_dim)), log.controls])[: len(starts)]
+        windows = LoopRecord(problem, (), acted=applied).spectra()
     for first in range(0, len(steps), STEPS_AT_ONCE):
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
@@ -231,7 +244,30 @@ def certify_log(
         costs=np.array([one.cost for one in each]),
         gaps=np.array([one.gap for one in each]),
         differences=differences,
+        windows=windows,
     )
+
+
+def _windowed_verdicts(
+    planner: WindowedPlanner, log: ControllerLog, starts: Array, tolerance: float
+) -> dict[int, _Verdict]:
+    """Return the verdicts on the plans of a controller with windows, each after the controls that were logged."""
+    verdicts = dict[int, _Verdict]()
+    for k, status in enumerate(log.statuses):
+        found = planner.plan(starts[k], None, UNLIMITED)
+        planner.apply(log.controls[k])
+        unknown = (
+            status is StepStatus.PLANNED and found.raised > REPORTED
+        )  # the rest of the plan before: of a capped step
+        if status is StepStatus.NO_STATE or unknown or not found.plan.settled:
+            continue
+        outcome = found.certified(None)
+        if outcome.certificate is not None and outcome.trajectory is not None and outcome.status.solved:
+            verdict = _Verdict(outcome.status, outcome.certificate.cost, outcome.certificate.gap or 0.0)
+            verdict = verdict.with_plan(translation_of(outcome.problem), outcome.trajectory, tolerance)
+            satisfied, exceeded = verdict.satisfied and found.raised <= tolerance, verdict.exceeded or found.raised > 0
+            verdicts[k] = replace(verdict, satisfied=satisfied, exceeded=exceeded)
+    return verdicts
 
 
 def _starts_of_plans(problem: OptimalControlProblem, known: Mask, log: ControllerLog, delay: int) -> Array:

@@ -48,11 +48,15 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
     return replace(problem, **changes) if given is not None or problem.stage_rows else problem
 
 
-def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
-    """Return the problem whose frequency constraints also see the last k states x (k, n) and controls u (k, m)."""
+def with_past(problem: OptimalControlProblem, x: Array, u: Array, rest: Array | None = None) -> OptimalControlProblem:
+    """Return the problem whose frequency constraints also see the last k states x (k, n) and controls u (k, m).
+
+    ``rest`` (T, m) are the controls of the rest of the last plan, zeros without one: see ``hold_last``.
+    """
+    known = np.zeros((problem.horizon, problem.control_dim)) if rest is None else rest
     return replace(
         problem,
-        control_spectrum=[one.with_past(u, 0) for one in entries_of(problem.control_spectrum)] or None,
+        control_spectrum=[one.with_past(u, 0).hold_last(known) for one in entries_of(problem.control_spectrum)] or None,
         state_spectrum=[one.with_past(x, 1) for one in entries_of(problem.state_spectrum)] or None,
         output_spectrum=[one.with_past(x, u) for one in entries_of(problem.output_spectrum)] or None,
     )

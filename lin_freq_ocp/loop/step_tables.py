@@ -12,15 +12,19 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.loop.step_problem import ControlLimits, complete_reference, first_known_states, known_states
+from lin_freq_ocp.loop.windows import control_windows, without_first_plan, without_windows
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.condensed.native import (
     BOUNDS,
     COUNTS,
+    INDICES,
     INTEGERS,
     KERNEL_ARRAYS,
+    OF_WINDOWS,
+    WINDOW_INTEGERS,
     NativeKernel,
+    array_lengths,
     model_arrays,
-    part_lengths,
 )
 from lin_freq_ocp.methods.condensed.plans import CondensedSolver
 from lin_freq_ocp.methods.condensed.tables import (
@@ -30,6 +34,7 @@ from lin_freq_ocp.methods.condensed.tables import (
     SOLVED,
     CondensedTables,
 )
+from lin_freq_ocp.methods.condensed.windows import FACETS, ControlWindows
 from lin_freq_ocp.methods.spectral.model import LtiUnits, lti_problem, natural_units, refusal
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS, soft_set
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -147,6 +152,7 @@ class StepTables:
     first_known: Array  # these at the first step, in their units
     plant: LinearDynamics  # as it was stated
     units: LtiUnits
+    windows: ControlWindows | None
     solver: CondensedSolver
     tables: CondensedTables  # as they were set up
     delay: int
@@ -159,8 +165,11 @@ class StepTables:
         cls, given: OptimalControlProblem, delay: int, references: bool, real: Real, changes: int | None
     ) -> StepTables:
         """Set up the tables; UnsupportedError, with field and reason, if the problem is not of the class."""
-        problem, origin = _condensed_problem(given)
+        problem, origin = _condensed_problem(without_windows(given))
         units = natural_units(problem)
+        windows = control_windows(given, units, delay)
+        if windows is not None and without_first_plan(given):
+            raise UnsupportedError(without_first_plan(given))
         known = known_states(given.linear)
         if references:
             problem = _with_reference(problem, known, np.zeros((~known).sum()))
@@ -169,16 +178,18 @@ class StepTables:
         if real.name == "float" and growth > FLOAT_GROWTH:
             what = f"the open loop grows by {growth:.0e} over the horizon; float was checked up to {FLOAT_GROWTH:.0e}"
             raise UnsupportedError(f'real: {what}. Use real="double", or a shorter horizon.')
-        solver = CondensedSolver(lti_problem(problem, units), units)
+        solver = CondensedSolver(lti_problem(problem, units), units, windows)
         tables = solver.kernel.tables
         cap = tables.most_changes if changes is None else changes
         stated = ControlLimits.of(given), origin, known, first_known_states(given, known), given.linear
-        return cls(problem, *stated, units, solver, tables, delay, references, real, cap)
+        return cls(problem, *stated, units, windows, solver, tables, delay, references, real, cap)
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[np.floating | np.integer]]:
         """Return the arrays of lfo_model, where times with the same bounds share a column, and the units."""
-        found, (_, n, m) = model_arrays(self.tables), self.tables.loop.shape
+        _, n, m = self.tables.loop.shape
+        found: dict[str, NDArray[np.floating | np.integer]] = {**model_arrays(self.tables)}
+        found |= {} if self.windows is None else self.windows.arrays(self.tables)
         if self.references:
             found["W"] = np.insert(found["W"], n, self._reference_columns().T, axis=0)
         over_time = np.vstack([found["d"].T, *(found[name] for name in BOUNDS)])
@@ -219,14 +230,15 @@ class StepTables:
         """Return the integers of lfo_model."""
         (T, n, m), r, count = self.tables.loop.shape, self.tables.unknowns, len(self.tables.families)
         parameters, columns = n + self.references * self.measured + 1, self.arrays["lower"].shape[1]
-        values = (T, n, m, parameters, r, count, columns, min(r, count * (T + 1)), self.cap)
-        return dict(zip(INTEGERS, values, strict=True))
+        of_windows = dict.fromkeys(OF_WINDOWS, 0) if self.windows is None else self.windows.integers(T)
+        rows = count * (T + 1) + of_windows["cells"] * FACETS
+        values = (T, n, m, parameters, r, count, columns, min(r, rows), self.cap)
+        return dict(zip(INTEGERS, values, strict=True)) | of_windows
 
     @property
     def reals(self) -> int:
         """Return how many numbers lfo_memory needs, as lfo_reals counts them."""
-        T, _, m, _, r, _, _, k, _ = self.integers.values()
-        return sum(part_lengths(T, m, r, k).values())
+        return sum(array_lengths(KERNEL_ARRAYS, self.integers).values())
 
     @property
     def kept(self) -> int:
@@ -241,22 +253,29 @@ class StepTables:
     @property
     def fields(self) -> list[tuple[str, str, int, str]]:
         """Return the type, name, length and meaning of the arrays of struct controller, after lfo_memory."""
-        parameters, m, members = (self.integers[name] for name in ("p", "m", "most_active"))
+        parameters, m = self.integers["p"], self.integers["m"]
+        indices = sum(array_lengths(INDICES, self.integers).values())
         fields = [("lfo_real", "start", parameters - 1, "where the last plan begins, in units of order 1")]
         fields += [("lfo_real", "last", m, "the control returned last, or that which acts in its place")]
+        if self.kept or self.windows:
+            fields += [("int", "begun", 1, "whether there was a step")]
         if self.kept:
             fields += [("lfo_real", "kept", self.kept, "the states that follow from the controls alone")]
             fields += [("lfo_real", "acted", m, "the control that acted after these states")]
-            fields += [("int", "begun", 1, "whether there was a step")]
         fields += [("lfo_real", "reals", self.reals, "")]
-        fields += [("int", "members", max(members, 1), ""), ("signed char", "flags", max(self.rows, 1), "")]
+        fields += [("int", "members", max(indices, 1), ""), ("signed char", "flags", max(self.rows, 1), "")]
         return fields
 
     def struct_bytes(self, pointer: int = POINTER_BYTES) -> int:
         """Return the bytes of struct controller where pointers have so many bytes."""
         size = self.real.dtype.itemsize
         sizes, widest = {"lfo_real": size, "int": INTEGER_BYTES, "signed char": 1}, max(pointer, size)
-        memory = [(pointer, len(KERNEL_ARRAYS) + 2), (INTEGER_BYTES, len(COUNTS)), (size, 1), (widest, 0)]
+        memory = [
+            (pointer, len(KERNEL_ARRAYS) + len(INDICES) + 1),
+            (INTEGER_BYTES, len(COUNTS)),
+            (size, 2),
+            (widest, 0),
+        ]
         end = 0
         for width, count in [*memory, *((sizes[kind], count) for kind, _, count, _ in self.fields), (widest, 0)]:
             end = -(-end // width) * width + width * count
@@ -265,7 +284,8 @@ class StepTables:
     @property
     def rows(self) -> int:
         """Return how many rows there are."""
-        return self.integers["families"] * (self.integers["T"] + 1)
+        families, T, cells = (self.integers[name] for name in ("families", "T", "cells"))
+        return families * (T + 1) + cells * FACETS
 
     @property
     def flash(self) -> int:
@@ -274,7 +294,8 @@ class StepTables:
             (array, array.itemsize if array.dtype.kind == "i" else self.real.dtype.itemsize)
             for array in self.arrays.values()
         )
-        return sum(array.size * size for array, size in sizes)
+        pointers = POINTER_BYTES + INTEGER_BYTES * len(WINDOW_INTEGERS)
+        return sum(array.size * size for array, size in sizes) + self.integers["sets"] * pointers
 
     @property
     def ram(self) -> int:
@@ -291,7 +312,7 @@ class StepTables:
     @property
     def work(self) -> tuple[int, int]:
         """Return the multiply-adds of a sweep, and at most of a change."""
-        T, n, m, _, r, families, _, k, _ = self.integers.values()
+        T, n, m, r, families, k = (self.integers[name] for name in ("T", "n", "m", "r", "families", "most_active"))
         return T * m * r + T * (n + families) * (n + m), T * m * r + 8 * r * k + 3 * k * k
 
     def disturbed_steps(self) -> list[RecordedStep]:
@@ -326,6 +347,8 @@ class StepTables:
                 raise UnsupportedError("problem: no state was found with a plan. lfo.solve(problem) says why.")
             anchor = anchor if k else begin
             steps.append(RecordedStep(x, reference, kernel.control, kernel.changes))
+            if isinstance(kernel, NativeKernel) and self.windows is not None:
+                kernel.apply(kernel.control)
             control = acting if self.delay else steps[-1].control
             x = lti.A @ x + lti.B @ control + drift + reach * NOISE * rng.standard_normal(n) * measured
             acting = steps[-1].control
