@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_210,
-    "code lines": 42_796,
+    "shipped lines": 46_208,
+    "code lines": 42_793,
     "code lines, linear part": 21_473,
     "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least

@@ -31,7 +31,6 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 TEMPLATES = ("controller.h", "controller.c", "lfo_settings.h", "test_controller.c", "Makefile", "README.md")
 
 LARGEST_STATE = 1e12  # in its unit: squares of this and their sums stay finite in float
-RAISED = 200  # a past that exceeds a level by so many tolerances is reported
 HIDDEN = 100  # a control whose terms round by this many tolerances of a row is that of the feedback alone
 
 NOT_IN_C = re.compile(r"[^A-Za-z0-9 _.-]")  # no other character of a name reaches C, and no more than these
@@ -186,7 +185,6 @@ def _files(
         "integers": integers,
         "numbers": {"tolerance": real.tolerance, "dependent": real.dependence},
         "largest": LARGEST_STATE,
-        "raised": 1 + RAISED * real.tolerance,
         "largest_term": HIDDEN * real.tolerance / real.epsilon,
         "limits": len(tables.arrays["limit_e"]),
         "delay": tables.delay,

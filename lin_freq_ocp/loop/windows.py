@@ -34,7 +34,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reductions import Change, reduce_problem
 from lin_freq_ocp.transform.reformulations import Translation, translated_by, translation_of
 
-KERNEL_TAKES = "the condensed kernel takes hard limits above zero on windows of controls with a length"
+KERNEL_TAKES = "the condensed kernel takes hard, finite limits above zero on windows of controls with a length"
 
 
 def has_windows(problem: OptimalControlProblem) -> bool:
@@ -67,13 +67,12 @@ def control_windows(problem: OptimalControlProblem, units: LtiUnits, delay: int)
     none, sets = np.zeros((problem.horizon, problem.control_dim)), list[WindowSet]()
     ahead = [one.with_past(none[:delay], 0).hold_last(none) for one in entries_of(problem.control_spectrum)]
     for one, windows, limits in maps_of_windows(problem, ahead):  # no control acts before the first plan
-        if not one.slides or not (limits > 0).all():
+        if not one.slides or not (np.isfinite(limits) & (limits > 0)).all():
             raise UnsupportedError(f"control_spectrum: {one.describe(problem.control_names)}; {KERNEL_TAKES}.")
         spectrum, unit, hop = windows.spectrum, units.u[windows.component], int(getattr(one, "hop", 1))
-        limited, frequencies = np.isfinite(limits), 2 * np.pi * spectrum.bins / spectrum.points
-        scaled = limits[limited] / unit, windows.past / unit
-        begin = int(windows.starts[0])
-        sets.append(WindowSet(windows.component, hop, begin, spectrum.window, frequencies[limited], *scaled))
+        frequencies, begin = 2 * np.pi * spectrum.bins / spectrum.points, int(windows.starts[0])
+        scaled = limits / unit, windows.past / unit
+        sets.append(WindowSet(windows.component, hop, begin, spectrum.window, frequencies, *scaled))
     return ControlWindows(tuple(sets), known_states(problem.linear)) if sets else None
 
 
@@ -179,8 +178,8 @@ class WindowedPlanner:
         stated = soften(free_first_state(problem), penalties)
         if "control_spectrum" in penalties:
             raise UnsupportedError(f"control_spectrum: soft windows; {KERNEL_TAKES}.")
-        base = without_windows(stated).with_ends(np.zeros(problem.state_dim))
-        translation = translation_of(base)
+        base = without_windows(stated)
+        translation = translation_of(base if base.ends[0].fixed.all() else base.with_ends(np.zeros(base.state_dim)))
         if reduce_problem(translation.problem, REDUCTIONS).links:
             raise UnsupportedError(f"problem: it is solved as another one; {KERNEL_TAKES}.")
         self.stated, self.origin = stated, translation.origin

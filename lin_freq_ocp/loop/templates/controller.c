@@ -186,7 +186,7 @@ int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEA
 {% if windows %}
   if (!finite) return CONTROLLER_NO_STATE;
 {% endif %}
-  if (status == LFO_SOLVED) return c->memory.exceeded{{ " || c->memory.rest > " ~ real.literal(raised) if windows }} ? CONTROLLER_SOFTENED : CONTROLLER_PLANNED;
+  if (status == LFO_SOLVED) return c->memory.exceeded{{ " || c->memory.rest > 1 + LFO_RAISED * model.tolerance" if windows }} ? CONTROLLER_SOFTENED : CONTROLLER_PLANNED;
   return status == LFO_LIMIT ? CONTROLLER_CAPPED : CONTROLLER_INFEASIBLE;
 }
 

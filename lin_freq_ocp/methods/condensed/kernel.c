@@ -551,9 +551,9 @@ static void begin_windows(const lfo_model *p, lfo_memory *s) {
         for (int i = 0; begin < p->T && re * re + im * im > LEVEL * LEVEL && i < LFO_FACETS; i++) {
           facet f = facet_of(p, s, row + i);
           lfo_real y = facet_value(&f, s->V_old);
-          if (y > *level) *level = y;
+          if (y > s->rest * LEVEL) s->rest = y / LEVEL;
+          if (y > *level && y > LEVEL * (1 + LFO_RAISED * p->tolerance)) *level = y; /* rounding alone does not add up */
         }
-        if (*level > s->rest * LEVEL) s->rest = *level / LEVEL;
       }
     }
   for (int i = s->active - 1; i >= 0; i--)
@@ -579,9 +579,11 @@ static void shorten(lfo_real *part, lfo_real y, lfo_real change, lfo_real bound)
   if (change * *part > room) *part = room / change;
 }
 
-/* The largest part of the way from the rest of the last plan to s->control that keeps all rows of controls. */
-static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x) {
-  int m = p->m, k = p->inner;
+/* The largest part of the way from the rest of the last plan to s->control that keeps all rows of controls. A plan that
+   solves the step may exceed them by rounding; where the state is far away, rounding can be large. */
+static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x, int solved) {
+  int m = p->m, k = p->inner, moved = !solved;
+  lfo_real slack = solved ? LFO_RAISED * p->tolerance : 0;
   lfo_real part = 1, state[2][LFO_STATES], next[LFO_STATES];
   const lfo_real *plans[2] = {s->old, s->control};
   for (int i = 0; i < k; i++) state[0][i] = state[1][i] = x[p->inner_state[i]];
@@ -593,11 +595,12 @@ static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x
       if (j == -1 || (p->upper[bound] >= NONE && p->lower[bound] <= -NONE)) continue;
       if (j >= 0) { /* first into the bounds of a control, so that these do not stop the way */
         lfo_real inside = y[1] > p->upper[bound] ? p->upper[bound] : y[1] < p->lower[bound] ? p->lower[bound] : y[1];
+        moved |= absolute(inside - y[1]) > 4 * p->tolerance * p->size[f];
         s->control[t * m + j] += (inside - y[1]) / p->D[f * m + j];
         y[1] = inside;
       }
-      if (p->limit_up[bound] >= NONE) shorten(&part, y[0], y[1] - y[0], p->upper[bound]);
-      if (p->limit_low[bound] >= NONE) shorten(&part, -y[0], y[0] - y[1], -p->lower[bound]);
+      if (p->limit_up[bound] >= NONE) shorten(&part, y[0], y[1] - y[0], p->upper[bound] + slack * p->size[f]);
+      if (p->limit_low[bound] >= NONE) shorten(&part, -y[0], y[0] - y[1], slack * p->size[f] - p->lower[bound]);
     }
     for (int i = 0; i < 2; i++) {
       for (int l = 0; l < k; l++)
@@ -606,20 +609,21 @@ static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x
       memcpy(state[i], next, BYTES(k));
     }
   }
-  all_windows(p, s, s->control, s->V);
-  for (int row = stage_rows(p); row < lfo_rows(p); row++) {
+  if (moved) all_windows(p, s, s->control, s->V);
+  for (int row = stage_rows(p); moved && row < lfo_rows(p); row++) {
     facet f = facet_of(p, s, row);
     lfo_real old = facet_value(&f, s->V_old);
-    if (f.begin < p->T) shorten(&part, old, facet_value(&f, s->V) - old, s->level[f.cell]);
+    if (f.begin < p->T) shorten(&part, old, facet_value(&f, s->V) - old, s->level[f.cell] + slack);
   }
   return part;
 }
 
-/* After a step without an answer: go from the rest of the last plan towards the point where the step ended. The rows of
-   controls are convex, and both ends of the way are known to keep them, or the way is shortened. */
-static void go_part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x0) {
+/* Go from the rest of the last plan towards the point where the step ended, as far as all rows of controls are kept: they
+   are convex. Return whether this is the whole way. */
+static int go_part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x0, int solved) {
   int T = p->T, n = p->n, m = p->m;
-  lfo_real x[LFO_STATES], next[LFO_STATES], part = part_of_way(p, s, x0);
+  lfo_real x[LFO_STATES], next[LFO_STATES], part = part_of_way(p, s, x0, solved);
+  if (solved && part >= 1) return 1;
   for (int i = 0; i < T * m; i++) {
     lfo_real change = s->control[i] - s->old[i];
     s->control[i] = s->old[i] + (change - change == 0 && part - part == 0 ? part * change : 0);
@@ -632,6 +636,7 @@ static void go_part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x0
       next[i] = p->d[p->column[t] * n + i] + dot(p->A + i * n, x, n) + dot(p->B + i * m, v, m);
     memcpy(x, next, BYTES(n));
   }
+  return part >= 1;
 }
 
 void lfo_go_on(const lfo_model *p, lfo_memory *s, lfo_real *u) {
@@ -652,10 +657,6 @@ void lfo_apply(const lfo_model *p, lfo_memory *s, const lfo_real *u) {
     }
     if (--s->begin[i] > -w->length) continue;
     memset(s->sums + 2 * w->cell + first * both, 0, BYTES(both)); /* this window is over */
-    for (int a = s->active - 1; a >= 0; a--) {
-      int row = s->member[a] - stage_rows(p) - (w->cell + first * w->points) * LFO_FACETS;
-      if (row >= 0 && row < w->points * LFO_FACETS) drop(p, s, a, 0);
-    }
     s->first[i] = (first + 1) % ring;
     s->begin[i] += w->hop;
   }
@@ -705,7 +706,7 @@ int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, 
     status = LFO_INFEASIBLE;
   }
   if (p->sets) {
-    if (status != LFO_SOLVED) go_part_of_way(p, s, x);
+    if (!go_part_of_way(p, s, x, status == LFO_SOLVED) && status == LFO_SOLVED) status = LFO_LIMIT;
     memcpy(u, s->control, BYTES(m));
     return status;
   }
