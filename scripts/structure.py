@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_208,
-    "code lines": 42_793,
-    "code lines, linear part": 21_473,
+    "shipped lines": 46_215,
+    "code lines": 42_797,
+    "code lines, linear part": 21_477,
     "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
     "files": 314,

@@ -202,6 +202,11 @@ static int window_sweep(const lfo_model *p, lfo_memory *s, candidate *queue, int
   return count;
 }
 
+/* a + b, and 0 where they cancel up to rounding: a row with no other coefficient depends on nothing. */
+static lfo_real sum_of(const lfo_model *p, lfo_real a, lfo_real b) {
+  return absolute(a + b) > p->tolerance * (absolute(a) + absolute(b)) ? a + b : 0;
+}
+
 /* Add a multiple of a row of a window to the forces on the controls. */
 static void add_force(const lfo_model *p, lfo_memory *s, int row, lfo_real factor) {
   facet f = facet_of(p, s, row);
@@ -211,9 +216,9 @@ static void add_force(const lfo_model *p, lfo_memory *s, int row, lfo_real facto
   point %= 2 * P;
   for (int t = f.begin > 0 ? f.begin : 0; t < p->T && t < end; t++) {
     const lfo_real *wave = w->wave + (t - f.begin) * 2 * P;
-    force[t * p->m] += a * wave[point] + b * wave[P + point];
+    force[t * p->m] += sum_of(p, a * wave[point], b * wave[P + point]);
   }
-  force[(p->T - 1) * p->m] += a * s->hold[f.re] + b * s->hold[f.im];
+  force[(p->T - 1) * p->m] += sum_of(p, a * s->hold[f.re], b * s->hold[f.im]);
 }
 
 /* Simulate the plan v of xi. Active rows get their distance to the bound, e; the worst rows of runs of violated ones

@@ -12,6 +12,7 @@ from lin_freq_ocp.methods.condensed.tables import CondensedTables
 
 FACETS = 16  # LFO_FACETS of kernel.h: of the polygon in the disc of a point
 FACET_LEVEL = float(np.cos(np.pi / FACETS))  # of a facet, relative to the radius of the disc
+WAVE_ROUNDING = 1e-12  # relative; a row of rounding errors alone would have a multiplier without a limit
 DIRECTIONS = np.exp(2j * np.pi * np.arange(FACETS) / FACETS)
 
 
@@ -44,7 +45,10 @@ class WindowSet:
     def waves(self) -> ComplexArray:
         """Return the coefficients of the samples of a window in V, (length, points)."""
         angles = np.outer(np.arange(self.length), self.frequencies)
-        return np.asarray(self.taper[:, None] * np.exp(-1j * angles) / self.levels, dtype=np.complex128)
+        waves = self.taper[:, None] * np.exp(-1j * angles) / self.levels
+        least = WAVE_ROUNDING * np.abs(waves).max(axis=0)
+        parts = (np.where(np.abs(part) > least, part, 0.0) for part in (waves.real, waves.imag))
+        return np.asarray(next(parts) + 1j * next(parts), dtype=np.complex128)
 
     def past_values(self, horizon: int) -> Array:
         """Return Re and Im of the sums of the past of all slots, (slots, 2 points)."""
