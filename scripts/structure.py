@@ -51,7 +51,7 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_215,
+    "shipped lines": 46_223,
     "code lines": 42_797,
     "code lines, linear part": 21_477,
     "code lines, hybrid": 8_685,

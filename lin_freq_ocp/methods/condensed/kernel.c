@@ -615,10 +615,18 @@ static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x
     }
   }
   if (moved) all_windows(p, s, s->control, s->V);
-  for (int row = stage_rows(p); moved && row < lfo_rows(p); row++) {
+  for (int cell = 0; cell < p->cells; cell++) {
+    int row = stage_rows(p) + cell * LFO_FACETS;
     facet f = facet_of(p, s, row);
-    lfo_real old = facet_value(&f, s->V_old);
-    if (f.begin < p->T) shorten(&part, old, facet_value(&f, s->V) - old, s->level[f.cell] + slack);
+    lfo_real re = s->V[f.re], im = s->V[f.im], bound = s->level[cell] + (solved ? p->tolerance : 0);
+    if (f.begin >= p->T || re * re + im * im <= LEVEL * LEVEL) continue;
+    if (bound < LEVEL * (1 + slack)) bound = LEVEL * (1 + slack);
+    for (int i = 0; i < LFO_FACETS; i++) {
+      lfo_real old;
+      f = facet_of(p, s, row + i);
+      old = facet_value(&f, s->V_old);
+      shorten(&part, old, facet_value(&f, s->V) - old, bound);
+    }
   }
   return part;
 }

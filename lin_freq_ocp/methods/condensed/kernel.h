@@ -20,7 +20,7 @@
 #endif
 #define LFO_NONE 1e30
 #define LFO_FACETS 16   /* of the polygon in the disc |V| <= level */
-#define LFO_RAISED 50   /* a past that exceeds a level by so many tolerances raises it; less is rounding */
+#define LFO_RAISED 100  /* a past that exceeds a level by so many tolerances raises it; less is rounding */
 
 typedef LFO_REAL lfo_real;
 
