@@ -373,7 +373,7 @@ def compiles(folder: Path, text: str, *options: str) -> bool:
     (folder / "test.c").write_text(f'#include "controller.h"\n{text}\n')
     found = compiler()
     assert found is not None
-    command = [found, "-std=c99", "-O1", "-Wall", "-Werror", "-fsyntax-only", *options, "test.c"]
+    command = [found, "-O1", "-Wall", "-Werror", "-fsyntax-only", *(options or ["-std=c99"]), "test.c"]
     return not subprocess.run(command, cwd=folder, capture_output=True).returncode
 
 
@@ -400,4 +400,5 @@ def test_an_array_that_is_too_short_for_x_is_a_warning(tmp_path):
         "static controller c; int f(lfo_real *u) {{ lfo_real x[{}] = {{0}}; return controller_step(&c, x, u); }}".format
     )
     assert compiles(tmp_path, use(4))
+    assert compiles(tmp_path, "static controller c; int f(lfo_real *u) { return controller_step(&c, u, u); }", "-xc++")
     assert not compiles(tmp_path, use(3), "-O2", "-fno-syntax-only")
