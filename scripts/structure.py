@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 45_239,
-    "code lines": 42_176,
-    "code lines, linear part": 21_234,
-    "code lines, hybrid": 8_682,
+    "shipped lines": 46_223,
+    "code lines": 42_797,
+    "code lines, linear part": 21_477,
+    "code lines, hybrid": 8_685,
     SHARE_SAID: 19.5,  # at least
-    "files": 311,
+    "files": 314,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,

@@ -31,6 +31,7 @@ presented    what users see of the same problems, JSON, texts of commands and st
 limits       time limits of 1 and 3 s on problems that take far longer
 loop         closed loops with disturbances, and plans of ten plants against the sparse program
 embedded     disturbed steps of ten generated controllers in C, against the sparse program
+applied_spectrum  random controllers in C with windows of controls: sanitizers, hostile states, every window by a sum
 frequencies  masks at every frequency, between bounds of an independent model, and proven maxima of signals
 proofs       proofs of random problems beside exact optima, and with every number changed
 pairs        every pair of features, and of a feature and a use, in a small problem: it works, or is refused with reason
@@ -78,6 +79,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "formulas": 300,
     "loop": 10_000,
     "embedded": 10_000,
+    "applied_spectrum": 100,
     "frequencies": 200,
     "proofs": 100,
     "cancellation": 300,

@@ -41,7 +41,8 @@ def generate(
     memory : int or str, optional
         Most bytes of RAM, stack included, such as 65536 or "64k".
     references : bool
-        Whether a step takes a reference of the states, constant over the horizon, in place of that of the problem.
+        Whether a step takes a reference of the measured states, constant over the horizon, in place of that of the
+        problem.
 
     Returns
     -------
@@ -83,8 +84,8 @@ def certify_log(controller: RecedingHorizon, path: str | PathLike[str], toleranc
     controller : RecedingHorizon
         The controller that was generated.
     path : path
-        A CSV file with a line per step: the states x1, x2, ..., with ``references=True`` the references r1, r2, ...,
-        the controls u1, u2, ... as returned, and the status.
+        A CSV file with a line per step: the measured states x1, x2, ..., with ``references=True`` their references r1,
+        r2, ..., the controls u1, u2, ... as returned, or those which acted in their place, and the status.
     tolerance : float
         Largest difference from the optimal control that counts as the same, relative to the largest control of the
         plan, or to the bound on that side if it is smaller. Controllers in double differ by 1e-6 at most, those in

@@ -324,6 +324,7 @@ def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
         "component": bound.component if bound.band.component is None else None,
         "oversampling": bound.oversampling if bound.oversampling != 1 else None,
         "between": getattr(bound, "between", False) or None,
+        "edges": bound.edges or None,
         "every_frequency": bound.every_frequency or None,
         "hold": getattr(bound, "hold", False) or None,
         "penalty": bound.penalty,

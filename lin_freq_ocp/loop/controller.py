@@ -23,18 +23,22 @@ from lin_freq_ocp.loop.record import LoopRecord, Source, Step
 from lin_freq_ocp.loop.step_problem import (
     ControlLimits,
     checked_penalties,
+    complete_reference,
     depends_on_past,
     excess,
+    first_known_states,
     free_first_state,
     known_states,
     limits_of_plans,
     soften,
     with_past,
 )
+from lin_freq_ocp.loop.windows import WindowedPlan, WindowedPlanner, has_windows, without_first_plan
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import SetOrSets
+from lin_freq_ocp.problem.spectrum.base import EXCEEDED
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
 from lin_freq_ocp.solving.hybrid.modes import TreeCache
@@ -89,6 +93,7 @@ class Controller:
         if limits_of_plans(problem):
             warn_user(limits_of_plans(problem), ClosedLoopWarning)
         self._problem = free_first_state(problem)
+        plans_by_kernel = method in ("auto", "spectral")
         method = family_of(problem).in_loop if method == "auto" else method
         self._hard = Resolver(self._problem, method)
         self._soft = Resolver(soften(self._problem, self.penalties), method) if self.penalties else None
@@ -101,6 +106,7 @@ class Controller:
         self._step = problem.form.stepper(problem.horizon)
         self._limits = ControlLimits.of(self._problem)
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
+        self._planner = self._windowed_planner() if plans_by_kernel else None
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
 
     @property
@@ -120,10 +126,15 @@ class Controller:
         x = self.completed("state", state, acted)
         preview = replace(preview, references=self._completed_references(preview.references))
         if acted is not None and len(self._applied) > self.delay:
+            if self._planner is not None:
+                self._planner.correct(acted - self._applied[-1 - self.delay], 1 + self.delay)
             self._applied[-1 - self.delay] = acted
         started, plain, begin = now(), preview.empty, x
         if self.delay:  # the state to which the last control leads
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
+        if self._planner is not None:
+            self._record(self._windowed_step(self._planner, x, begin, preview, started))
+            return self._steps[-1], None
         for resolver in self._trees if plain and not self._remembers else ():
             resolver.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
@@ -162,6 +173,41 @@ class Controller:
         )
         self._record(step)
         return step, outcome
+
+    def _windowed_planner(self) -> WindowedPlanner | None:
+        """Return the planner of the condensed kernel where windows limit the controls; None where programs do."""
+        if not has_windows(self.problem) or not self._hard.linear:
+            return None
+        try:
+            planner = WindowedPlanner(self.problem, self.penalties, self.delay)
+        except UnsupportedError:
+            return None
+        if without_first_plan(self.problem):
+            warn_user(without_first_plan(self.problem), ClosedLoopWarning)
+        return planner
+
+    def _windowed_step(
+        self, planner: WindowedPlanner, x: Array, begin: Array, preview: Preview, started: float
+    ) -> Step:
+        """Return the step of a plan that keeps the windows of the controls."""
+        budget = UNLIMITED
+        if self._steps:
+            budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
+        found = planner.plan(begin, None if preview.empty else self._change(begin, preview), budget)
+        limits = self._limits if preview.bounds is None else ControlLimits.of(found.stated)
+        control = limits.clip(begin, found.control)
+        planner.apply(control)
+        plan, source, ended = found.plan, Source.SOFTENED if found.exceeded else Source.PLAN, now()
+        step = Step(x, control, None, source, "condensed", solve_seconds=ended - started, changes=plan.changes)
+        step = replace(step, pending=found, raised=found.raised > EXCEEDED)
+        if plan.settled and self._later:
+            return step
+        if plan.settled:
+            step = step.certified(found.certified(self._tolerance), now() - ended)
+        else:
+            status = Status.LIMIT if plan.eta_C else Status.INFEASIBLE_CLAIMED
+            step = replace(step, status=status, source=Source.BEST_POINT, pending=None)
+        return replace(step, plan=found.trajectory)
 
     def _record(self, step: Step) -> None:
         """Append a step; of the plans only the last is needed."""
@@ -206,10 +252,12 @@ class Controller:
 
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
-        tolerance: float | None = getattr(self._hard.method, "tolerance", None)
         groups = dict[int, dict[int, PlannedStart]]()
         for k, step in enumerate(self._steps):
-            if step.pending is not None:
+            if isinstance(step.pending, WindowedPlan):
+                started = now()
+                self._steps[k] = step.certified(step.pending.certified(self._tolerance), now() - started)
+            elif step.pending is not None:
                 groups.setdefault(id(step.pending.translation), {})[k] = step.pending
         for planned in groups.values():
             started = now()
@@ -220,7 +268,7 @@ class Controller:
                 if k in proven:
                     self._steps[k] = step.proven(one.translation, proven[k], each)
                 else:
-                    self._steps[k] = step.certified(one.certified(tolerance), now() - started)
+                    self._steps[k] = step.certified(one.certified(self._tolerance), now() - started)
                     started = now()
 
     def _plan(self, outcome: Outcome) -> Trajectory | None:
@@ -232,21 +280,29 @@ class Controller:
                 rest = simulate(outcome.problem, _shift_controls(previous.u))
         if rest is None:
             return own if outcome.status.solved or outcome.primal else None
-        tolerance: float | None = getattr(self._hard.method, "tolerance", None)
         plans = [rest] if own is None else [own, rest]  # the first of two equally good ones
-        return min(plans, key=lambda plan: rank(outcome.problem, plan, tolerance))
+        return min(plans, key=lambda plan: rank(outcome.problem, plan, self._tolerance))
 
     def _answers(self, x: Array, begin: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
         """Return the answer for the state where a plan begins and, if it is infeasible, that with soft constraints."""
-        bounds = preview.bounds
-        if bounds and bounds.get("state_set") is not None:
-            first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
-            bounds = {**bounds, "state_set": first_free.state_set}
-        change = Change(begin, references=preview.references, bounds=bounds, disturbance=preview.disturbance)
+        change = self._change(begin, preview)
         hard = self._solve_step(self._hard, change, x)
         if hard.status not in NO_SOLUTION or self._soft is None:
             return hard, None
         return hard, self._solve_step(self._soft, change, x)
+
+    def _change(self, begin: Array, preview: Preview) -> Change:
+        """Return the change of the problem to a state where a plan begins, (n,), and to previewed data."""
+        bounds = preview.bounds
+        if bounds and bounds.get("state_set") is not None:
+            first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
+            bounds = {**bounds, "state_set": first_free.state_set}
+        return Change(begin, references=preview.references, bounds=bounds, disturbance=preview.disturbance)
+
+    @property
+    def _tolerance(self) -> float | None:
+        """Return the tolerance of the solver, None for its default."""
+        return getattr(self._hard.method, "tolerance", None)
 
     def _solve_step(self, resolver: Resolver, change: Change, x: Array) -> Outcome:
         """Solve the problem of a step; steps with the same data share the set-up of the solver."""
@@ -257,8 +313,11 @@ class Controller:
             if self.delay:
                 states, controls = [*states, x], [np.zeros(self.problem.control_dim), *controls]
             dimensions = problem.state_dim, problem.control_dim
-            past = (np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True))
-            problem = with_past(problem, *past)
+            of_x, of_u = (
+                np.array(part).reshape(-1, size) for part, size in zip((states, controls), dimensions, strict=True)
+            )
+            last = self._steps[-1].planned if self._steps else None
+            problem = with_past(problem, of_x, of_u, None if last is None else _shift_controls(last.u))
         if problem is not resolver.problem:
             known, resolver = resolver, Resolver(problem, self._method)
             resolver.take_programs(known)
@@ -281,7 +340,7 @@ class Controller:
         ``acted`` is the control that acted in the last step, if it was not the controller's.
         """
         n, left = self.problem.state_dim, self.unknown_dim
-        if not 0 < left < n:
+        if left == n:
             return self.measured(field, value, n)
         vector = one_component(real_array(field, value), left)
         if vector.shape != (left,):
@@ -291,8 +350,8 @@ class Controller:
             own = self._applied[-1 - self.delay] if len(self._applied) > self.delay else none
             state = np.array(self._step(0, self._steps[-1].state, own if acted is None else acted))
         else:
-            begin = self.problem.initial_box
-            state = np.where(begin.fixed, begin.lower, 0.0)
+            state = np.zeros(n)
+            state[self._known] = first_known_states(self.problem, self._known)
         state[~self._known] = vector
         return state
 
@@ -301,10 +360,7 @@ class Controller:
         given = real_array("references.x_ref", (references or {}).get("x_ref", 0.0))
         if references is None or not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references
-        own = self.problem.quadratic.x_ref
-        complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
-        complete[..., ~self._known] = given
-        return {**references, "x_ref": complete}
+        return {**references, "x_ref": complete_reference(self.problem, self._known, given)}
 
     def measured(self, field: str, value: ArrayLike, size: int, advice: str = "") -> Array:
         """Return a finite vector of this size; else ProblemError."""

@@ -15,9 +15,14 @@ from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.loop.embedded import REALS, log_header, step_problem
-from lin_freq_ocp.loop.step_problem import ControlLimits, excess
+from lin_freq_ocp.loop.embedded import log_header, step_problem
+from lin_freq_ocp.loop.record import LoopRecord
+from lin_freq_ocp.loop.step_problem import ControlLimits, complete_reference, excess, first_known_states, known_states
+from lin_freq_ocp.loop.step_tables import REALS
+from lin_freq_ocp.loop.windows import WindowedPlanner, has_windows
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
@@ -25,6 +30,7 @@ from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
+REPORTED = 1e-3  # excess of a level from which controllers in float report it, and others do
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
@@ -72,7 +78,7 @@ class CertifiedLog(ControllerLog):
     Attributes
     ----------
     states, controls : (N, n), (N, m)
-        As logged.
+        As logged; without the states that follow from the controls alone.
     references : (N, n) or None
         As logged.
     statuses : tuple of StepStatus
@@ -92,6 +98,8 @@ class CertifiedLog(ControllerLog):
     differences : (N,)
         Largest difference of a control from the planned one, relative to the largest control of the plan, or to the
         bound on the side of the planned control if that is smaller. 0 if it moves a state by no more than rounding.
+    windows : tuple of WindowSpectra
+        The spectra of all windows of the applied controls, with their limits, from the logged controls alone.
 
     Examples
     --------
@@ -109,6 +117,7 @@ class CertifiedLog(ControllerLog):
     costs: Array
     gaps: Array
     differences: Array
+    windows: tuple[WindowSpectra, ...] = ()
 
     def __len__(self) -> int:
         return len(self.findings)
@@ -131,12 +140,13 @@ class CertifiedLog(ControllerLog):
         if proven.any():
             gap, apart = np.abs(self.gaps[proven]).max(), self.differences[proven].max()
             lines.append(f"largest gap {gap:.0e}; controls within {apart:.0e} of the optimal plans")
+        lines += [f"applied windows of {one.name}: at most {one.ratios.max():.3f} of the limit" for one in self.windows]
         return "\n".join([*lines, *(["the last line was incomplete and is left out"] if self.cut_off else [])])
 
 
 def read_log(path: Path, problem: OptimalControlProblem) -> ControllerLog:
     """Read a log of a controller of this problem; ProblemError with the line if it is none."""
-    n, m = problem.state_dim, problem.control_dim
+    n, m = int((~known_states(problem.linear)).sum()), problem.control_dim
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     except OSError as error:
@@ -181,13 +191,14 @@ def certify_log(
     stated = step_problem(problem, penalties)
     log = read_log(path, stated)
     valid = np.array([status is not StepStatus.NO_STATE for status in log.statuses], dtype=bool)
-    starts = log.states
-    if delay:  # the control that was returned last leads to the state from which a plan begins
-        starts, acting, step = log.states.copy(), np.zeros(stated.control_dim), stated.form.stepper(1)
-        for k in np.flatnonzero(valid):
-            starts[k], acting = step(0, log.states[k], acting), log.controls[k]
-    resolver, verdicts = Resolver(stated), dict[int, _Verdict]()
+    known = known_states(stated.linear)
+    starts = _starts_of_plans(stated, known, log, delay)
+    resolver, verdicts, windows = Resolver(stated), dict[int, _Verdict](), tuple[WindowSpectra, ...]()
     steps = np.flatnonzero(valid).tolist()
+    if has_windows(problem):
+        verdicts, steps = _windowed_verdicts(WindowedPlanner(problem, penalties, delay), log, starts, tolerance), []
+        applied = np.vstack([np.zeros((delay, stated.control_dim)), log.controls])[: len(starts)]
+        windows = LoopRecord(problem, (), acted=applied).spectra()
     for first in range(0, len(steps), STEPS_AT_ONCE):
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
@@ -195,7 +206,8 @@ def certify_log(
             if log.references is None:
                 plan = resolver.plan(starts[k])
             else:
-                references = {"x_ref": np.tile(log.references[k], (stated.horizon + 1, 1))}
+                tracked = np.tile(log.references[k], (stated.horizon + 1, 1))
+                references = {"x_ref": complete_reference(stated, known, tracked)}
             change = Change(starts[k], references=references)
             if plan is not None:
                 groups.setdefault(id(plan.translation), {})[k] = plan
@@ -232,7 +244,50 @@ def certify_log(
         costs=np.array([one.cost for one in each]),
         gaps=np.array([one.gap for one in each]),
         differences=differences,
+        windows=windows,
     )
+
+
+def _windowed_verdicts(
+    planner: WindowedPlanner, log: ControllerLog, starts: Array, tolerance: float
+) -> dict[int, _Verdict]:
+    """Return the verdicts on the plans of a controller with windows, each after the controls that were logged."""
+    verdicts = dict[int, _Verdict]()
+    for k, status in enumerate(log.statuses):
+        found = planner.plan(starts[k], None, UNLIMITED)
+        planner.apply(log.controls[k])
+        unknown = (
+            status is StepStatus.PLANNED and found.raised > REPORTED
+        )  # the rest of the plan before: of a capped step
+        if status is StepStatus.NO_STATE or unknown or not found.plan.settled:
+            continue
+        outcome = found.certified(None)
+        if outcome.certificate is not None and outcome.trajectory is not None and outcome.status.solved:
+            verdict = _Verdict(outcome.status, outcome.certificate.cost, outcome.certificate.gap or 0.0)
+            verdict = verdict.with_plan(translation_of(outcome.problem), outcome.trajectory, tolerance)
+            satisfied, exceeded = verdict.satisfied and found.raised <= tolerance, verdict.exceeded or found.raised > 0
+            verdicts[k] = replace(verdict, satisfied=satisfied, exceeded=exceeded)
+    return verdicts
+
+
+def _starts_of_plans(problem: OptimalControlProblem, known: Mask, log: ControllerLog, delay: int) -> Array:
+    """Return the states from which the logged plans begin, (N, n): measured ones, and those that follow from controls.
+
+    With a delay, the control that was returned last leads from the measured state to them. It also acts at a step
+    without a state.
+    """
+    step, m = problem.form.stepper(problem.horizon), problem.control_dim
+    starts, kept = np.zeros((len(log.states), problem.state_dim)), first_known_states(problem, known)
+    returned, acting = np.zeros(m), np.zeros(m)
+    for k, status in enumerate(log.statuses):
+        x, valid = starts[k], status is not StepStatus.NO_STATE
+        x[~known], x[known] = (log.states[k] if valid else 0.0), kept
+        acting, returned = returned, log.controls[k] if valid else returned
+        after = step(0, x, acting if delay else returned)
+        kept = after[known]
+        if delay:
+            starts[k] = after
+    return starts
 
 
 def _difference(problem: OptimalControlProblem, rounding: float, x: Array, u: Array, plan: Trajectory) -> float:

@@ -11,9 +11,10 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
-from lin_freq_ocp.base.phrases import count_all, number
+from lin_freq_ocp.base.phrases import count_all, number, plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.loop.step_problem import excess
+from lin_freq_ocp.loop.windows import WindowedPlan
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -67,8 +68,10 @@ class Step:
         Of the working set, for a plan of the condensed method that is judged later; 0 for others.
     plan : Trajectory or None
         From this step on.
-    pending : PlannedStart or None
+    pending : PlannedStart or WindowedPlan or None
         The plan that is not judged yet.
+    raised : bool
+        Whether the past exceeds the level of a window, which is raised to what the rest of the last plan makes of it.
     """
 
     state: Array
@@ -85,7 +88,8 @@ class Step:
     nodes: int = 0
     changes: int = 0
     plan: Trajectory | None = None
-    pending: PlannedStart | None = None
+    pending: PlannedStart | WindowedPlan | None = None
+    raised: bool = False
 
     @property
     def planned(self) -> Trajectory | None:
@@ -245,6 +249,8 @@ class LoopRecord:
         """Return how the steps ended, the largest gap and the time of a step, in words."""
         facts = [("status", count_all("not judged" if status is None else status for status in self.statuses))]
         facts += [("control", count_all(self.sources))] if len(set(self.sources)) > 1 else []
+        raised = sum(step.raised for step in self.steps)
+        facts += [("windows", f"the past exceeds a level at {plural(raised, 'step')}")] if raised else []
         facts += [("stopped", self.stopped)] if self.stopped else []
         if np.isfinite(self.gaps).any():
             facts.append(("gap", f"at most {number(np.nanmax(self.gaps), 2)}, at step {int(np.nanargmax(self.gaps))}"))

@@ -48,22 +48,43 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
     return replace(problem, **changes) if given is not None or problem.stage_rows else problem
 
 
-def with_past(problem: OptimalControlProblem, x: Array, u: Array) -> OptimalControlProblem:
-    """Return the problem whose frequency constraints also see the last k states x (k, n) and controls u (k, m)."""
+def with_past(problem: OptimalControlProblem, x: Array, u: Array, rest: Array | None = None) -> OptimalControlProblem:
+    """Return the problem whose frequency constraints also see the last k states x (k, n) and controls u (k, m).
+
+    ``rest`` (T, m) are the controls of the rest of the last plan, zeros without one: see ``hold_last``.
+    """
+    known = np.zeros((problem.horizon, problem.control_dim)) if rest is None else rest
     return replace(
         problem,
-        control_spectrum=[one.with_past(u, 0) for one in entries_of(problem.control_spectrum)] or None,
+        control_spectrum=[one.with_past(u, 0).hold_last(known) for one in entries_of(problem.control_spectrum)] or None,
         state_spectrum=[one.with_past(x, 1) for one in entries_of(problem.state_spectrum)] or None,
         output_spectrum=[one.with_past(x, u) for one in entries_of(problem.output_spectrum)] or None,
     )
 
 
 def known_states(dynamics: LinearDynamics) -> Mask:
-    """Return the states, (n,), that follow from the controls before alone, such as the last control itself."""
+    """Return the states, (n,), that follow from the controls before alone, such as the last control itself.
+
+    None where all states would: a loop measures some.
+    """
     A, known = dynamics.gains()[0], np.zeros(dynamics.state_dim, dtype=bool)
     for _ in range(dynamics.state_dim):
         known = ~(A[:, ~known] != 0).any(axis=1)
-    return known
+    return known & ~known.all()
+
+
+def first_known_states(problem: OptimalControlProblem, known: Mask) -> Array:
+    """Return the states that follow from the controls alone at the first step: of the initial state, zero without."""
+    begin = problem.initial_box
+    return np.where(begin.fixed, begin.lower, 0.0)[known]
+
+
+def complete_reference(problem: OptimalControlProblem, known: Mask, given: Array) -> Array:
+    """Return x_ref, (..., n), from that of the measured states; states that follow from controls keep their own."""
+    own = problem.quadratic.x_ref
+    complete = np.array(np.broadcast_to(own, (*max(own.shape[:-1], given.shape[:-1]), own.shape[-1])))
+    complete[..., ~known] = given
+    return complete
 
 
 @dataclass(frozen=True, eq=False)

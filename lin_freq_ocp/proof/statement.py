@@ -318,8 +318,8 @@ def _bins_of_window(values: SpectrumMap, start: int, sizes: Sizes) -> Iterator[l
 
 @written_values.register
 def _spectrogram(values: SpectrogramMap, sizes: Sizes) -> Iterator[list[str]]:
-    if (values.starts < 0).any():
-        raise UnsupportedError("a spectrogram of samples before time 0")
+    if values.held or (values.starts < 0).any():
+        raise UnsupportedError("a spectrogram of samples before time 0, or of a held control")
     for start in values.starts.tolist():
         yield from _bins_of_window(values.spectrum, start, sizes)
 

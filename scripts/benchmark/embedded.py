@@ -93,7 +93,7 @@ def loop_cost(case: Case, folder: Path, steps: int) -> float:
 
     def step(x: np.ndarray) -> np.ndarray:
         nonlocal total
-        u = compiled.step(x)[1]
+        u = compiled.step(x[: compiled.measured])[1]
         total += float(x @ cost.Q @ x + u @ cost.R @ u) / 2
         return u
 
@@ -130,11 +130,11 @@ def measure_case(case: Case, steps: int, compared: int, out: Path) -> tuple[list
     """Return the cells of a case: times, sizes and accuracy, other solvers."""
     written = {real: lfo.generate(case.controller, out / real, real) for real in ("double", "float")}
     compiled = compiled_controller(case, out / "double")
-    states = disturbed_states(case, lambda x: compiled.step(x)[1], steps)
+    states = disturbed_states(case, lambda x: compiled.step(x[: compiled.measured])[1], steps)
     m, apart, found = case.problem.control_dim, list[str](), dict[str, Measured]()
     for real in written:
-        found[real] = run_bench(out / real, real, states, m)
-        log = write_log(out / "log.csv", states, found[real].u, found[real].status.tolist())
+        found[real] = run_bench(out / real, real, states[:, : compiled.measured], m)
+        log = write_log(out / "log.csv", states[:, : compiled.measured], found[real].u, found[real].status.tolist())
         certified = lfo.certify_log(case.controller, log)
         apart.append(f"{np.nanmax(certified.differences[np.isin(certified.statuses, (0, 1))]):.0e}")
     own, hard = found["double"], found["double"].status == 0

@@ -9,6 +9,7 @@ import numpy as np
 
 import lin_freq_ocp as lfo
 from benchmark.loop_cases import ARRIVAL, pendulum, random_plant, soft_pendulum
+from lin_freq_ocp.loop.step_problem import known_states
 
 PUSH_EVERY = 40  # steps
 PENALTY = 1e3  # of the state set, where it is hard otherwise
@@ -92,12 +93,13 @@ def disturbed_states(case: Case, step: Callable[[np.ndarray], np.ndarray], steps
     rng, problem = np.random.default_rng(seed), case.problem
     limits = np.abs(problem.state_boxes.upper[1])
     begin, found, n = problem.initial_box.lower, list[np.ndarray](), problem.state_dim
+    known = known_states(problem.linear)
     x, advance = np.where(np.isfinite(begin), begin, 0.0), problem.dynamics.stepper(1)
     for k in range(steps):
         if k and k % PUSH_EVERY == 0:
             x = x + case.push * rng.uniform(-1, 1, n)
         if (np.abs(x) > limits).any():
-            x = np.zeros(n)
+            x = np.where(known, x, 0.0)
         found.append(x)
         x = advance(0, x, step(x)) + case.noise * rng.standard_normal(n)
     return np.array(found)

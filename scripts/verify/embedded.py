@@ -67,17 +67,18 @@ def check(seed: int) -> Findings:
         plans = list[tuple[np.ndarray, np.ndarray]]()
 
         def step(x: np.ndarray) -> np.ndarray:
-            u = compiled["double"].step(x)[1]
+            u = compiled["double"].step(x[:measured])[1]
             plans.append(compiled["double"].plan())
             return u
 
+        measured = compiled["double"].measured  # states that follow from the controls come last
         states = disturbed_states(case, step, STEPS, seed)
         unproven, apart, exact = 0, dict[str, float](), list[int]()
         for real, one in compiled.items():
             one.begin()
-            answers = [one.step(x) for x in states]
+            answers = [one.step(x[:measured]) for x in states]
             statuses = [status for status, _ in answers]
-            log = write_log(Path(folder) / "log.csv", states, np.array([u for _, u in answers]), statuses)
+            log = write_log(Path(folder) / "log.csv", states[:, :measured], np.array([u for _, u in answers]), statuses)
             certified = lfo.certify_log(case.controller, log, APART[real])
             unproven += sum(str(finding) not in ("proven", "infeasible, proven") for finding in certified.findings)
             apart[real] = float(certified.differences[np.array(statuses) <= 1].max(initial=0.0))

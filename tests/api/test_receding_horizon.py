@@ -107,9 +107,12 @@ def test_what_was_applied_counts_in_place_of_what_was_planned():
     spectrogram = lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.3, bins=[2]), length=4, hop=4)
     controller = lfo.RecedingHorizon(problem(control_spectrum=spectrogram))
     controller.step([1.0, 0.0])
+    rest = controller.log.steps[-1].planned.u[1:4, 0]
     controller.step([1.0, 0.0], applied=[0.05])
-    past = controller.log.steps[-1].plan.u[:3, 0]
-    assert abs(0.05 - past[0] + past[1] - past[2]) <= 0.3 + 1e-6  # bin 2 of the first window
+    of_rest, of_plan = (abs(0.05 - u[0] + u[1] - u[2]) for u in (rest, controller.log.steps[-1].planned.u[:, 0]))
+    assert of_rest > 0.31  # bin 2 of the first window
+    assert of_plan <= of_rest + 1e-6  # the level is raised to what the rest of the last plan makes of it
+    assert controller.log.steps[-1].raised
 
 
 def test_steps_without_a_solution_are_softened_and_say_so():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import subprocess
 from pathlib import Path
 
@@ -23,9 +24,10 @@ def compile_command(*options: str) -> list[str]:
 
 
 class CompiledController:
-    """The controller of a folder; ``step`` and ``plan`` are those of controller.h."""
+    """The controller of a folder; ``step``, ``applied`` and ``plan`` are those of controller.h."""
 
     def __init__(self, folder: Path, real: str, states: int, controls: int, horizon: int, references: bool = False):
+        self.measured = int(re.findall(r"CONTROLLER_MEASURED (\d+)", (folder / "controller.h").read_text())[0])
         library = folder / "controller.so"
         if not library.exists():
             command = compile_command("-O0", "-fPIC", "-shared", "-o", library.name)
@@ -48,9 +50,14 @@ class CompiledController:
 
     def step(self, x: np.ndarray, reference: np.ndarray | None = None) -> tuple[int, np.ndarray]:
         """Return the status and the control of a measured state."""
+        assert len(x) == self.measured
         given = [np.array(x, self.dtype), *([np.array(reference, self.dtype)] if self.references else []), self.u]
         status = self._library.controller_step(self._memory, *(ctypes.c_void_p(part.ctypes.data) for part in given))
         return status, self.u.astype(float)
+
+    def applied(self, u: np.ndarray) -> None:
+        """Tell that another control acts than the one returned last."""
+        self._library.controller_applied(self._memory, ctypes.c_void_p(np.array(u, self.dtype).ctypes.data))
 
     def plan(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the states and controls of the last plan."""

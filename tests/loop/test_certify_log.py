@@ -86,7 +86,7 @@ def test_a_control_outside_hard_limits_is_not_proven(tmp_path, case):
     controller = lfo.RecedingHorizon(problem)
     assert controller.step(start)[0] == pytest.approx(-0.3)
     for factor, proven in ((1.0, True), (1 + 1e-6, False)):
-        path = write_log(tmp_path / "log.csv", start[None], np.array([[-0.3 * factor]]), [0])
+        path = write_log(tmp_path / "log.csv", start[None, :2], np.array([[-0.3 * factor]]), [0])
         assert lfo.certify_log(controller, path).proven.all() == proven
 
 

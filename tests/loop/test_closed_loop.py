@@ -132,7 +132,7 @@ def test_the_record_has_the_spectra_of_the_applied_windows():
     np.testing.assert_allclose(found.magnitudes, windows_of(log.controls[:, 0], LIMIT), atol=1e-9)
     np.testing.assert_array_equal(found.begins, -10 + LIMIT.hop * np.arange(len(found.begins)))
     bounded = found.amplitude * found.magnitudes[:, found.bins]
-    assert (found.frequencies[found.bins] / (2 * np.pi * SAMPLING)).min() == pytest.approx(5.625)
+    assert (found.frequencies[found.bins] / (2 * np.pi * SAMPLING)).min() == pytest.approx(5.3125)
     np.testing.assert_allclose(found.ratios, bounded / AMPLITUDE)
     window, point = found.worst
     assert found.amplitude * found.magnitudes[window, point] == bounded.max()
@@ -206,8 +206,8 @@ def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp
     page = log.save(tmp_path).read_text()
     assert "Windows of the applied signals" in page
     assert f"{int(found.exceeded.any(axis=1).sum())} of {len(found.begins)}" in page
-    assert "5.62 to 10.3 Hz" in page
-    assert f"7.81 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
+    assert "5.31 to 10.6 Hz" in page
+    assert f"7.5 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
     assert len(log.plot().axes) == 8  # with a panel for the windows
     assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()
 

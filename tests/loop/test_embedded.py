@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -121,13 +122,14 @@ def test_states_that_are_none_change_nothing(tmp_path):
 def test_a_step_without_a_plan_keeps_box_and_rate_and_hinders_no_later_one(tmp_path):
     given = controller(LOOPS["rate limit"]())
     step, cold = (compiled(tmp_path, given) for _ in range(2))
-    start = states(given.problem, 1)[0]
+    start = states(given.problem, 1)[0, :4]
     assert step.step(start)[0] == 0
-    lost = np.array([0.0, 20.0, 0.0, 0.0, 1.2])
-    status, control = step.step(lost)
+    step.applied(np.array([1.2]))
+    status, control = step.step(np.array([0.0, 20.0, 0.0, 0.0]))
     assert status == 3
-    assert abs(control[0]) <= given.problem.control_tube.upper[0, 0] + 1e-12
-    assert abs(control[0] - lost[4]) <= 1.0 + 1e-12
+    assert abs(control[0]) <= given.problem.control_tube.upper[0, 0]
+    assert abs(control[0] - 1.2) <= 1.0
+    step.applied(np.array([0.0]))
     statuses = [one.step(start) for one in (step, cold)]
     assert [status for status, _ in statuses] == [0, 0]
     np.testing.assert_allclose(statuses[0][1], statuses[1][1], atol=1e-9)
@@ -150,7 +152,7 @@ def test_controls_keep_hard_limits_exactly_at_every_state_and_status(tmp_path, n
         problem = lfo.rate_limited(problem, 0.7, previous=0.0)
     step, statuses, before = compiled(tmp_path, controller(problem), real, changes=5), set(), 0.0
     for _ in range(60):
-        x = np.append(10.0 ** rng.uniform(-3, 30) * rng.standard_normal(4), [before] * (problem.state_dim - 4))
+        x = 10.0 ** rng.uniform(-3, 30) * rng.standard_normal(4)
         status, (control,) = step.step(x)
         statuses.add(status)
         if status == 4:
@@ -320,15 +322,83 @@ def test_a_horizon_that_fits_the_memory(tmp_path):
 def test_states_that_no_sensor_measures_are_named(tmp_path):
     lfo.generate(controller(LOOPS["rate limit"]()), tmp_path / "limited")
     lfo.generate(controller(LOOPS["two controls"]()), tmp_path / "plain")
-    for name, words in (
-        ("controller.h", "more than a plant without x[4]: "),
-        ("README.md", "No sensor measures x[4]:"),
-    ):
+    for name, words in (("controller.h", "are kept inside: 1 more"), ("README.md", "the controller keeps them")):
         assert words in (tmp_path / "limited" / name).read_text()
-        assert words[:20] not in (tmp_path / "plain" / name).read_text()
+        assert words not in (tmp_path / "plain" / name).read_text()
 
 
-def test_names_of_a_problem_end_no_comment(tmp_path):
-    problem = replace(pendulum(20), name="end */ of\\ a ☃ comment")
-    lfo.generate(controller(problem), tmp_path)
-    assert (tmp_path / "controller.h").read_text().startswith("/* end __ of_ a _ comment\n")
+NAMES = ["end */ of\\ a ☃ comment", "x*\\/ int y;", "a /* b ??/", "*/#error", "long " * 100]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_a_problem_reach_c_by_letters_of_a_list_alone(tmp_path, name):
+    lfo.generate(controller(replace(pendulum(20), name=name)), tmp_path)
+    title = (tmp_path / "controller.h").read_text().split("\n")[0]
+    assert re.fullmatch(r"/\* [A-Za-z0-9 _.-]{1,60}", title)
+
+
+def dead_time(steps: int) -> lfo.OptimalControlProblem:
+    """Return an oscillator on which a control acts so many steps later; the states in between follow from controls."""
+    A, B = np.zeros((2 + steps, 2 + steps)), np.zeros((2 + steps, 1))
+    A[np.ix_([0, -1], [0, -1])], A[0, 1], B[steps] = [[0.7, 0.4], [-0.4, 0.7]], 1.0, 1.0
+    A[range(1, steps), range(2, steps + 1)] = 1.0
+    inner = np.ones(steps)
+    cost = lfo.QuadraticCost(Q=1.0, R=0.1, x_ref=np.concatenate([[0.0], 0.1 * inner, [0.0]]))
+    start = np.concatenate([[0.0], 0.2 * inner, [0.0]])
+    return lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 12, cost, lfo.Box(-0.7, 0.4), initial_state=start)
+
+
+@needs_compiler
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize(("name", "real"), [("rate limit", "float"), ("dead time", "double")])
+def test_x_is_what_is_measured_and_the_rest_is_kept_inside(tmp_path, name, real, delay):
+    """Controls are those of Python, which has other arguments of the same size, also where another control acts."""
+    problem = dead_time(3) if name == "dead time" else LOOPS[name]()
+    given = controller(problem, delay=delay)
+    step, rng = compiled(tmp_path, given, real, references=True), np.random.default_rng(0)
+    assert step.measured == problem.state_dim - (3 if name == "dead time" else 1)
+    for k in range(6):
+        x, reference = 0.03 * rng.standard_normal(step.measured), 0.02 * rng.standard_normal(step.measured)
+        acted = np.array([0.1]) if k == 3 and not delay else None
+        if acted is not None:
+            step.applied(acted)
+        u = given.step(x, references={"x_ref": reference}, applied=acted)
+        status, control = step.step(x, reference)
+        assert status == 0
+        np.testing.assert_allclose(control, u, atol=APART[real])
+
+
+def compiles(folder: Path, text: str, *options: str) -> bool:
+    """Whether a text that includes the header of a folder compiles without a warning."""
+    (folder / "test.c").write_text(f'#include "controller.h"\n{text}\n')
+    found = compiler()
+    assert found is not None
+    command = [found, "-O1", "-Wall", "-Werror", "-fsyntax-only", *(options or ["-std=c99"]), "test.c"]
+    return not subprocess.run(command, cwd=folder, capture_output=True).returncode
+
+
+@needs_compiler
+@pytest.mark.parametrize(("name", "real"), [("rate limit", "float"), ("two controls", "double")])
+def test_sizes_are_those_of_the_compiler(tmp_path, name, real):
+    """The struct has the size that is stated; more than the allowed memory does not compile."""
+    written = lfo.generate(controller(LOOPS[name]()), tmp_path, real, memory="64k")
+    arrays = len(re.findall(r"\bX\(\w+, ", (tmp_path / "lfo_kernel.h").read_text())) + 1
+    excess = f"(int)sizeof(controller) - {written.ram} - (sizeof(void *) > 4 ? {4 * arrays} : 0)"  # pointers of 8 bytes
+    near = f"{excess} <= 12 && {excess} >= -12"  # at most 12 bytes to align
+    assert compiles(tmp_path, f"typedef char sizes[{near} ? 1 : -1];")
+    if compiles(tmp_path, "", "-m32"):
+        assert compiles(tmp_path, f"typedef char sizes[{excess} == 0 ? 1 : -1];", "-m32", "-malign-double")
+    header = (tmp_path / "controller.h").read_text()
+    (tmp_path / "controller.h").write_text(header.replace("<= 65536", f"<= {written.ram - 1}"))
+    assert not compiles(tmp_path, "")
+
+
+@needs_compiler
+def test_an_array_that_is_too_short_for_x_is_a_warning(tmp_path):
+    lfo.generate(controller(LOOPS["rate limit"]()), tmp_path)
+    use = (
+        "static controller c; int f(lfo_real *u) {{ lfo_real x[{}] = {{0}}; return controller_step(&c, x, u); }}".format
+    )
+    assert compiles(tmp_path, use(4))
+    assert compiles(tmp_path, "static controller c; int f(lfo_real *u) { return controller_step(&c, u, u); }", "-xc++")
+    assert not compiles(tmp_path, use(3), "-O2", "-fno-syntax-only")

@@ -165,7 +165,7 @@ def test_a_limit_that_does_not_fit_is_refused(case):
 
 REFUSED = {
     "the past": lambda: pendulum(
-        20, None, control_spectrum=lfo.spectrum.closed_loop(lfo.spectrum.notch(1.5, 1.0), 0.1, length=8)
+        20, None, state_spectrum=lfo.spectrum.closed_loop(lfo.spectrum.notch(1.5, 1.0), 0.1, length=8)
     ),
     "601 controls": lambda: pendulum(601, None),
     "another method": lambda: lfo.library.double_integrator(),

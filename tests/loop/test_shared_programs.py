@@ -32,11 +32,13 @@ def after(steps: int, problem: lfo.OptimalControlProblem | None = None) -> lfo.O
 
 
 def test_every_step_has_the_answer_of_its_problem_alone():
-    loop, problem = lfo.RecedingHorizon(windowed()), windowed()
+    loop, problem, rest = lfo.RecedingHorizon(windowed(), "convex"), windowed(), np.zeros((30, 1))
     rng, x = np.random.default_rng(0), np.array([1.0, 0.0])
     for k in range(3 * HOP):
         u = loop.step(x)
-        alone = with_past(problem, np.zeros((k, 2)), np.array(loop.log.controls[:k])).with_ends(x)
+        alone = with_past(problem, np.zeros((k, 2)), np.array(loop.log.controls[:k]), rest).with_ends(x)
+        rest = loop.log.steps[-1].plan.u
+        rest = np.vstack([rest[1:], rest[-1:]])
         np.testing.assert_allclose(u, lfo.solve(alone).control[0], atol=1e-6)
         x = DYNAMICS.A @ x + DYNAMICS.B @ u + [1e-3, 1e-2] * rng.standard_normal(2)
     assert set(loop.log.statuses) == {"optimal"}

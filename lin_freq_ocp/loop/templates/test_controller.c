@@ -8,7 +8,7 @@
 #include <string.h>
 
 #define STEPS {{ steps }}
-#define N CONTROLLER_STATES
+#define N CONTROLLER_MEASURED
 #define M CONTROLLER_CONTROLS
 
 {% for name, kind, values in recorded %}
@@ -28,7 +28,7 @@ int main(int argc, char **argv) {
   FILE *log = argc > 1 ? fopen(argv[1], "w") : NULL;
   lfo_real x[N], u[M];
   double worst = 0;
-  int changes = 0, sweeps = 0, planned = 0, failed = 0{{ ", comparable = 1" if delay }};
+  int changes = 0, sweeps = 0, planned = 0, failed = 0{{ ", others = 0" if windows }};
   if (argc > 1 && !log) {
     fprintf(stderr, "%s: cannot be written\n", argv[1]);
     return 2;
@@ -37,10 +37,18 @@ int main(int argc, char **argv) {
   controller_begin(&c);
   for (int k = 0; k < STEPS; k++) {
     int status;
-{% if delay %}
-    if (k && comparable) memcpy(c.last, controls + (k - 1) * M, sizeof c.last); /* so that rounding does not add up */
-{% endif %}
     status = controller_step(&c, states + k * N, {{ "references + k * N, " if references }}u);
+    double apart = 0;
+    for (int j = 0; j < M; j++) {
+      double difference = fabs((double)u[j] - (double)controls[k * M + j]) / (double)sizes[j];
+      if (!(difference <= apart)) apart = difference;
+    }
+    if (status >= CONTROLLER_CAPPED) memcpy(u, controls + k * M, sizeof u); /* acts in its place */
+{% if windows or delay and not known %}
+    controller_applied(&c, controls + k * M); /* so that rounding does not add up */
+{% else %}
+    controller_applied(&c, u);
+{% endif %}
     if (log) {
       print_log(log, states + k * N, N);
 {% if references %}
@@ -49,15 +57,9 @@ int main(int argc, char **argv) {
       print_log(log, u, M);
       fprintf(log, "%d\n", status);
     }
-    double apart = 0;
-    for (int j = 0; j < M; j++) {
-      double difference = fabs((double)u[j] - (double)controls[k * M + j]) / (double)sizes[j];
-      if (!(difference <= apart)) apart = difference;
-    }
-{% if delay %}
-    int recorded = comparable; /* whether the control that acts is the recorded one */
-    comparable = status < CONTROLLER_CAPPED;
-    if (!recorded) continue;
+{% if windows %}
+    others |= status >= CONTROLLER_CAPPED; /* windows of later steps hold other samples than those of its own plan */
+    if (others) continue;
 {% endif %}
     if (status > CONTROLLER_CAPPED) failed++; /* all recorded states have a plan */
     if (status >= CONTROLLER_CAPPED) continue;
@@ -71,7 +73,9 @@ int main(int argc, char **argv) {
   for (int i = 0; i < N; i++) x[i] = states[i];
   x[0] = (lfo_real)NAN;
   if (controller_step(&c, x, {{ "references, " if references }}u) != CONTROLLER_NO_STATE) failed++;
-  if (memcmp(&before, &c, sizeof c) != 0) failed++;
+{% if not windows %}
+  if (memcmp(before.reals, c.reals, sizeof c.reals) != 0) failed++;
+{% endif %}
   printf("%d of %d steps planned, largest difference %.1e of the largest control (allowed: %.0e), %d failed\n", planned,
          STEPS, worst, {{ real.allowed }}, failed);
   printf("memory %lu bytes, tables %d bytes, at most %d changes and %d sweeps a step\n", (unsigned long)sizeof c,

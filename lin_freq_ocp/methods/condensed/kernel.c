@@ -8,12 +8,13 @@
 #include <string.h>
 
 #define NONE ((lfo_real)LFO_NONE)
+#define LEVEL ((lfo_real)0.98078528040323044) /* of a facet, for |V| <= 1: cos(pi / LFO_FACETS) */
 #define BYTES(count) (sizeof(lfo_real) * (size_t)(count))
 
 enum { ENTERED, ROUNDING, STUCK };
 
 typedef struct { /* the worst row of a run of violated rows of one family */
-  int row, family, time;
+  int row;
   int begin, end, state;            /* times of the run; the flag of its rows, or their side if they are inactive */
   lfo_real y, violation, worth;     /* of the worst row; limits times violations of all of them */
 } candidate;
@@ -44,26 +45,39 @@ static void add(lfo_real *restrict a, lfo_real factor, const lfo_real *restrict 
   for (int i = 0; i < count; i++) a[i] += factor * b[i];
 }
 
+#define LENGTH(name, length) +(length)
+
 int lfo_reals(const lfo_model *p) {
-  int k = p->most_active;
-  return 4 * p->r + 4 * p->T * p->m + 4 * k + k * p->r + k * k;
+  int r = p->r, T = p->T, m = p->m, k = p->most_active, cells = p->cells, c = p->sets ? T * m : 0;
+  return 0 LFO_ARRAYS(LENGTH);
 }
 
-int lfo_rows(const lfo_model *p) { return p->families * (p->T + 1); }
+int lfo_integers(const lfo_model *p) {
+  int k = p->most_active, sets = p->sets, a = sets ? k : 0;
+  return 0 LFO_INDICES(LENGTH);
+}
 
-void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *members, signed char *flags) {
-  int r = p->r, k = p->most_active, Tm = p->T * p->m;
-  lfo_real **parts[] = {&s->xi, &s->row, &s->z, &s->seen, &s->base, &s->plan, &s->before, &s->g,
-                        &s->d,  &s->w,   &s->e, &s->lambda, &s->Q,  &s->R};
-  int sizes[] = {r, r, r, r, Tm, Tm, Tm, Tm, k, k, k, k, k * r, k * k};
+static int stage_rows(const lfo_model *p) { return p->families * (p->T + 1); }
+
+int lfo_rows(const lfo_model *p) { return stage_rows(p) + p->cells * LFO_FACETS; }
+
+void lfo_begin(const lfo_model *p, lfo_memory *s, lfo_real *reals, int *integers, signed char *flags) {
+  int r = p->r, T = p->T, m = p->m, k = p->most_active, cells = p->cells, sets = p->sets;
+  int c = sets ? T * m : 0, a = sets ? k : 0;
   memset(s, 0, sizeof *s);
-  for (int i = 0; i < 14; i++) {
-    *parts[i] = reals;
-    reals += sizes[i];
-  }
-  s->member = members;
+#define PLACE(name, length) s->name = reals, reals += length;
+  LFO_ARRAYS(PLACE)
+#define PLACE_INDEX(name, length) s->name = integers, integers += length;
+  LFO_INDICES(PLACE_INDEX)
   s->flag = flags;
   memset(flags, 0, (size_t)lfo_rows(p));
+  memset(s->old, 0, BYTES(c)); /* the first plan at rest: no control acts */
+  memset(s->sums, 0, BYTES(2 * cells));
+  if (p->past) memcpy(s->sums, p->past, BYTES(2 * cells));
+  for (int i = 0; i < sets; i++) {
+    s->first[i] = 0;
+    s->begin[i] = p->windows[i].begin;
+  }
 }
 
 /* Where the bounds and limits of a row are. */
@@ -72,10 +86,57 @@ static int bound_of(const lfo_model *p, int row) {
 }
 
 static lfo_real limit_of(const lfo_model *p, int row, int side) {
+  if (row >= stage_rows(p)) return NONE;
   return (side > 0 ? p->limit_up : p->limit_low)[bound_of(p, row)];
 }
 
-static lfo_real size_of(const lfo_model *p, int row) { return p->size[row / (p->T + 1)]; }
+/* A facet of the polygon of a point of a window. */
+typedef struct {
+  const lfo_windows *w;
+  int cell, begin, re, im; /* the point; the window's begin, from that of the plan; where Re V and Im V are in arrays */
+  lfo_real cosine, sine; /* the direction of the facet */
+} facet;
+
+static const lfo_windows *windows_of(const lfo_model *p, int cell) {
+  const lfo_windows *w = p->windows;
+  while (cell >= w->cell + w->slots * w->points) w++;
+  return w;
+}
+
+/* When a window begins: the windows of a set lie in a ring, but for the last one, of a constant. */
+static int begin_of(const lfo_model *p, const lfo_memory *s, const lfo_windows *w, int slot) {
+  int i = (int)(w - p->windows), ring = w->slots - 1;
+  return slot == ring ? p->T - 1 : s->begin[i] + (slot - s->first[i] + ring) % ring * w->hop;
+}
+
+static facet facet_of(const lfo_model *p, const lfo_memory *s, int row) {
+  static const lfo_real circle[] = {(lfo_real)1, (lfo_real)0.92387953251128674, (lfo_real)0.70710678118654752,
+                                    (lfo_real)0.38268343236508977, (lfo_real)0};
+  int number = row - stage_rows(p), cell = number / LFO_FACETS, part = number % LFO_FACETS, eighth = part % 8;
+  const lfo_windows *w = windows_of(p, cell);
+  int slot = (cell - w->cell) / w->points;
+  facet f;
+  lfo_real turned = part < 8 ? 1 : -1;
+  f.w = w;
+  f.cell = cell;
+  f.begin = begin_of(p, s, w, slot);
+  f.re = cell + w->cell + slot * w->points;
+  f.im = f.re + w->points;
+  f.cosine = turned * (eighth <= 4 ? circle[eighth] : -circle[8 - eighth]);
+  f.sine = turned * (eighth <= 4 ? circle[4 - eighth] : circle[eighth - 4]);
+  return f;
+}
+
+static lfo_real facet_value(const facet *f, const lfo_real *V) { return f->cosine * V[f->re] + f->sine * V[f->im]; }
+
+static lfo_real size_of(const lfo_model *p, int row) {
+  return row < stage_rows(p) ? p->size[row / (p->T + 1)] : 1;
+}
+
+static lfo_real bound_at(const lfo_model *p, const lfo_memory *s, int row, int side) {
+  if (row < stage_rows(p)) return (side > 0 ? p->upper : p->lower)[bound_of(p, row)];
+  return s->level[(row - stage_rows(p)) / LFO_FACETS];
+}
 
 /* The position of an active row among all of them. */
 static int position(const lfo_memory *s, int row) {
@@ -95,6 +156,71 @@ static int queued(candidate *queue, int count, candidate *run) {
   return count;
 }
 
+/* V of a window for the controls u (T m) of a plan. */
+static void window_value(const lfo_model *p, const lfo_memory *s, const lfo_windows *w, int slot, const lfo_real *u,
+                         lfo_real *V) {
+  int begin = begin_of(p, s, w, slot), both = 2 * w->points, at = 2 * w->cell + slot * both;
+  int from = begin > 0 ? begin : 0, to = begin + w->length < p->T ? begin + w->length : p->T;
+  memcpy(V + at, s->sums + at, BYTES(both));
+  for (int t = from; t < to; t++) add(V + at, u[t * p->m + w->component], w->wave + (t - begin) * both, both);
+  add(V + at, u[(p->T - 1) * p->m + w->component], s->hold + at, both);
+}
+
+static void all_windows(const lfo_model *p, const lfo_memory *s, const lfo_real *u, lfo_real *V) {
+  for (const lfo_windows *w = p->windows; w < p->windows + p->sets; w++)
+    for (int slot = 0; slot < w->slots; slot++) window_value(p, s, w, slot, u, V);
+}
+
+/* Values of all windows: the distance of active rows; the worst point of each window may enter the queue. */
+static int window_sweep(const lfo_model *p, lfo_memory *s, candidate *queue, int count) {
+  all_windows(p, s, s->control, s->V);
+  for (const lfo_windows *w = p->windows; w < p->windows + p->sets; w++)
+    for (int slot = 0; slot < w->slots; slot++) {
+      candidate worst = {0};
+      if (begin_of(p, s, w, slot) >= p->T) continue;
+      for (int point = 0; point < w->points; point++) {
+        int cell = w->cell + slot * w->points + point, re = cell + w->cell + slot * w->points, im = re + w->points;
+        if (s->V[re] * s->V[re] + s->V[im] * s->V[im] <= LEVEL * LEVEL) continue;
+        for (int row = stage_rows(p) + cell * LFO_FACETS, end = row + LFO_FACETS; row < end; row++) {
+          facet f = facet_of(p, s, row);
+          lfo_real y = facet_value(&f, s->V), violation = y - s->level[cell];
+          if (s->flag[row] || violation <= p->tolerance || violation <= worst.violation) continue;
+          worst.row = row;
+          worst.state = 1;
+          worst.y = y;
+          worst.violation = violation;
+        }
+      }
+      count = queued(queue, count, &worst);
+    }
+  for (int i = 0; i < s->active; i++)
+    if (s->member[i] >= stage_rows(p)) {
+      facet f = facet_of(p, s, s->member[i]);
+      s->e[i] = s->level[f.cell] - facet_value(&f, s->V);
+      s->worth -= s->lambda[i] * s->e[i];
+    }
+  return count;
+}
+
+/* a + b, and 0 where they cancel up to rounding: a row with no other coefficient depends on nothing. */
+static lfo_real sum_of(const lfo_model *p, lfo_real a, lfo_real b) {
+  return absolute(a + b) > p->tolerance * (absolute(a) + absolute(b)) ? a + b : 0;
+}
+
+/* Add a multiple of a row of a window to the forces on the controls. */
+static void add_force(const lfo_model *p, lfo_memory *s, int row, lfo_real factor) {
+  facet f = facet_of(p, s, row);
+  const lfo_windows *w = f.w;
+  lfo_real a = factor * f.cosine, b = factor * f.sine, *force = s->force + w->component;
+  int P = w->points, point = f.re - 2 * w->cell, end = f.begin + w->length;
+  point %= 2 * P;
+  for (int t = f.begin > 0 ? f.begin : 0; t < p->T && t < end; t++) {
+    const lfo_real *wave = w->wave + (t - f.begin) * 2 * P;
+    force[t * p->m] += sum_of(p, a * wave[point], b * wave[P + point]);
+  }
+  force[(p->T - 1) * p->m] += sum_of(p, a * s->hold[f.re], b * s->hold[f.im]);
+}
+
 /* Simulate the plan v of xi. Active rows get their distance to the bound, e; the worst rows of runs of violated ones
    fill the queue. Return the length of the queue. */
 static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidate *queue, lfo_real *states) {
@@ -112,6 +238,7 @@ static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidat
   for (int t = 0; t <= T; t++) {
     const lfo_real *v = s->plan + t * m, *d = p->d + p->column[t] * n;
     if (states) memcpy(states + t * n, x, BYTES(n));
+    for (int j = 0; p->sets && t < T && j < m; j++) s->control[t * m + j] = v[j] + dot(p->K + j * n, x, n);
     for (int f = 0; f < p->families; f++) {
       int row = f * (T + 1) + t, bound = f * p->columns + p->column[t], flag = s->flag[row], state;
       candidate *run = runs + f;
@@ -150,8 +277,6 @@ static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidat
       run->worth += limit_of(p, row, state) * violation;
       if (violation / p->size[f] > run->violation) {
         run->row = row;
-        run->family = f;
-        run->time = t;
         run->y = y;
         run->violation = violation / p->size[f];
       }
@@ -161,14 +286,7 @@ static int sweep(const lfo_model *p, lfo_memory *s, const lfo_real *x0, candidat
     memcpy(x, next, BYTES(n));
   }
   for (int f = 0; f < p->families; f++) count = queued(queue, count, runs + f);
-  return count;
-}
-
-/* The gradient of a row: its response E, from its time back, against the columns of W. */
-static void gradient(const lfo_model *p, lfo_memory *s, int f, int t) {
-  int T = p->T, m = p->m, used = t < T ? t + 1 : T;
-  const lfo_real *response = p->E + (f * (T + 1) + T - t) * m;
-  for (int j = 0; j < p->r; j++) s->row[j] = dot(response, p->W + (p->p + j) * T * m, used * m);
+  return p->sets ? window_sweep(p, s, queue, count) : count;
 }
 
 /* The multiplier of a row with its sign: above zero at the upper bound. */
@@ -179,11 +297,11 @@ static lfo_real multiplier(const lfo_model *p, const lfo_memory *s, int row) {
 }
 
 void lfo_multipliers(const lfo_model *p, const lfo_memory *s, lfo_real *out) {
-  for (int row = 0; row < lfo_rows(p); row++) out[row] = multiplier(p, s, row);
+  for (int row = 0; row < stage_rows(p); row++) out[row] = multiplier(p, s, row);
 }
 
-/* xi = -(multipliers times gradients), by a sweep backward. */
-static void from_multipliers(const lfo_model *p, lfo_memory *s) {
+/* Forces on the controls, and with ``rows`` multipliers of the stage rows, as slopes in v, g, by a sweep backward. */
+static void slopes(const lfo_model *p, lfo_memory *s, int rows) {
   int T = p->T, n = p->n, m = p->m;
   lfo_real q[LFO_STATES] = {0}, before[LFO_STATES];
   for (int t = T; t >= 0; t--) {
@@ -196,8 +314,12 @@ static void from_multipliers(const lfo_model *p, lfo_memory *s) {
         add(before, q[i], p->A + i * n, n);
       }
       memcpy(q, before, BYTES(n));
+      for (int j = 0; p->sets && j < m; j++) {
+        g[j] += s->force[t * m + j];
+        add(q, s->force[t * m + j], p->K + j * n, n);
+      }
     }
-    for (int f = 0; f < p->families; f++) {
+    for (int f = 0; rows && f < p->families; f++) {
       int row = f * (T + 1) + t;
       lfo_real lambda;
       if (!s->flag[row]) continue;
@@ -206,7 +328,30 @@ static void from_multipliers(const lfo_model *p, lfo_memory *s) {
       if (t < T) add(g, lambda, p->D + f * m, m);
     }
   }
-  for (int j = 0; j < p->r; j++) s->xi[j] = -dot(s->g, p->W + (p->p + j) * T * m, T * m);
+}
+
+/* xi = -(multipliers times gradients) */
+static void from_multipliers(const lfo_model *p, lfo_memory *s) {
+  int Tm = p->T * p->m;
+  if (p->sets) memset(s->force, 0, BYTES(Tm));
+  for (int i = 0; i < s->active; i++)
+    if (s->member[i] >= stage_rows(p)) add_force(p, s, s->member[i], s->lambda[i]);
+  slopes(p, s, 1);
+  for (int j = 0; j < p->r; j++) s->xi[j] = -dot(s->g, p->W + (p->p + j) * Tm, Tm);
+}
+
+/* The gradient of a row against the columns of W: its response E, from its time back; of a window, its forces. */
+static void gradient(const lfo_model *p, lfo_memory *s, int row) {
+  int T = p->T, m = p->m, t = row % (T + 1), used = t < T ? t + 1 : T;
+  const lfo_real *response = p->E + (row - t + T - t) * m;
+  if (row >= stage_rows(p)) {
+    memset(s->force, 0, BYTES(T * m));
+    add_force(p, s, row, 1);
+    slopes(p, s, 0);
+    response = s->g;
+    used = T;
+  }
+  for (int j = 0; j < p->r; j++) s->row[j] = dot(response, p->W + (p->p + j) * T * m, used * m);
 }
 
 /* Split a gradient: z is its part outside of the span of the active ones, d its coefficients in Q. Return |z|^2.
@@ -320,14 +465,14 @@ static void correct(const lfo_model *p, lfo_memory *s) {
 
 /* Bring a violated row to its bound. ROUNDING: it depends on active rows, and is violated by rounding alone. */
 static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
-  int r = p->r, at = bound_of(p, c->row), flag = s->flag[c->row], side, rest = 0;
-  lfo_real y = c->y, bound, limit, lambda, length, sigma, moved = 0, allowed = p->tolerance * p->size[c->family];
-  gradient(p, s, c->family, c->time);
+  int r = p->r, flag = s->flag[c->row], side, rest = 0;
+  lfo_real y = c->y, bound, limit, lambda, length, sigma, moved = 0, allowed = p->tolerance * size_of(p, c->row);
+  gradient(p, s, c->row);
   for (int j = 0; j < r; j++) s->z[j] = s->xi[j] - s->seen[j];
   y += dot(s->row, s->z, r); /* since the sweep */
-  side = flag ? flag : y > p->upper[at] ? 1 : -1;
+  side = flag ? flag : y > bound_at(p, s, c->row, 1) || c->row >= stage_rows(p) ? 1 : -1;
   limit = limit_of(p, c->row, side);
-  bound = side > 0 ? p->upper[at] : p->lower[at];
+  bound = bound_at(p, s, c->row, side);
   sigma = flag ? (lfo_real)-flag : (lfo_real)side;
   if (sigma * (y - bound) <= allowed) return ENTERED;
   lambda = flag ? (lfo_real)flag * limit : 0;
@@ -368,9 +513,9 @@ static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
 
 /* Let a whole run of soft rows exceed their bounds, if all multipliers at their limits are an ascent. Return whether. */
 static int relaxed_run(const lfo_model *p, lfo_memory *s, const candidate *c) {
-  int f = c->family, T = p->T, m = p->m, r = p->r, rest = 0, first = f * (T + 1);
+  int T = p->T, m = p->m, r = p->r, rest = 0, first = c->row / (T + 1) * (T + 1);
   lfo_real step = 1, worth = c->worth, sigma;
-  if (c->end - c->begin < LFO_RUN || (c->state != 1 && c->state != -1)) return 0;
+  if (c->row >= stage_rows(p) || c->end - c->begin < LFO_RUN || (c->state != 1 && c->state != -1)) return 0;
   sigma = (lfo_real)c->state;
   memset(s->g, 0, BYTES(T * m));
   for (int t = c->begin; t <= c->end; t++) {
@@ -392,15 +537,155 @@ static int relaxed_run(const lfo_model *p, lfo_memory *s, const candidate *c) {
   return 1;
 }
 
+/* Before a step: what the rest of the last plan makes of the windows, whose levels it keeps, whatever the past is. A window is the same row one step later, with other
+   coefficients: active ones leave, and come back with new gradients and their multipliers. */
+static void begin_windows(const lfo_model *p, lfo_memory *s) {
+  int again = 0;
+  memset(s->hold, 0, BYTES(2 * p->cells));
+  s->rest = 0;
+  for (const lfo_windows *w = p->windows; w < p->windows + p->sets; w++)
+    for (int slot = 0; slot < w->slots; slot++) {
+      int both = 2 * w->points, begin = begin_of(p, s, w, slot);
+      lfo_real *hold = s->hold + 2 * w->cell + slot * both, *V = s->V_old + 2 * w->cell + slot * both;
+      for (int j = p->T > begin ? p->T - begin : 0; j < w->length; j++) add(hold, 1, w->wave + j * both, both);
+      window_value(p, s, w, slot, s->old, s->V_old);
+      for (int point = 0; point < w->points; point++) {
+        int cell = w->cell + slot * w->points + point, row = stage_rows(p) + cell * LFO_FACETS;
+        lfo_real re = V[point], im = V[w->points + point], *level = s->level + cell;
+        *level = LEVEL;
+        for (int i = 0; begin < p->T && re * re + im * im > LEVEL * LEVEL && i < LFO_FACETS; i++) {
+          facet f = facet_of(p, s, row + i);
+          lfo_real y = facet_value(&f, s->V_old);
+          if (y > s->rest * LEVEL) s->rest = y / LEVEL;
+          if (y > *level && y > LEVEL * (1 + LFO_RAISED * p->tolerance)) *level = y; /* rounding alone does not add up */
+        }
+      }
+    }
+  for (int i = s->active - 1; i >= 0; i--)
+    if (s->member[i] >= stage_rows(p)) {
+      s->again[again] = s->member[i];
+      s->seen[again++] = s->lambda[i]; /* lent until the first sweep */
+      drop(p, s, i, 0);
+    }
+  while (again--) {
+    lfo_real length, rho2;
+    if (facet_of(p, s, s->again[again]).begin >= p->T) continue;
+    gradient(p, s, s->again[again]);
+    length = dot(s->row, s->row, p->r);
+    rho2 = split(p, s);
+    if (rho2 > 100 * p->dependent * p->dependent * length)
+      append(p, s, (lfo_real)LFO_SQRT(rho2), s->again[again], 1, s->seen[again]);
+  }
+}
+
+/* Shorten a part of the way from y to y + change, so that it ends within a bound that y keeps. */
+static void shorten(lfo_real *part, lfo_real y, lfo_real change, lfo_real bound) {
+  lfo_real room = bound > y ? bound - y : 0;
+  if (change * *part > room) *part = room / change;
+}
+
+/* The largest part of the way from the rest of the last plan to s->control that keeps all rows of controls. A plan that
+   solves the step may exceed them by rounding; where the state is far away, rounding can be large. */
+static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x, int solved) {
+  int m = p->m, k = p->inner, moved = !solved;
+  lfo_real slack = solved ? LFO_RAISED * p->tolerance : 0;
+  lfo_real part = 1, state[2][LFO_STATES], next[LFO_STATES];
+  const lfo_real *plans[2] = {s->old, s->control};
+  for (int i = 0; i < k; i++) state[0][i] = state[1][i] = x[p->inner_state[i]];
+  for (int t = 0; t < p->T; t++) {
+    for (int f = 0; f < p->families; f++) {
+      int bound = f * p->columns + p->column[t], j = p->of_controls[f] - 1;
+      lfo_real y[2];
+      for (int i = 0; i < 2; i++) y[i] = dot(p->D + f * m, plans[i] + t * m, m) + dot(p->inner_C + f * k, state[i], k);
+      if (j == -1 || (p->upper[bound] >= NONE && p->lower[bound] <= -NONE)) continue;
+      if (j >= 0) { /* first into the bounds of a control, so that these do not stop the way */
+        lfo_real inside = y[1] > p->upper[bound] ? p->upper[bound] : y[1] < p->lower[bound] ? p->lower[bound] : y[1];
+        moved |= absolute(inside - y[1]) > 4 * p->tolerance * p->size[f];
+        s->control[t * m + j] += (inside - y[1]) / p->D[f * m + j];
+        y[1] = inside;
+      }
+      if (p->limit_up[bound] >= NONE) shorten(&part, y[0], y[1] - y[0], p->upper[bound] + slack * p->size[f]);
+      if (p->limit_low[bound] >= NONE) shorten(&part, -y[0], y[0] - y[1], slack * p->size[f] - p->lower[bound]);
+    }
+    for (int i = 0; i < 2; i++) {
+      for (int l = 0; l < k; l++)
+        next[l] = p->d[p->column[t] * p->n + p->inner_state[l]] + dot(p->inner_A + l * k, state[i], k) +
+                  dot(p->B + p->inner_state[l] * m, plans[i] + t * m, m);
+      memcpy(state[i], next, BYTES(k));
+    }
+  }
+  if (moved) all_windows(p, s, s->control, s->V);
+  for (int cell = 0; cell < p->cells; cell++) {
+    int row = stage_rows(p) + cell * LFO_FACETS;
+    facet f = facet_of(p, s, row);
+    lfo_real re = s->V[f.re], im = s->V[f.im], bound = s->level[cell] + (solved ? p->tolerance : 0);
+    if (f.begin >= p->T || re * re + im * im <= LEVEL * LEVEL) continue;
+    if (bound < LEVEL * (1 + slack)) bound = LEVEL * (1 + slack);
+    for (int i = 0; i < LFO_FACETS; i++) {
+      lfo_real old;
+      f = facet_of(p, s, row + i);
+      old = facet_value(&f, s->V_old);
+      shorten(&part, old, facet_value(&f, s->V) - old, bound);
+    }
+  }
+  return part;
+}
+
+/* Go from the rest of the last plan towards the point where the step ended, as far as all rows of controls are kept: they
+   are convex. Return whether this is the whole way. */
+static int go_part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x0, int solved) {
+  int T = p->T, n = p->n, m = p->m;
+  lfo_real x[LFO_STATES], next[LFO_STATES], part = part_of_way(p, s, x0, solved);
+  if (solved && part >= 1) return 1;
+  for (int i = 0; i < T * m; i++) {
+    lfo_real change = s->control[i] - s->old[i];
+    s->control[i] = s->old[i] + (change - change == 0 && part - part == 0 ? part * change : 0);
+  }
+  memcpy(x, x0, BYTES(n));
+  for (int t = 0; t < T; t++) { /* its v, for lfo_plan */
+    lfo_real *v = s->plan + t * m;
+    for (int j = 0; j < m; j++) v[j] = s->control[t * m + j] - dot(p->K + j * n, x, n);
+    for (int i = 0; i < n; i++)
+      next[i] = p->d[p->column[t] * n + i] + dot(p->A + i * n, x, n) + dot(p->B + i * m, v, m);
+    memcpy(x, next, BYTES(n));
+  }
+  return part >= 1;
+}
+
+void lfo_go_on(const lfo_model *p, lfo_memory *s, lfo_real *u) {
+  memcpy(s->control, s->old, BYTES(p->T * p->m));
+  memcpy(u, s->control, BYTES(p->m));
+}
+
+void lfo_apply(const lfo_model *p, lfo_memory *s, const lfo_real *u) {
+  int m = p->m, rest = (p->T - 1) * m;
+  memcpy(s->old, s->control + m, BYTES(rest));
+  memcpy(s->old + rest, s->control + rest, BYTES(m)); /* the last control is held */
+  for (int i = 0; i < p->sets; i++) {
+    const lfo_windows *w = p->windows + i;
+    int both = 2 * w->points, first = s->first[i], ring = w->slots - 1;
+    for (int slot = 0; slot < ring; slot++) {
+      int j = -begin_of(p, s, w, slot);
+      if (j >= 0 && j < w->length) add(s->sums + 2 * w->cell + slot * both, u[w->component], w->wave + j * both, both);
+    }
+    if (--s->begin[i] > -w->length) continue;
+    memset(s->sums + 2 * w->cell + first * both, 0, BYTES(both)); /* this window is over */
+    s->first[i] = (first + 1) % ring;
+    s->begin[i] += w->hop;
+  }
+}
+
 int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, lfo_real *states) {
   int T = p->T, m = p->m, status = LFO_LIMIT, corrections = 0, finite = 1;
   candidate queue[LFO_QUEUE];
   s->changes = s->sweeps = s->stuck = 0;
   for (int i = 0; i < p->p - 1; i++) finite &= x[i] - x[i] == 0;
+  if (!finite && p->sets) lfo_go_on(p, s, u);
   if (!finite) return LFO_INFEASIBLE; /* nothing is changed */
   if (s->plans > 0) memcpy(s->before, s->plan, BYTES(T * m));
   memcpy(s->base, p->W + (p->p - 1) * T * m, BYTES(T * m));
   for (int j = 0; j < p->p - 1; j++) add(s->base, x[j], p->W + j * T * m, T * m);
+  if (p->sets) begin_windows(p, s);
   from_multipliers(p, s);
   while (s->changes <= p->most_changes && status == LFO_LIMIT) {
     int count = sweep(p, s, x, queue, states), rounding = 0;
@@ -426,6 +711,17 @@ int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, 
       if (entered == STUCK) status = LFO_INFEASIBLE;
     }
     if (rounding == count) status = LFO_SOLVED;
+  }
+  for (int i = 0; p->sets && i < T * m; i++) finite &= s->control[i] - s->control[i] == 0;
+  if (!finite) { /* sums have overflowed */
+    memset(s->flag, 0, (size_t)lfo_rows(p));
+    s->active = 0;
+    status = LFO_INFEASIBLE;
+  }
+  if (p->sets) {
+    if (!go_part_of_way(p, s, x, status == LFO_SOLVED) && status == LFO_SOLVED) status = LFO_LIMIT;
+    memcpy(u, s->control, BYTES(m));
+    return status;
   }
   if (status != LFO_SOLVED && s->plans > 0) { /* the plan of the step before goes on, with its feedback */
     memcpy(s->plan, s->before + m, BYTES((T - 1) * m));

@@ -3,40 +3,68 @@
 from __future__ import annotations
 
 import ctypes
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.condensed.tables import GRADIENT_DEPENDENCE, ROW_TOLERANCE, CondensedTables
+from lin_freq_ocp.methods.condensed.windows import DIRECTIONS, FACETS, ControlWindows, WindowDuals
 from lin_freq_ocp.methods.native_code import compiled_library
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
 FAMILIES, STATES = 64, 64  # LFO_FAMILIES, LFO_STATES of kernel.h
 
-INTEGERS = ("T", "n", "m", "p", "r", "families", "columns", "most_active", "most_changes")
+INTEGERS: tuple[str, ...] = ("T", "n", "m", "p", "r", "families", "columns", "most_active", "most_changes")
+OF_WINDOWS: tuple[str, ...] = ("sets", "cells", "inner")
 REALS = ("tolerance", "dependent")
 BOUNDS = ("lower", "upper", "limit_low", "limit_up")
-ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", *BOUNDS, "column")
+ARRAYS = ("A", "B", "K", "d", "W", "E", "C", "D", "size", *BOUNDS)
+WINDOW_ARRAYS = ("past", "inner_A", "inner_C", "inner_state", "of_controls")
+WINDOW_INTEGERS = ("length", "hop", "points", "slots", "component", "begin", "cell")
+COUNTS = ("active", "plans", "changes", "sweeps", "exceeded", "stuck")
+HEADER = Path(__file__).with_name("kernel.h").read_text(encoding="utf-8")
+KERNEL_ARRAYS, INDICES = (
+    re.findall(r"X\((\w+), ([^)]*)\)", HEADER.split(f"#define {name}(X)")[1].split("#define")[0])
+    for name in ("LFO_ARRAYS", "LFO_INDICES")
+)
+"""The arrays of lfo_memory of kernel.h: their names, and their lengths in letters."""
 
 
 class Model(ctypes.Structure):
     """lfo_model of kernel.h."""
 
     _fields_ = (
-        [(name, ctypes.c_int) for name in INTEGERS]
+        [(name, ctypes.c_int) for name in (*INTEGERS, *OF_WINDOWS)]
         + [(name, ctypes.c_double) for name in REALS]
-        + [(name, ctypes.c_void_p) for name in ARRAYS]
+        + [(name, ctypes.c_void_p) for name in (*ARRAYS, "windows", *WINDOW_ARRAYS, "column")]
     )
+
+
+class Windows(ctypes.Structure):
+    """lfo_windows of kernel.h."""
+
+    _fields_ = (*((name, ctypes.c_int) for name in WINDOW_INTEGERS), ("wave", ctypes.c_void_p))
 
 
 class Memory(ctypes.Structure):
     """lfo_memory of kernel.h."""
 
     _fields_ = (
-        [(f"part_{i}", ctypes.c_void_p) for i in range(16)]
-        + [(name, ctypes.c_int) for name in ("active", "plans", "changes", "sweeps", "exceeded", "stuck")]
-        + [("worth", ctypes.c_double)]
+        [(name, ctypes.c_void_p) for name, _ in (*KERNEL_ARRAYS, *INDICES, ("flag", ""))]
+        + [(name, ctypes.c_int) for name in COUNTS]
+        + [("worth", ctypes.c_double), ("rest", ctypes.c_double)]
     )
+
+
+def array_lengths(parts: Sequence[tuple[str, str]], integers: Mapping[str, int]) -> dict[str, int]:
+    """Return the lengths of arrays of lfo_memory for the integers of lfo_model, by name."""
+    k, controls = integers["most_active"], integers["T"] * integers["m"]
+    letters = {**integers, "k": k, "c": controls if integers["sets"] else 0, "a": k if integers["sets"] else 0, "2": 2}
+    return {name: math.prod(letters[letter] for letter in length.split(" * ")) for name, length in parts}
 
 
 def library() -> ctypes.CDLL | None:
@@ -68,29 +96,42 @@ def model_arrays(tables: CondensedTables) -> dict[str, Array]:
 
 
 class NativeKernel:
-    """The compiled step with the tables of one problem; the multipliers of a step are the start of the next."""
+    """The compiled step with the tables of one problem; the multipliers of a step are the start of the next.
 
-    def __init__(self, tables: CondensedTables, compiled: ctypes.CDLL):
-        self.tables, self._library = tables, compiled
+    With ``windows``, ``apply`` follows each step.
+    """
+
+    def __init__(self, tables: CondensedTables, compiled: ctypes.CDLL, windows: ControlWindows | None = None):
+        self.tables, self.windows, self._library = tables, windows, compiled
         (T, n, m), count, r = tables.loop.shape, len(tables.families), tables.unknowns
-        self._arrays = {name: np.array(array, order="C") for name, array in model_arrays(tables).items()}
-        rows = count * (T + 1)
-        most = min(r, rows)
-        integers = dict(zip(INTEGERS, (T, n, m, n + 1, r, count, T + 1, most, tables.most_changes), strict=True))
+        of_windows = dict.fromkeys(OF_WINDOWS, 0) if windows is None else windows.integers(T)
+        rows = count * (T + 1) + of_windows["cells"] * FACETS
+        values = T, n, m, n + 1, r, count, T + 1, min(r, rows), tables.most_changes
+        integers = dict(zip(INTEGERS, values, strict=True)) | of_windows
+        arrays = model_arrays(tables) | {"column": np.arange(T + 1, dtype=np.int16)}
+        sets = (Windows * of_windows["sets"])()
+        if windows is not None:
+            arrays |= windows.arrays(tables)
+        self._arrays = {name: np.array(array, order="C") for name, array in arrays.items()}
+        for i, numbers in enumerate([] if windows is None else windows.fields(T)):
+            sets[i] = Windows(**numbers, wave=self._arrays[f"wave{i}"].ctypes.data)
         self._model = Model(**integers, tolerance=ROW_TOLERANCE, dependent=GRADIENT_DEPENDENCE)
-        self._column = np.arange(T + 1, dtype=np.int16)
-        for name, array in (*self._arrays.items(), ("column", self._column)):
-            setattr(self._model, name, array.ctypes.data)
+        for name in {*ARRAYS, *WINDOW_ARRAYS, "column"} & self._arrays.keys():
+            setattr(self._model, name, self._arrays[name].ctypes.data)
+        self._sets, self._model.windows = sets, ctypes.addressof(sets)
         self._memory, model = Memory(), ctypes.byref(self._model)
-        self._work = np.zeros(compiled.lfo_reals(model)), np.zeros(most, np.int32), np.zeros(rows, np.int8)
-        self._x, self._u, self._weights = np.zeros(n), np.zeros(m), np.zeros((count, T + 1))
-        pointers = [ctypes.c_void_p(part.ctypes.data) for part in (*self._work, self._x, self._u, self._weights)]
+        self._work = np.zeros(compiled.lfo_reals(model)), np.zeros(compiled.lfo_integers(model), np.int32)
+        flags, self._stage = np.zeros(rows, np.int8), (count, T + 1)
+        self._x, self._u, self._weights, self._flags = np.zeros(n), np.zeros(m), np.zeros(self._stage), flags
+        pointers = [ctypes.c_void_p(part.ctypes.data) for part in (*self._work, flags, self._x, self._u, self._weights)]
         memory = ctypes.byref(self._memory)
         # pointers are made once: a call then takes a microsecond
         self._step, self._read = (model, memory, *pointers[3:5], None), (model, memory, pointers[5])
+        self._next = model, memory, pointers[4]
         compiled.lfo_begin(model, memory, *pointers[:3])
-        self._plan = self._work[0][4 * r + T * m : 4 * r + 2 * T * m]
-        self._rate = self._work[0][4 * r + 4 * T * m + most :]
+        lengths, counts = (array_lengths(parts, integers) for parts in (KERNEL_ARRAYS, INDICES))
+        self._parts = dict(zip(lengths, np.split(self._work[0], np.cumsum([*lengths.values()])[:-1]), strict=True))
+        self._indices = dict(zip(counts, np.split(self._work[1], np.cumsum([*counts.values()])[:-1]), strict=True))
 
     def take(self, tables: CondensedTables) -> None:
         """Take other references, offsets, ends and bounds of the same problem; the multipliers stay."""
@@ -113,7 +154,7 @@ class NativeKernel:
     @property
     def unknowns(self) -> Array:
         """Return xi of the last step, (r,), whether or not its working set has settled."""
-        return self._work[0][: self.tables.unknowns].copy()
+        return self._parts["xi"].copy()
 
     @property
     def ray(self) -> Array | None:
@@ -121,10 +162,10 @@ class NativeKernel:
         row, active = self._memory.stuck, self._memory.active
         if not row:
             return None
-        weights = np.zeros(self._weights.shape)
-        weights.flat[self._work[1][:active]] = self._rate[:active]
-        weights.flat[abs(row) - 1] = np.sign(row)
-        return weights
+        weights = np.zeros(len(self._flags))
+        weights[self._indices["member"][:active]] = self._parts["w"][:active]
+        weights[abs(row) - 1] = np.sign(row)
+        return weights[: math.prod(self._stage)].reshape(self._stage)
 
     @property
     def control(self) -> Array:
@@ -134,10 +175,62 @@ class NativeKernel:
     @property
     def plan(self) -> Array:
         """Return v of the last step, (T m,)."""
-        return self._plan.copy()
+        return self._parts["plan"].copy()
 
     @property
     def multipliers(self) -> Array:
         """Return the multipliers of the rows, (families, T+1)."""
         self._library.lfo_multipliers(*self._read)
         return self._weights.copy()
+
+    @property
+    def plan_of_controls(self) -> Array:
+        """Return the controls that the last step chose with windows, (T, m)."""
+        T, _, m = self.tables.loop.shape
+        return self._parts["control"].reshape(T, m).copy()
+
+    @property
+    def exceeded(self) -> bool:
+        """Whether the last plan exceeds soft rows."""
+        return self._memory.exceeded > 0
+
+    @property
+    def raised(self) -> float:
+        """Return by how much past and rest of the plan before exceed the level of a window, relative; at least 0."""
+        return max(float(self._memory.rest) - 1, 0.0)
+
+    def begins(self, i: int) -> Indices:
+        """Return the begins of the windows of a set from that of the plan, (slots,)."""
+        one, T = self._sets[i], self.tables.loop.shape[0]
+        ring = (np.arange(one.slots - 1) - self._indices["first"][i]) % (one.slots - 1)
+        return np.append(self._indices["begin"][i] + ring * one.hop, T - 1)
+
+    @property
+    def window_duals(self) -> list[WindowDuals]:
+        """Return the multipliers of each set for the last step."""
+        rows, first = self._indices["member"][: self._memory.active], math.prod(self._stage)
+        of_windows = rows >= first
+        cells, facets = np.divmod(rows[of_windows] - first, FACETS)
+        weights = np.asarray(self._parts["lambda"][: len(rows)][of_windows] * DIRECTIONS[facets], dtype=np.complex128)
+        found = list[WindowDuals]()
+        for i, one in enumerate(self._sets):
+            own = (cells >= one.cell) & (cells < one.cell + one.slots * one.points)
+            slots, points = np.divmod(cells[own] - one.cell, one.points)
+            found.append(WindowDuals(self.begins(i)[slots], points, weights[own]))
+        return found
+
+    def apply(self, u: Array) -> None:
+        """Go on to the next step with the control that acts, (m,)."""
+        self._u[:] = u
+        self._library.lfo_apply(*self._next)
+
+    def correct_past(self, change: Array, ago: int) -> None:
+        """Add a change, (m,), to the applied control so many samples before the next plan begins."""
+        for i, one in enumerate(self._sets):
+            both, first = 2 * one.points, 2 * one.cell
+            for begin in self.begins(i)[:-1].tolist():
+                if 0 <= -begin - ago < one.length:
+                    self._parts["sums"][first : first + both] += (
+                        change[one.component] * self._arrays[f"wave{i}"][-begin - ago]
+                    )
+                first += both

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, seal
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
-from lin_freq_ocp.methods.condensed.tables import LIMIT, SOLVED, CondensedTables, condense
+from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, LIMIT, SOLVED, CondensedTables, condense
+from lin_freq_ocp.methods.condensed.windows import ControlWindows, WindowDuals
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
@@ -55,6 +57,8 @@ class Plan:
     changes: int = 0  # of the working set
     settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
     eta_C: float = 1.0
+    windows: ControlWindows | None = None
+    duals: Sequence[WindowDuals] = ()  # of the windows
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -79,7 +83,11 @@ class Plan:
     def candidate(self, problem: OptimalControlProblem) -> Candidate:
         """Return the plan with its multipliers, or the ray, for the judge of the problem that it solves."""
         tables, units, lti = self.tables, self.units, self.tables.loop.lti
-        found = tables.recover((self.start / units.x)[None], self.v[:, None], self.weights[..., None], self.eta_C)
+        forces = np.zeros((tables.loop.shape[0], 1, tables.loop.shape[2]))
+        for one, of_set in zip(self.windows.sets if self.windows else (), self.duals, strict=False):
+            forces[:, 0, one.component] += one.forces(of_set, len(forces))
+        start, v = (self.start / units.x)[None], self.v[:, None]
+        found = tables.recover(start, v, self.weights[..., None], self.eta_C, forces)
         none = np.zeros(lti.state_stop.shape, dtype=np.complex128)
         duals = LtiMultipliers(self.eta_C, found.eta[:, 0].T, found.on_rows[..., 0], found.band[:, 0].T, none)
         trajectory = Trajectory(seal(found.x[:, 0] * units.x), seal(found.u[:, 0] * units.u))
@@ -102,6 +110,8 @@ class CondensedSolver:
     ----------
     lti, units
         The problem of the Fourier-domain method, whose initial state is fixed.
+    windows
+        Limits on the spectrum of the applied controls, for ``plan_windows``; ``kernel.apply`` follows each plan.
 
     Raises
     ------
@@ -110,19 +120,26 @@ class CondensedSolver:
     """
 
     @one_blas_thread
-    def __init__(self, lti: Lti, units: LtiUnits):
-        self.units, started = units, now()
+    def __init__(self, lti: Lti, units: LtiUnits, windows: ControlWindows | None = None):
+        self.units, self.windows, started = units, windows, now()
         self._set_up(condense(lti))
         self.setup_seconds = now() - started
 
     def _set_up(self, tables: CondensedTables) -> None:
         self._lock = threading.Lock()  # the kernel keeps the multipliers of its last step
         compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
-        self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled)
+        if compiled is None and self.windows is not None:
+            raise UnsupportedError("control_spectrum: windows of a Spectrogram need a C compiler.")
+        self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled, self.windows)
 
     def __getstate__(self) -> dict[str, object]:
         """Return what another process needs; the kernel is made anew."""
-        return {"units": self.units, "setup_seconds": self.setup_seconds, "tables": self.kernel.tables}
+        return {
+            "units": self.units,
+            "windows": self.windows,
+            "setup_seconds": self.setup_seconds,
+            "tables": self.kernel.tables,
+        }
 
     def __setstate__(self, state: dict[str, object]) -> None:
         tables = state.pop("tables")
@@ -179,6 +196,23 @@ class CondensedSolver:
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
             return self._unsettled_plan(start, made)
+
+    def plan_windows(self, start: Array, lti: Lti, budget: Budget) -> Plan:
+        """Return the plan from an initial state, (n,), with windows; where it is not ``settled``, that of promise 4."""
+        units, kernel, x, made = self.units, self.kernel, start / self.units.x, 0
+        assert isinstance(kernel, NativeKernel)
+        if not self._take(lti):
+            raise UnsupportedError("bounds: they bound other components than those of the problem.")
+        most = kernel.tables.most_changes if budget.changes is None else budget.changes
+        status, at_once = LIMIT, most if budget.end == np.inf else CHANGES_BETWEEN_LOOKS
+        while status == LIMIT and made <= most and (made == 0 or now() < budget.end):
+            status = kernel.step(x, min(most - made, at_once))
+            made += max(kernel.changes, 1)
+        weights, settled = kernel.multipliers, status == SOLVED
+        duals = kernel.window_duals if settled else ()
+        control = kernel.control * units.u
+        found = Plan(kernel.tables, units, start, control, kernel.plan, weights, made, settled)
+        return replace(found, eta_C=float(status != INFEASIBLE), windows=self.windows, duals=duals)
 
     @one_blas_thread
     def _unsettled_plan(self, start: Array, changes: int) -> Plan:

@@ -242,18 +242,20 @@ class CondensedTables:
             cost += float((over[~hard] * limit[~hard]).sum())
         return violation, cost
 
-    def recover(self, x_0: Array, v: Array, weights: Array, eta_C: float = 1.0) -> RecoveredPlans:
+    def recover(
+        self, x_0: Array, v: Array, weights: Array, eta_C: float = 1.0, forces: Array | float = 0.0
+    ) -> RecoveredPlans:
         """Return the points of x_0 (k, n) and v (T m, k) with their multipliers, from those of the rows.
 
         ``weights`` are the multipliers of the rows, (families, T+1, k), above zero at upper bounds. With eta_C = 0 they
-        are multiples of constraints alone.
+        are multiples of constraints alone. ``forces`` are those of other constraints on the controls, (T, k, m).
         """
         loop, lti, (T, n, _), data = self.loop, self.loop.lti, self.loop.shape, np.ones(len(x_0))
         x, u = loop.simulate(x_0, loop.plans(v), data)
         in_x, in_u = (eta_C * slope for slope in loop.slopes(x, u, data))
         at_rows = np.ascontiguousarray(np.moveaxis(weights, 0, 2))
         in_x += at_rows @ self.C
-        in_u += at_rows[:-1] @ self.D
+        in_u += at_rows[:-1] @ self.D + forces
         band, on_end = loop.forces(-self.solve_equations.T @ loop.gradient(in_x, in_u))
         in_x[-1][:, loop.fixed_end] += on_end
         eta = loop.adjoint(in_x, in_u + band)

@@ -31,6 +31,7 @@ from lin_freq_ocp.base.names import component_names, index_of_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 Entry = TypeVar("Entry")
@@ -129,6 +130,27 @@ class FrequencyConstraint(ABC):
     def hard_part(self) -> FrequencyConstraint | None:
         """Return the part that must hold; None for a soft constraint."""
         return self if getattr(self, "penalty", None) is None else None
+
+    @property
+    def slides(self) -> bool:
+        """Whether it limits each point of sliding windows, and is hard."""
+        return False
+
+    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
+        """Yield the name, the windows, the levels of a window's groups and sums per level, of each component."""
+        yield from ()
+
+    def hold_last(self, rest: Array, facets: int | None = None) -> FrequencyConstraint:
+        """Return the constraint on controls of a plan that holds its last one.
+
+        Levels are at least the values of the controls ``rest`` (T, components) of a known plan; with ``facets``, the
+        radius of the polygon of so many facets whose boundary they are on.
+        """
+        return self
+
+    def with_correction(self, change: Array, ago: int) -> FrequencyConstraint:
+        """Return the constraint after a change of the sample of the past so many samples ago, (components,)."""
+        return self
 
     def with_past(self, past: Array, measured: int) -> FrequencyConstraint:
         """Return the constraint on the samples that follow ``past``, (k, components); itself if it has no memory.

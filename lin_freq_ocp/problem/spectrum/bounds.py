@@ -91,6 +91,9 @@ class MagnitudeBound(SpectrumBound):
         circle. At the end of a band next to large values, the spectrum between the last two points can exceed the
         limit, the more the deeper the mask: look at the zero-padded spectrum, or use ``every_frequency``. A price is
         on the violation of the smaller limit.
+    edges : bool
+        Bound the points of the grid next to the band, too: from the last one at or below the band to the first one at
+        or above it.
     every_frequency : bool
         |V(w)| <= limit for every w in the closed band, V(w) = sum_t u_t exp(-iwt), not at bins only: zero-padding shows
         no violation. The limit is one number above zero, points (frequency, limit) of shape (points, 2) in the unit
@@ -149,6 +152,7 @@ class MagnitudeBound(SpectrumBound):
         window: str | ArrayLike | None = None,
         oversampling: int = 1,
         between: bool = False,
+        edges: bool = False,
         every_frequency: bool = False,
         hold: bool = False,
     ):
@@ -157,13 +161,22 @@ class MagnitudeBound(SpectrumBound):
         limits = {"amplitude": amplitude, "rms": rms, "percent": percent, "density": density, "db": db}
         limits |= {"limit": limit, "limit_db": limit_db}
         stated = stated_limit("MagnitudeBound", limits, harmonics, fundamental_hz, of, phase, reference)
-        for name, flag in (("every_frequency", every_frequency), ("hold", hold), ("between", between)):
+        for name, flag in (
+            ("every_frequency", every_frequency),
+            ("hold", hold),
+            ("between", between),
+            ("edges", edges),
+        ):
             require_bool(f"MagnitudeBound.{name}", flag)
-        assign(self, between=between, every_frequency=every_frequency, hold=hold)
+        assign(self, between=between, edges=edges, every_frequency=every_frequency, hold=hold)
         self._set_domain(stated, fundamental_hz, bins, band, component, penalty, window, oversampling)
         if every_frequency and (self.band.listed or oversampling != 1 or between):
             got = "bins, harmonics, oversampling or between, with every_frequency=True"
             raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
+        if edges and (self.band.listed or every_frequency):
+            raise ProblemError(
+                "MagnitudeBound.edges", "True, with bins or every_frequency", "a band, and points of a grid"
+            )
         if hold and not (every_frequency and self.band.unit == "Hz"):
             got = "hold=True without every_frequency=True, or with a band that is not in Hz"
             raise ProblemError("MagnitudeBound.hold", got, "every_frequency=True and a band in Hz")

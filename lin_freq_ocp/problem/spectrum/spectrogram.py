@@ -29,7 +29,9 @@ class Spectrogram(FrequencyConstraint):
     """A mask or an energy bound on every window of a signal: a bound on its spectrogram.
 
     Windows of ``length`` samples begin at the first sample of the past and every ``hop`` samples after it. A window is
-    constrained if it ends within the horizon. Without ``length`` there is one window: the past and the whole horizon.
+    constrained if it ends within the horizon. In a loop, windows of controls that begin before a plan ends are, too:
+    the plan holds its last control, and a window of this constant is one of them. Without ``length`` there is one
+    window: the past and the whole horizon.
 
     Parameters
     ----------
@@ -70,6 +72,9 @@ class Spectrogram(FrequencyConstraint):
     offset: int
     component: int | str | None
     penalty: float | None
+    held: bool = False  # whether windows that end after the horizon hold its last sample
+    rest: Array | None = None  # controls (T, components) of a known plan: where it exceeds a level, this is raised
+    facets: int | None = None  # to its value, or to the polygon around it that has so many facets
 
     def __init__(
         self,
@@ -111,6 +116,20 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
+    @property
+    def slides(self) -> bool:
+        return self.length is not None and self.penalty is None and not (self.bound.joint or self.bound.every_frequency)
+
+    def hold_last(self, rest: Array, facets: int | None = None) -> Self:
+        return self if self.length is None else self.changed(held=True, rest=rest, facets=facets)
+
+    def with_correction(self, change: Array, ago: int) -> Self:
+        if self.past is None or len(self.past) < ago:
+            return self
+        past = self.past.copy()
+        past[-ago] += change
+        return self.changed(past=past)
+
     def with_past(self, past: Array, measured: int) -> Self:
         first = np.zeros((0, past.shape[1])) if self.past is None else self.past
         whole = np.concatenate([first, past])
@@ -146,10 +165,12 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(bound=bound, penalty=bound.penalty)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
-        for name, windows, levels, sums in self._windows(signal, field):
+        for name, windows, levels, sums in self.windows(signal, field):
             of, count = f"{'windows' if self.length else 'past and future'} of {name}", len(windows.starts)
-            per_level = np.tile(sums, count) if np.ndim(sums) else sums
-            term = self.bound.term(of, signal.kind, windows, np.tile(levels, count), per_level, source)
+            per_level, every = np.tile(sums, count) if np.ndim(sums) else sums, np.tile(levels, count)
+            if self.rest is not None and self.penalty is None:
+                every = np.maximum(every, windows.gauges(self.rest, self.facets) / per_level)
+            term = self.bound.term(of, signal.kind, windows, every, per_level, source)
             shown = self.bound.statement(name, windows.spectrum, levels, signal.sampling_time)
             labels = [f"{label}, in a window" if self.length else label for label in shown.labels]
             labels = labels * (count if len(labels) > 1 else 1)
@@ -163,7 +184,7 @@ class Spectrogram(FrequencyConstraint):
         length, hop = (known + plan - self.offset, 1) if self.length is None else (self.length, self.hop)
         if known + signal.length - self.offset < length:
             return  # no window has ended
-        for name, windows, levels, sums in self.changed(length=length, hop=hop)._windows(signal, field):
+        for name, windows, levels, sums in self.changed(length=length, hop=hop, held=False).windows(signal, field):
             spectrum = windows.spectrum
             every = replace(spectrum, bins=np.arange(spectrum.points // 2 + 1), joint=False)
             values = replace(windows, spectrum=every).values(x, u)
@@ -179,15 +200,17 @@ class Spectrogram(FrequencyConstraint):
                 soft=self.penalty is not None,
             )
 
-    def _windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
-        """Yield the name, the windows, the levels of a window's groups and sums per level, of each component."""
+    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
         count, samples = len(signal.names), signal.length
         past = np.zeros((0, count)) if self.past is None else self.past
         if past.shape[1] != count:
             raise ProblemError(f"{field}.past", f"shape {past.shape}", f"shape ({len(past)}, {count})")
         length = len(past) + samples - self.offset if self.length is None else self.length
-        first = np.arange(self.offset - len(past), samples - length + 1, self.hop or 1)
+        last = samples - 1 if self.held else samples - length
+        first = np.arange(self.offset - len(past), last + 1, self.hop or 1)
         first = first[first + length > 0]
+        if self.held and (not len(first) or first[-1] < last):
+            first = np.append(first, last)
         if not len(first):
             got = f"windows of {length} samples, with {len(past)} samples in the past and {samples} to come"
             raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon")
@@ -195,7 +218,7 @@ class Spectrogram(FrequencyConstraint):
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
         for (name, spectrum, levels, sums), i in zip(bounded, components, strict=False):  # none without bins
-            yield name, SpectrogramMap(spectrum, first, past[:, i]), levels, sums
+            yield name, SpectrogramMap(spectrum, first, past[:, i], self.held), levels, sums
 
 
 LOBE = 4.0  # width of the main lobe of a Hann window, in bins of its length
@@ -215,10 +238,12 @@ def closed_loop(
     """Limit the applied signal of a control loop in a band: windows with a Hann taper over applied and planned samples.
 
     On every window of ``length`` samples that begins at a multiple of ``hop``, the amplitude 2 |V(w)| / sum(taper) of
-    the tapered samples v is at most ``amplitude`` at the points of a grid with steps of 2 pi / (oversampling length).
-    At every frequency between two of these points it is at most amplitude + 0.33 U / oversampling^2, where U is the
-    largest |v_t|: a function exceeds its values at the ends of an interval of width d by at most d^2/8 times its
-    largest second derivative, here U sum taper_t (t - centre)^2.
+    the tapered samples v is at most ``amplitude`` at the points of a grid with steps of 2 pi / (oversampling length),
+    from the last point at or below the band to the first one at or above it. At every frequency between two of these
+    points it is at most amplitude + 0.33 U / oversampling^2, where U is the largest |v_t|: a function exceeds its
+    values at the ends of an interval of width d by at most d^2/8 times its largest second derivative, here
+    U sum taper_t (t - centre)^2. In windows between two of these it is at most
+    amplitude + 2 pi (hop / (length - 1))^2 U.
 
     Parameters
     ----------
@@ -232,7 +257,7 @@ def closed_loop(
         Samples of a window. Default: so many that the main lobe of the taper, 4 / length cycles per sample wide, fits
         into the band, and half of it between zero and the band.
     hop : int, optional
-        Default a quarter of the length.
+        Default an eighth of the length.
     past : (P, components), or (P,), optional
         The samples before the loop begins; zeros for a plant at rest.
     oversampling : int
@@ -241,7 +266,7 @@ def closed_loop(
     Returns
     -------
     Spectrogram
-        A hard constraint; ``RecedingHorizon(soft={"control_spectrum": price})`` relaxes it where there is no plan.
+        A hard constraint. A loop whose other hard constraints are of controls alone always has a plan that keeps it.
 
     Raises
     ------
@@ -257,7 +282,7 @@ def closed_loop(
     --------
     >>> limit = lfo.spectrum.closed_loop(lfo.spectrum.notch(centre_hz=8, width_hz=4), 0.1, sampling_time=0.02)
     >>> limit.length, limit.hop
-    (50, 12)
+    (50, 6)
     """
     level = positive_number("closed_loop.amplitude", amplitude)
     MagnitudeBound(level, band=band)  # raises for what is no band
@@ -274,5 +299,5 @@ def closed_loop(
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
     taper = np.hanning(samples).sum()
-    bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling)
-    return Spectrogram(bound, samples, max(samples // 4, 1) if hop is None else hop, past)
+    bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling, edges=True)
+    return Spectrogram(bound, samples, max(samples // 8, 1) if hop is None else hop, past)

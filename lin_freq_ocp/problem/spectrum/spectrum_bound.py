@@ -42,6 +42,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
     label: ClassVar[str]
     joint: ClassVar[bool]  # whether one limit bounds all bins together
     between: bool = False  # whether the limit holds between the points of the grid, too
+    edges: bool = False  # whether the points of the grid next to the band are bounded, too
     limit: float | Array  # as stated
     quantity: Quantity  # the unit of the limit
     fundamental_hz: float | None
@@ -236,7 +237,10 @@ class SpectrumBound(FrequencyConstraint, ABC):
         """Return the bounded points of the grid: indices within 0 .. oversampling * length / 2."""
         q, points = self.oversampling, self.oversampling * length
         if not self.band.listed:
-            bounded = np.flatnonzero(self.band.at(points, sampling_time, f"{field}.band"))
+            inside = self.band.at(points, sampling_time, f"{field}.band")
+            if self.edges:
+                inside = np.convolve(inside, np.ones(3), "same") > 0
+            bounded = np.flatnonzero(inside)
             if not len(bounded):
                 warn_user(self.remark(length, sampling_time, field), BandWarning)
             return bounded

@@ -280,13 +280,15 @@ PI = np.arccos(np.longdouble(-1.0))
 class SpectrogramMap(AffineMap):
     """(Re, Im) of Y_sj = sum_i w_i y_{s+i} exp(-2 pi i j (s+i) / N) for windows from s on, and bins j of each of them.
 
-    The phase refers to time 0. The groups are those of ``spectrum``, window by window.
+    The phase refers to time 0. The groups are those of ``spectrum``, window by window. Windows that end after the
+    signal hold its last sample.
     """
 
     constants: ClassVar[tuple[str, ...]] = ("past",)
     spectrum: SpectrumMap  # of the first window's length
     starts: Indices  # s, (windows,), not before the past begins
     past: Array  # (P,): y at times -P .. -1
+    held: bool = False  # whether windows may end after the signal
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -327,9 +329,12 @@ class SpectrogramMap(AffineMap):
         base = self.spectrum
         times = self.starts[:, None] + np.arange(base.samples)
         waves = np.where(times[:, None] >= 0, base.waves_at(times), 0.0)
-        each = np.repeat(times, waves.shape[1], axis=0)
+        last = np.minimum(times, base.length(horizon) - 1)
+        each = np.repeat(last, waves.shape[1], axis=0)
         constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
-        return base.signal_rows(waves.reshape(each.shape), each, horizon, n, m), constant
+        found = base.signal_rows(waves.reshape(each.shape), each, horizon, n, m)
+        found.sum_duplicates()  # of a held sample
+        return found, constant
 
     def sizes(self, x: Array, u: Array) -> Array:
         y = self.spectrum.magnitudes().output(np.abs(x), np.abs(u))
@@ -342,7 +347,7 @@ class SpectrogramMap(AffineMap):
         return self.spectrum.magnitudes().spread(self._add_windows(frames, shapes), shapes)
 
     def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
-        if len(self.starts) > 1:
+        if len(self.starts) > 1 or self.held:
             return None
         form, first = self.spectrum.spectrum_form(n, m), int(self.starts[0])
         window = np.append(np.zeros(max(first, 0)), form.window[max(-first, 0) :])
@@ -350,6 +355,18 @@ class SpectrogramMap(AffineMap):
 
     def pairs(self, values: Array) -> Array:
         return self._window_pairs(values).reshape(-1, 2)
+
+    def gauges(self, u: Array, facets: int | None) -> Array:
+        """Return |Y| of each group for controls u (T, m), or the radius of the regular polygon with it on the boundary.
+
+        The first of so many facets of the polygon is that of the real axis, where phases refer to the windows.
+        """
+        pairs = self.values(u, u)
+        if facets is None:
+            return np.linalg.norm(pairs, axis=1)
+        own = (pairs[:, 0] + 1j * pairs[:, 1]) * np.conj(self._turns.astype(np.complex128)).ravel()
+        directions = np.exp(-2j * np.pi * np.arange(facets) / facets)
+        return (own[:, None] * directions).real.max(axis=1) / np.cos(np.pi / facets)
 
     @property
     def _turns(self) -> ComplexArray:
@@ -363,7 +380,8 @@ class SpectrogramMap(AffineMap):
 
     def _frames(self, y: Array, past: Array | None = None) -> Array:
         """Return the windows of the past and of y, times their weights, (windows, samples)."""
-        whole = np.concatenate([self.past if past is None else past, y])
+        beyond = max(int(self.starts.max()) + self.spectrum.samples - len(y), 0)
+        whole = np.concatenate([self.past if past is None else past, y, np.repeat(y[-1:], beyond)])
         frames = sliding_window_view(whole, self.spectrum.samples)[len(self.past) + self.starts]
         return frames * self.spectrum.window
 
@@ -371,5 +389,6 @@ class SpectrogramMap(AffineMap):
         """Return the sum of the windows at each time from 0 on."""
         P, samples = len(self.past), self.spectrum.length(shapes[1][0])
         signal = np.zeros(P + samples, dtype=frames.dtype)
-        np.add.at(signal, P + self.starts[:, None] + np.arange(frames.shape[1]), frames)
+        times = np.minimum(self.starts[:, None] + np.arange(frames.shape[1]), samples - 1)
+        np.add.at(signal, P + times, frames)
         return signal[P:]
