@@ -56,11 +56,13 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
     n, influence, ends = problem.state_dim, Influence.of(problem), _sizes_of_ends(problem)
-    stated = influence.without_rounding(ends, _sizes_of_rows(problem, _excess), problem.level_sizes > 0)
+    stated = influence.without_rounding(
+        ends, _sizes_of_rows(problem, lambda penalty, at: penalty.excess(at)), problem.level_sizes > 0
+    )
     sizes = np.where(stated > 0, stated, _sizes_of_bounds(problem, influence, stated))
     known = sizes[:n] > 0
     if not sizes.all():
-        limited = _sizes_of_rows(problem, _limit)
+        limited = _sizes_of_rows(problem, lambda penalty, at: np.broadcast_to(penalty.sizes(), at.shape) + np.abs(at))
         sizes = _complete_sizes(
             np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])), influence.implied
         )
@@ -75,7 +77,8 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     cost, of_references = problem.quadratic, list[Array]()
     weights = (cost.x_ref, cost.q, cost.Q), (cost.u_ref, cost.r, cost.R)
     for by, (reference, slope, curvature) in zip(cost.weighs, weights, strict=True):
-        curved, steep = (np.abs(part.reshape(-1, len(by))).max(0) for part in (_diagonals(curvature), slope))
+        curved = np.diagonal(curvature, axis1=-2, axis2=-1).reshape(-1, len(by)).max(0)
+        steep = np.abs(slope.reshape(-1, len(by))).max(0)
         shift = np.divide(steep, curved, out=np.zeros(len(by)), where=curved > 0)
         of_references.append(np.maximum(np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0), shift))
     of_x, of_u = of_references
@@ -121,16 +124,6 @@ def _sizes_of_rows(problem: OptimalControlProblem, reach: Callable[[Penalty, Arr
             allowed = np.divide(limit, weights, out=np.full(weights.shape, np.inf), where=counts)
             np.minimum(part, allowed.min(0), out=part)
     return np.where(np.isfinite(least), least, 0.0)
-
-
-def _limit(penalty: Penalty, origin: Array) -> Array:
-    """Return how far the limits of rows are away from zero."""
-    return np.broadcast_to(penalty.sizes(), origin.shape) + np.abs(origin)
-
-
-def _excess(penalty: Penalty, origin: Array) -> Array:
-    """Return by how much the origin violates rows, below 0 where it does not."""
-    return penalty.excess(origin)
 
 
 @dataclass(frozen=True)
@@ -204,11 +197,6 @@ def _complete_sizes(sizes: Array, implied: Callable[[Array], Array]) -> Array:
             break
         sizes = np.where(sizes > 0, sizes, implied(sizes))
     return sizes
-
-
-def _diagonals(matrices: Array) -> Array:
-    """Return the diagonals of matrices (..., n, n), (..., n)."""
-    return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
 def _finite(box: Box) -> Array:
