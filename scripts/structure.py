@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_223,
-    "code lines": 42_797,
-    "code lines, linear part": 21_477,
-    "code lines, hybrid": 8_685,
+    "shipped lines": 46_276,
+    "code lines": 42_850,
+    "code lines, linear part": 21_523,
+    "code lines, hybrid": 8_680,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
     "folders": 42,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 80,
     "functions used once [%]": 11.9,
     "files entered by a solve": 48,
-    "functions entered by a solve": 379,
-    "calls of a solve": 753,
+    "functions entered by a solve": 385,
+    "calls of a solve": 763,
     "modules that tests import": 47,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
