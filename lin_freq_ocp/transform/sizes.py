@@ -63,12 +63,10 @@ def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     known = sizes[:n] > 0
     if not sizes.all():
         limited = _sizes_of_rows(problem, lambda penalty, at: np.broadcast_to(penalty.sizes(), at.shape) + np.abs(at))
-        sizes = _complete_sizes(
-            np.append(sizes[:n], np.where(sizes[n:] > 0, sizes[n:], limited[n:])), influence.implied
-        )
-        sizes = _complete_sizes(np.where(sizes > 0, sizes, limited), influence.implied)
-        sizes = np.where(sizes > 0, sizes, 1.0)
-    sizes = np.maximum(sizes, ends)
+        first = np.append(np.zeros(n), limited[n:])  # those of controls imply states
+        for others in (first, limited):
+            sizes = _complete_sizes(np.where(sizes > 0, sizes, others), influence.implied)
+    sizes = np.maximum(np.where(sizes > 0, sizes, 1.0), ends)
     return sizes[:n], sizes[n:], known
 
 

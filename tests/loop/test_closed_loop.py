@@ -95,6 +95,7 @@ def test_a_window_is_as_long_as_its_band_asks_for(band, length):
         ((lfo.spectrum.stop_band(bins=[3]), 0.1, SAMPLING), "band"),
         ((NOTCH, 0.0, SAMPLING), "amplitude"),
         ((NOTCH, 0.1), "sampling_time"),
+        ((lfo.spectrum.notch(centre_hz=1e4, width_hz=8), 0.1, SAMPLING), "band"),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, field):

@@ -296,6 +296,8 @@ def closed_loop(
         low, high = (min(edge * per_sample, 0.5) for edge in band.limits)
         parts = [(low, high)] if band.kind == "notch" else [(0.0, low), (high, 0.5)]
         sizes = [min(end - begin, 2 * begin or np.inf) for begin, end in parts if end > begin]
+        if not sizes:
+            raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
     taper = np.hanning(samples).sum()
