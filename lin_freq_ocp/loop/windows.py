@@ -21,6 +21,7 @@ from lin_freq_ocp.loop.step_problem import free_first_state, known_states, softe
 from lin_freq_ocp.methods.condensed.native import NativeKernel
 from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
+from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.methods.spectral.model import LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
@@ -141,9 +142,9 @@ class WindowedPlan:
         problem, units = self.translation.problem, self.plan.units
         started, base = now(), without_windows(problem)
         candidate = self.plan.candidate(base)
-        trajectory, own = candidate.trajectory, candidate.multipliers
-        assert trajectory is not None
-        assert own is not None
+        assert candidate.trajectory is not None
+        assert candidate.multipliers is not None
+        own, trajectory = candidate.multipliers, repair_trajectory(base, candidate.trajectory) or candidate.trajectory
         duals, costs = dict[str, Array](), 0.0
         maps = maps_of_windows(problem, entries_of(problem.control_spectrum))
         terms = [term for term in problem.terms if term.kind is TermKind.CONTROL_SPECTRUM]
@@ -163,9 +164,8 @@ class WindowedPlan:
         proven = bound is not None and bound.kind == RIGOROUS and certificate.cost - bound.value <= allowed
         status = Status.OPTIMAL if certificate.feasible and proven else Status.NUMERICAL_ERROR
         certificate = certificate.raised(self.translation.cost)
-        seconds = {"certify": now() - started}
-        at = self.translation.trajectory(trajectory)
-        return Outcome(self.translation.given, status, "condensed", None, seconds, at, multipliers, certificate)
+        given, at, seconds = self.translation.given, self.translation.trajectory(trajectory), now() - started
+        return Outcome(given, status, "condensed", None, {"certify": seconds}, at, multipliers, certificate)
 
 
 class WindowedPlanner:

@@ -326,3 +326,10 @@ def test_without_a_compiler_programs_plan_with_the_same_windows(no_compiler):
     assert set(log.statuses) == {"optimal"}
     by_kernel = lfo.RecedingHorizon(drive()).run([0.3, 0.0], 12, disturbance=noise)
     np.testing.assert_allclose(log.controls, by_kernel.controls, atol=0.1)
+
+
+@pytest.mark.parametrize("deviation", [1e-6, 1e-12])
+def test_plans_near_a_set_point_far_from_zero_are_proven(deviation):
+    controller = lfo.RecedingHorizon(drive().with_references({"x_ref": [0.6, 0.0]}), certify="each")
+    loop = controller.run([0.6 + deviation, 0.0], steps=12)
+    assert [str(status) for status in loop.statuses] == ["optimal"] * 12
