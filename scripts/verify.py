@@ -37,7 +37,7 @@ proofs       proofs of random problems beside exact optima, and with every numbe
 pairs        every pair of features, and of a feature and a use, in a small problem: it works, or is refused with reason
 cancellation  costs and constraints by formulas that lose most digits of their values, against balls of 400 bits
 cost_units    costs in units of 1e-9 to 1e9 and with constants of 1e6 times their variation: no status may change
-small_ends    ends and references of 1e-17 to 0.1 in place of zero: no status may change, and nor the cost much
+small_ends    ends and references of 1e-15 to 0.1 in place of zero: no status may change, and nor the cost much
 weights       weights of 1e4 to 1e10 on one component, time or control: nothing that balls refute is called optimal
 names         hostile names through every writer: C is compiled, TOML and pages are parsed
 jumps         states that jump to 1e30 and to no number, in loops and in generated C: controls keep hard limits exactly

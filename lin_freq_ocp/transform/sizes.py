@@ -79,9 +79,8 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
         steep = np.abs(slope.reshape(-1, len(by))).max(0)
         shift = np.divide(steep, curved, out=np.zeros(len(by)), where=curved > 0)
         of_references.append(np.maximum(np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0), shift))
-    of_x, of_u = of_references
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
-    return np.concatenate([np.maximum(ends, of_x), np.maximum(of_u, problem.level_sizes)])
+    return np.concatenate([np.maximum(ends, of_references[0]), np.maximum(of_references[1], problem.level_sizes)])
 
 
 def _sizes_of_bounds(problem: OptimalControlProblem, influence: Influence, stated: Array) -> Array:
@@ -173,7 +172,8 @@ class Influence:
         """
         n, T = len(self.offset), self.horizon
         for _ in stated:  # without one of them, others may say nothing either
-            x, moved, u = stated[:n], np.maximum(np.maximum(stated, excess)[:n], self.offset), stated[n:]
+            x, u = np.maximum(stated, excess)[:n], stated[n:]
+            moved = np.maximum(x, self.offset)
             changes = self.others * np.append(moved, np.where(u > 0, u, self.needed(moved)[n:]))
             change, largest = changes.sum(axis=1), changes.argmax(axis=1)
             needed = self.needed(_complete_sizes(moved, lambda states: self.needed(states)[:n]))[n:]
