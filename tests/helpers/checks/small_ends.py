@@ -17,7 +17,8 @@ APART = 1e-5  # of the costs of two answers, which are of order 1
 STEEPEST = 30.0  # change of the cost by a change of all small numbers
 METHODS = "quick", "quick", "structured", "convex"
 NO_POINT = {"initial box", "initial ball", "free initial state", "periodic ends"}  # features without a given start
-NEVER_AT_REST = {  # sizes do not see what these do to a state that begins at its reference
+NEVER_AT_REST = {  # sizes do not see what these do to a state at its reference; a cone is not corrected at its tip
+    "part of the fundamental",
     "path constraint", "convex path constraint", "soft path constraint", "cost by formulas",
     "cost by formulas with a kink", "piecewise-smooth dynamics", "piecewise-affine dynamics", "stop band of outputs",
 }  # fmt: skip
