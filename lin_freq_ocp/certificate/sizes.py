@@ -153,7 +153,7 @@ class Floors:
     Attributes
     ----------
     z : (n + m,)
-        Of states and controls. For states at rest, it is at least their rounding divided by CONDITION_TOLERANCE.
+        Of states and controls; of states, at least their rounding divided by CONDITION_TOLERANCE.
     level : float
         Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
         over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
