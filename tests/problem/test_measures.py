@@ -216,3 +216,13 @@ def test_numbers_that_the_motion_may_have_are_its_sizes(units):
 def test_a_reference_without_a_weight_says_nothing():
     unweighed = problem(state_set=Box(-9.0, 9.0), control_set=Box(-2.0, 2.0), cost=QuadraticCost(Q=1.0, u_ref=[1e-9]))
     np.testing.assert_array_equal(stated_sizes(unweighed)[1], [2.0])
+
+
+@pytest.mark.parametrize("start", [[1e-12, 0.0], [0.0, 1e-12]])
+def test_rows_that_the_origin_violates_say_how_far_a_state_moves(start):
+    row = lfo.StageRows([[1.0, 0.0]], None, [-0.1], "row", penalty=0.3)
+    at_rest, near = (
+        stated_sizes(problem(initial_state=begin, stage_rows=[row], cost=QuadraticCost(Q=1.0, R=1.0)))
+        for begin in ([0.0, 0.0], start)
+    )
+    np.testing.assert_allclose(np.concatenate(near), np.concatenate(at_rest), rtol=1e-6)
