@@ -6,6 +6,7 @@ stand for no bound. Sizes change with the units of the components and with nothi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -138,12 +139,12 @@ def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> t
 class Scales(NamedTuple):
     """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
 
-    The slopes, (T+1, n + m) with zeros for u_T, are those for such sizes.
+    ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with zeros for u_T.
     """
 
     sizes: Sizes
     cost: float | None = None
-    slopes: Array | float = 0.0
+    slopes: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +161,10 @@ class Floors:
         Hamiltonian.
     slopes : (T+1, n + m)
         Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
-        component or time says nothing of others.
+        component or time says nothing of others; at least what rounding of the states changes in them, divided by
+        CONDITION_TOLERANCE.
     terms : tuple of (dim,)
-        Of the values of each term.
+        Of the values of each term; at least what rounding of the states changes in them, as for slopes.
     rounding : (n,)
         Rounding errors of moving states, of A times these, and of their coordinates; 0 for states at rest.
     """
@@ -181,20 +183,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     with modes, that is only the average over modes.
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
-    (x, u), cost, slopes = scales
-    size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
-    steep = eta_C * (stack_signals(*problem.quadratic.gradient_magnitudes(*steady)) + slopes)
-    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
-    if eta_C == 0:  # any multiple of abnormal multipliers is as good
-        parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
-        level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
-    else:
-        priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(steep * size).ravel(), *priced])
-        costs, stage = np.sort(costs[costs > 0]), 0.0
-        if len(costs):  # their median
-            stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
-        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
+    (x, u), cost, slopes_at = scales
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     at = np.abs(extremal.trajectory.x)
@@ -202,7 +191,34 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     moved = problem.equations.successor_sizes(given, extremal.trajectory.u)
     rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
     resting = at.max(0) <= rounding
-    least = SCALE_FLOOR * size
-    least[: len(x)] = np.maximum(least[: len(x)], rounding / CONDITION_TOLERANCE)
+
+    def steep_at(size: Array) -> Array:
+        slopes = stack_signals(*problem.quadratic.gradient_magnitudes(*_steady(size, len(x), T)))
+        return eta_C * (slopes if slopes_at is None else slopes + slopes_at(size))
+
+    size = np.concatenate([x, u])
+    # what rounding of the states does to rows, and to the slopes of the cost, is no residual
+    coarse = np.concatenate([np.maximum(x, rounding / (SCALE_FLOOR * CONDITION_TOLERANCE)), u])
+    steep, steady = steep_at(size), _steady(coarse, len(x), T)
+    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
+    if eta_C == 0:  # any multiple of abnormal multipliers is as good
+        parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
+        level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
+    else:
+        steady = _steady(size, len(x), T)
+        priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
+        costs = np.concatenate([(steep * size).ravel(), *priced])
+        costs, stage = np.sort(costs[costs > 0]), 0.0
+        if len(costs):  # their median
+            stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
+        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
+    if (coarse > size).any():
+        steep = np.maximum(steep, steep_at(coarse))
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
-    return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))
+    return Floors(SCALE_FLOOR * coarse, level, steep, terms, np.where(resting, 0.0, rounding))
+
+
+def _steady(size: Array, states: int, horizon: int) -> tuple[Array, Array]:
+    """Return states (T+1, n) and controls (T, m) with the same values (n + m,) at all times."""
+    x, u = np.split(size, [states])
+    return np.broadcast_to(x, (horizon + 1, states)), np.broadcast_to(u, (horizon, len(u)))

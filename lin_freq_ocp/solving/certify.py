@@ -19,7 +19,7 @@ from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE
+from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE, correct_point
 from lin_freq_ocp.solving.outcome import Evidence
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.reformulations import at_frequencies, translation_of
@@ -103,10 +103,24 @@ def certify(
     if multipliers is None:
         certificate = entry_for(CERTIFIERS, problem.form)(problem, at, allowed)
     else:
-        certificate = judge(problem, at, multipliers, allowed)
+        certificate = _judge_to_rounding(problem, at, multipliers, allowed)
         if evidence is not None:
             certificate = replace(certificate, bound=evidence.verified(problem))
     return replace(certificate.raised(translation.cost), subject=subject)
+
+
+def _judge_to_rounding(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, allowed: float
+) -> Certificate:
+    """Judge a trajectory; where that decides, the certificate says what rounding of the data changes of the cost."""
+    certificate = judge(problem, trajectory, multipliers, allowed)
+    if certificate.pmp == "satisfied" and not certificate.globally_optimal and not problem.mode_names:
+        with suppress(UnsupportedError):  # corrections that do not fit into memory
+            proof = correct_point(problem, trajectory, multipliers, allowed)
+            rounding = 0.0 if proof is None else proof.certificate.data_rounding
+            rounded = replace(certificate, data_rounding=rounding)
+            certificate = rounded if rounded.globally_optimal else certificate
+    return certificate
 
 
 def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allowed: float) -> Certificate:
@@ -117,7 +131,7 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     with suppress(UnsupportedError):  # such as a cost that is not convex
         multipliers = solve_judged(problem).multipliers
         if multipliers is not None:  # proven to be optimal or not
-            certificate = judge(problem, trajectory, multipliers, allowed)
+            certificate = _judge_to_rounding(problem, trajectory, multipliers, allowed)
             if certificate.pmp == "satisfied":
                 return certificate
     problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))

@@ -228,7 +228,7 @@ def augment_states(
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
-    return replace(
+    augmented = replace(
         problem,
         dynamics=dynamics,
         cost=CostSum([quadratic.augmented(k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
@@ -239,6 +239,7 @@ def augment_states(
         stage_rows=[rows.augmented(n, k) for rows in problem.stage_rows],
         output_spectrum=[one.augmented(n, k) for one in entries_of(problem.output_spectrum)] or None,
     )
+    return augmented if problem.origin is None else replace_fields(augmented, _origin=np.pad(problem.origin, (0, k)))
 
 
 def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:

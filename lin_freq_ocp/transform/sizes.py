@@ -10,6 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask, seal
+from lin_freq_ocp.formulas.jets import jets_of
+from lin_freq_ocp.formulas.nodes import kinks
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, VARIABLE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import Penalty
@@ -43,8 +46,9 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
     The first of these that a component has is its size: the largest of its ends, references and levels; its bounds; of
     a control, the limits of other sets and rows; what the other components cause in it within the horizon; what it must
-    be to cause the sizes of the others; the limits of other sets and rows; 1. A bound far above what ends, references
-    and dynamics imply counts as none, and so does an end or reference far below what the others make of the component.
+    be to cause the sizes of the others; the limits of other sets and rows; its ends; 1. A bound far above what ends,
+    references and dynamics imply counts as none, and so does an end or reference far below what the others make of the
+    component, or of a component whose cost by formulas is not convex at the origin.
     States are measured from the origin of ``translation_of``.
     """
     if problem not in KNOWN_SIZES:
@@ -55,32 +59,57 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
-    n, influence, ends = problem.state_dim, Influence.of(problem), _sizes_of_ends(problem)
-    stated = influence.without_rounding(
-        ends, _sizes_of_rows(problem, lambda penalty, at: penalty.excess(at)), problem.level_sizes > 0
-    )
+    n, influence, (shift, unknown) = problem.state_dim, Influence.of(problem), _minima_of_cost(problem)
+    ends = np.maximum(_sizes_of_ends(problem), shift)
+    excess = _sizes_of_rows(problem, lambda penalty, at: penalty.excess(at), curved=True)
+    stated = influence.without_rounding(np.where(unknown, 0.0, ends), excess, problem.level_sizes > 0)
     sizes = np.where(stated > 0, stated, _sizes_of_bounds(problem, influence, stated))
     known = sizes[:n] > 0
     if not sizes.all():
-        limited = _sizes_of_rows(problem, lambda penalty, at: np.broadcast_to(penalty.sizes(), at.shape) + np.abs(at))
+        limited = _sizes_of_rows(problem, lambda penalty, at: penalty.sizes() + np.abs(at), curved=False)
         first = np.append(np.zeros(n), limited[n:])  # those of controls imply states
-        for others in (first, limited):
+        for others in (first, limited, excess, ends):  # an end says something where nothing else does
             sizes = _complete_sizes(np.where(sizes > 0, sizes, others), influence.implied)
     sizes = np.maximum(np.where(sizes > 0, sizes, 1.0), ends)
     return sizes[:n], sizes[n:], known
 
 
 def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
-    """Return the largest of the ends, levels and references, (n+m,), where the cost of a component is least."""
-    cost, of_references = problem.quadratic, list[Array]()
-    weights = (cost.x_ref, cost.q, cost.Q), (cost.u_ref, cost.r, cost.R)
-    for by, (reference, slope, curvature) in zip(cost.weighs, weights, strict=True):
-        curved = np.diagonal(curvature, axis1=-2, axis2=-1).reshape(-1, len(by)).max(0)
-        steep = np.abs(slope.reshape(-1, len(by))).max(0)
-        shift = np.divide(steep, curved, out=np.zeros(len(by)), where=curved > 0)
-        of_references.append(np.maximum(np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0), shift))
+    """Return the largest of the ends, levels and references, (n+m,)."""
+    cost = problem.quadratic
+    pairs = zip(cost.weighs, (cost.x_ref, cost.u_ref), strict=True)
+    references = [np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0) for by, reference in pairs]
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
-    return np.concatenate([np.maximum(ends, of_references[0]), np.maximum(of_references[1], problem.level_sizes)])
+    return np.concatenate([np.maximum(ends, references[0]), np.maximum(references[1], problem.level_sizes)])
+
+
+def _minima_of_cost(problem: OptimalControlProblem) -> tuple[Array, Mask]:
+    """Return how far slopes take a component, within its bounds, and which curvature does not stop, (n+m,) each.
+
+    Those of the quadratic cost are taken at the references, those of formulas at the origin.
+    """
+    cost, n, T, k = problem.quadratic, problem.state_dim, problem.horizon, problem.state_dim + problem.control_dim
+    steep = np.hstack([np.abs(cost.q).reshape(-1, n).max(0), np.abs(cost.r).reshape(-1, k - n).max(0)])
+    bent = np.diagonal(cost.stage_hessians(), axis1=1, axis2=2).max(0)
+    parts, unknown, (stage, terminal) = [(steep, bent)], np.zeros(k, dtype=bool), problem.cost.formulas
+    if terminal is not None:
+        parts.append((np.pad(np.abs(cost.p), (0, k - n)), np.pad(np.diagonal(cost.P), (0, k - n))))
+    for i, (formula, times) in enumerate(((stage, np.arange(T)), (terminal, np.array([T])))):
+        if formula is None:
+            continue
+        used = np.zeros(k, dtype=bool)
+        used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True
+        if [*kinks([formula], MAXIMUM, MINIMUM)]:
+            unknown |= used
+            continue
+        at = jets_of([formula], np.zeros((len(times), k)), times=times)
+        slope = parts[i][0] + np.abs(at.slopes[:, 0]).max(0)
+        curvature = parts[i][1] + np.diagonal(at.curvatures[:, 0], axis1=1, axis2=2).min(0)
+        parts[i] = np.nan_to_num(slope), curvature
+        unknown |= used & ~((curvature > 0) & np.isfinite(slope))
+    shift = np.max([np.divide(steep, bent, out=np.zeros(k), where=bent > 0) for steep, bent in parts], axis=0)
+    tubes = problem.state_boxes, problem.control_tube
+    return np.minimum(shift, np.hstack([np.maximum(-t.lower, t.upper).max(0) for t in tubes])), unknown
 
 
 def _sizes_of_bounds(problem: OptimalControlProblem, influence: Influence, stated: Array) -> Array:
@@ -104,15 +133,16 @@ def _median_size(bounds: Array) -> Array:
     return np.take_along_axis(sizes, middle, axis=0).mean(axis=0)
 
 
-def _sizes_of_rows(problem: OptimalControlProblem, reach: Callable[[Penalty, Array], Array]) -> Array:
+def _sizes_of_rows(problem: OptimalControlProblem, reach: Callable[[Penalty, Array], Array], curved: bool) -> Array:
     """Return the least size at which a component alone has a row's reach, (n+m,), 0 without one.
 
-    ``reach`` (times, rows) or (times, 1) is that of a penalty with the values of its rows at the origin.
+    ``reach`` (times, rows) or (times, 1) is that of a penalty with the values of its rows at the origin. Rows by
+    formulas count if ``curved``, with their slopes there.
     """
     n, m = problem.state_dim, problem.control_dim
     least = np.full(n + m, np.inf)
     for term in problem.terms:
-        form = term.map.stage_form(n, m)
+        form = term.map.form_at_origin(n, m) if curved else term.map.stage_form(n, m)
         if form is None:
             continue
         coefficients, limit = np.abs(form[0]).max(0), reach(term.penalty, form[1]).max(0)[:, None]

@@ -118,7 +118,10 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     _, steep, bent = (np.abs(part[:, n]) for part in jets_along.maps_of(modes, np.arange(len(modes))))
     steep[:, n], bent_end = 0.0, np.abs(_end_hessian(problem, trajectory))
     size, end = np.concatenate([x, [0.0], u]), np.abs(reduced.problem.quadratic.p[:n] - problem.quadratic.p)
-    slopes = np.vstack([steep + bent @ size, np.pad(bent_end @ x, (0, 1 + len(u)))])
+
+    def slopes(of: Array) -> Array:
+        return np.vstack([steep + bent @ of, np.pad(bent_end @ of[:n], (0, 1 + len(u)))])
+
     given = size + np.pad(np.zeros(n) if problem.origin is None else np.abs(problem.origin), (0, 1 + len(u)))
     within = np.append((steep + 0.5 * bent @ given) @ given, (end + 0.5 * bent_end @ given[:n]) @ given[:n])
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)

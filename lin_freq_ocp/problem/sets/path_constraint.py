@@ -346,6 +346,16 @@ class FormulaMap(AffineMap):
         """Return the formulas with derivatives along a trajectory."""
         return jets_of(self.formulas, self.signals(x, u), times=self.times)
 
+    def form_at_origin(self, n: int, m: int) -> tuple[Array, Array] | None:
+        """Return slopes and values at the origin, the least that enclosures allow; None where they are no numbers."""
+        origin = np.zeros((len(self.times), n + m))
+        at, least = (
+            jets_of(self.formulas, origin, times=self.times),
+            least_values(self.formulas, origin, origin, self.times),
+        )
+        form = at.slopes, np.where(np.isfinite(least), least, at.values)
+        return form if all(np.isfinite(part).all() for part in form) else None
+
     def values(self, x: Array, u: Array) -> Array:
         """Return the values, (groups, components)."""
         return values_of(self.formulas, self.signals(x, u), self.times)

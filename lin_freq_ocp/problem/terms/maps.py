@@ -98,6 +98,10 @@ class AffineMap(ABC):
         """
         return None
 
+    def form_at_origin(self, n: int, m: int) -> tuple[Array, Array] | None:
+        """Return the ``stage_form`` that holds near the origin, of values that need not be affine."""
+        return self.stage_form(n, m)
+
     def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
         """Return the data of a spectrum, whose values are the kept (Re, Im) in their order; None for other maps."""
         return None
