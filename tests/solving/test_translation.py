@@ -16,6 +16,7 @@ from helpers.seeds import seeds
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
 METHODS = ("auto", "spectral", "structured", "convex")
+WITHOUT_BOUNDS = {"control_set": lfo.Box(-np.inf, np.inf), "state_set": lfo.Box(-np.inf, np.inf)}
 
 
 @pytest.mark.parametrize(
@@ -147,6 +148,51 @@ def test_a_loop_that_comes_to_its_set_point_is_optimal_at_every_step(deviation, 
         result = lfo.solve(problem.with_ends(initial_state=start), throw=False)
         assert result.status == "optimal"
         assert result.cost < 100 * deviation**2 + 1e-30
+
+
+@pytest.mark.parametrize("features", [("linear dynamics",), ("low pass",)], ids=", ".join)
+def test_what_is_proven_within_rounding_of_the_data_is_certified_as_that(features):
+    problem = pairs.problem_of(*features).with_ends(initial_state=[0.6 + 1e-12, 0.0])
+    result = lfo.solve(problem)
+    assert result.certificate.data_rounding > 0
+    for certificate in (lfo.certify(problem, result), lfo.certify(problem, result.trajectory)):
+        assert certificate.globally_optimal
+    assert not lfo.certify(problem, 1.01 * result.trajectory.u).globally_optimal
+
+
+@pytest.mark.parametrize(
+    ("features", "moves"),
+    [
+        (
+            {"stage_rows": [lfo.sets.PathConstraint("0.1 - x_1 - 0.01*sin(x_0)", upper=[[np.inf]] * 3 + [[0.0]] * 3)]},
+            True,
+        ),
+        (
+            {
+                "stage_rows": [lfo.sets.PathConstraint("0.1 - x_1", upper=[[np.inf]] * 3 + [[0.0]] * 3)],
+                **WITHOUT_BOUNDS,
+            },
+            True,
+        ),
+        ({"cost": lfo.costs.SmoothCost(stage="cos(x_0 - 0.6)")}, True),
+        ({"cost": lfo.costs.SmoothCost(stage="0.1*sin(3*x_0)")}, True),
+        ({"cost": lfo.costs.SmoothCost(terminal="-(x_1 - 0.3)**3")}, True),
+        ({"cost": lfo.costs.SmoothCost(stage="sin(x_0 - 0.6)**2 + x_1**2")}, False),
+    ],
+    ids=["path", "path without bounds", "maximum", "slope", "terminal slope", "minimum"],
+)
+@pytest.mark.parametrize("deviation", seeds([1e-8, 1e-12, 1e-15]))
+def test_formulas_that_move_a_state_away_from_its_set_point_say_how_far(deviation, features, moves):
+    tracking = lfo.QuadraticCost(Q=0.05, R=0.2, x_ref=[0.6, 0.0])
+    cost = tracking + features["cost"] if "cost" in features else tracking
+    problem = replace(pairs.problem_of(), **{**features, "cost": cost})
+    costs = []
+    for start in ([0.6, 0.0], [0.6 + deviation, 0.0]):
+        result = lfo.solve(problem.with_ends(initial_state=start), lfo.solvers.Nonsmooth(global_bound=False))
+        assert result.status in ("locally_optimal", "optimal")
+        costs.append(result.cost)
+    assert costs[1] == pytest.approx(costs[0], abs=10 * deviation)
+    assert (np.ptp(result.trajectory.x[:, 0]) > 1e-3) == moves
 
 
 @pytest.mark.parametrize("deviation", [1e-14, 1e-11, 1e-9])

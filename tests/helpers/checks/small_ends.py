@@ -17,10 +17,8 @@ APART = 1e-5  # of the costs of two answers, which are of order 1
 STEEPEST = 30.0  # change of the cost by a change of all small numbers
 METHODS = "quick", "quick", "structured", "convex"
 NO_POINT = {"initial box", "initial ball", "free initial state", "periodic ends"}  # features without a given start
-NEVER_AT_REST = {  # sizes do not see what these do to a state at its reference; a cone is not corrected at its tip
-    "part of the fundamental",
-    "path constraint", "convex path constraint", "soft path constraint", "cost by formulas",
-    "cost by formulas with a kink", "piecewise-smooth dynamics", "piecewise-affine dynamics", "stop band of outputs",
+NEVER_AT_REST = {  # within rounding of rest, their optima are not proven, or found by a method without correction
+    "part of the fundamental", "convex path constraint", "piecewise-smooth dynamics", "piecewise-affine dynamics",
 }  # fmt: skip
 LEVELS = {"levels", "duty cycles"}  # they satisfy exact equations from rest alone
 
