@@ -24,6 +24,7 @@ def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Cal
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
+    "archives": "LARGE MOST_COMPRESSED MOST_ENTRIES",
     "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "kinds": "register_all",
     "cones": "Cone apply_scaling apply_scaling_twice compute_scaling product quotient spectral_values steepest",
     "interrupts": "interrupts_noted leave leave_silently let_commands_decide",

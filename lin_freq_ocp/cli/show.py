@@ -82,11 +82,16 @@ def schema_command(name: str) -> int:
 
 @click.command("init")
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE.toml")
-def init_command(file: Path) -> int:
-    """Write a template of a problem file, with comments."""
+@click.option("--plant", type=click.Path(path_type=Path), metavar="PLANT.mat", help="A, B and Ts that MATLAB saved.")
+@click.option("--response", type=click.Path(path_type=Path), metavar="FRF.csv", help="A measured frequency response.")
+@click.option(
+    "--sampling-time", type=float, metavar="SECONDS", help="Of a continuous plant, or of the response's record."
+)
+def init_command(file: Path, plant: Path | None, response: Path | None, sampling_time: float | None) -> int:
+    """Write a template of a problem file, with comments, or a problem with a plant of yours."""
     from lin_freq_ocp.files.problem_file import init_problem_file
 
-    init_problem_file(file)
+    init_problem_file(file, plant, response, sampling_time)
     console.say(f"wrote {file}; next: lin-freq-ocp solve {file}")
     return console.PROVEN
 

@@ -20,16 +20,19 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.atomic import report_write_errors, write_bytes
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.files import reading
-from lin_freq_ocp.files.problem_tables import PROBLEM, problem_from_tables
+from lin_freq_ocp.files.problem_tables import PROBLEM, SCHEMA, problem_from_tables
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.files.summary import finite, head
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.description import problem_facts
-from lin_freq_ocp.problem.dynamics.frequency_response import read_response
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.dynamics.measured import read_response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.transform.limits import CUTOFFS
@@ -38,6 +41,8 @@ ARRAYS_SUFFIX = ".problem.npz"  # of the arrays of cart.toml: cart.npz may be a 
 MOST_BYTES = 2**22  # of a problem file: they take some 4 s to parse; larger arrays belong into an .npz
 INLINE_LIMIT = 400  # most numbers of one field that are written into the text itself
 _ROW = re.compile(r"\[\n((?:\s+[-+.\w]+,\n)+)\s*\]")
+
+PLANT_HORIZON, MOST_SAMPLES = 100, 1000  # horizons of files that are made for a plant
 
 SECTION = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)  # a heading of a numpydoc docstring
 ARRAY_REFERENCE = {"npz", "key"}  # keys of a table that stands for an array in another file
@@ -192,9 +197,26 @@ def template() -> str:
     return files("lin_freq_ocp.files").joinpath("template.toml").read_text(encoding="utf-8")
 
 
-def init_problem_file(path: str | PathLike[str]) -> None:
-    """Write the template to a new file; ProblemError if there is a file already, or none can be written there."""
+def init_problem_file(
+    path: str | PathLike[str],
+    plant: str | PathLike[str] | None = None,
+    response: str | PathLike[str] | None = None,
+    sampling_time: float | None = None,
+) -> None:
+    """Write a new file: the template, or a problem with the plant of a .mat file or the response of a CSV file.
+
+    ProblemError if there is a file already, none can be written there, or the plant or response cannot be read.
+    """
     path = Path(path)
+    if plant is not None and response is not None:
+        raise ProblemError("plant, response", "both", "one of them")
+    if plant is None and response is None and sampling_time is not None:
+        raise ProblemError("sampling_time", brief(sampling_time), "none without a plant or a response")
+    text = template()
+    if plant is not None:
+        text = _problem_of_plant(Path(plant), sampling_time)
+    elif response is not None:
+        text = _problem_of_response(Path(response), path.parent, sampling_time)
     with report_write_errors(path):
         try:
             stream = path.open("x", encoding="utf-8", newline="\n")
@@ -202,10 +224,48 @@ def init_problem_file(path: str | PathLike[str]) -> None:
             raise ProblemError(str(path), "a file that exists already", "a new name", "It is left as it is.") from None
         try:
             with stream:
-                stream.write(template())
+                stream.write(text)
         except OSError:
             path.unlink()  # half a file would be in the way of the next attempt
             raise
+
+
+INTRODUCTION = """\
+# A problem with a plant of yours: replace ends, cost and limits by what is asked of it.
+# The template that `lin-freq-ocp init other.toml` writes explains every key.
+
+"""
+
+
+def _problem_of_plant(plant: Path, sampling_time: float | None) -> str:
+    """Return the text of a problem with a plant that a .mat file holds."""
+    dynamics = LinearDynamics.from_mat(plant, sampling_time)
+    bounds, start = Box(*np.outer([-1.0, 1.0], np.ones(dynamics.control_dim))), np.ones(dynamics.state_dim)
+    cost = QuadraticCost(Q=1.0, R=1.0)
+    return INTRODUCTION + problem_text(
+        OptimalControlProblem(dynamics, PLANT_HORIZON, cost, bounds, initial_state=start)
+    )
+
+
+def _problem_of_response(response: Path, folder: Path, sampling_time: float | None) -> str:
+    """Return the text of a problem whose dynamics are a measured response; its file is in the folder, or below."""
+    hertz = read_response(response)[:, 0]
+    if not response.resolve().is_relative_to(folder.resolve()):
+        expected = "a file in the folder of the problem file, or below"
+        raise ProblemError(str(response), "a file in another folder", expected, "Copy it there.")
+    spacing = float(np.median(np.diff(hertz))) if len(hertz) > 1 else 0.0
+    if spacing <= 0:
+        raise ProblemError(str(response), f"the frequencies {brief(hertz.tolist())}", "at least two that increase")
+    step = 0.5 / float(hertz[-1]) if sampling_time is None else positive_number("sampling_time", sampling_time)
+    samples = int(np.clip(round(1 / (spacing * step)), 4, MOST_SAMPLES))  # bins as far apart as the frequencies
+    outside = "zero" if hertz[0] > 0 or 0.5 / step > hertz[-1] else "refuse"
+    FrequencyResponse.from_csv(response, samples, step, outside)
+    table = {"csv": response.resolve().relative_to(folder.resolve()).as_posix()}
+    dynamics = {"table": table, "samples": samples, "sampling_time": step, "outside": outside}
+    cost, bounds = {"Q": 1.0, "R": 1e-3, "x_ref": [1.0]}, {"lower": -1.0, "upper": 1.0}
+    return INTRODUCTION + tomli_w.dumps(
+        {"schema": SCHEMA, "horizon": samples, "dynamics": dynamics, "cost": cost, "control_set": bounds}
+    )
 
 
 def problem_text(problem: OptimalControlProblem) -> str:

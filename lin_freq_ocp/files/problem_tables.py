@@ -54,14 +54,18 @@ def _linear(
     state_names: FileValue = None,
     control_names: FileValue = None,
     continuous: bool = False,
+    disturbance: FileValue = None,
+    d: FileValue = None,
 ) -> LinearDynamics:
+    for key, value in (("disturbance", disturbance), ("d", d)):
+        if value is not None and not continuous:
+            raise ProblemError(key, "values", "none without continuous = true", "Add it to the offset, one per time.")
     if not continuous:
         return LinearDynamics(A, B, offset, sampling_time, state_names, control_names)
     if sampling_time is None:
         raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
-    return LinearDynamics.from_continuous(
-        A, B, sampling_time, offset, state_names=state_names, control_names=control_names
-    )
+    names = {"state_names": state_names, "control_names": control_names}
+    return LinearDynamics.from_continuous(A, B, sampling_time, offset, disturbance=disturbance, d=d, **names)
 
 
 def without_zeros(first: Array, second: Array) -> tuple[Array | None, Array | None]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
+from lin_freq_ocp.base.archives import require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -31,11 +32,6 @@ FileArray = NDArray[FileValue]  # of any type of entries
 OTHER_VERSION = "A later version of this package may have written it."
 
 NPY_MAGIC = b"\x93NUMPY"  # first bytes of an .npy, and of every entry of an .npz
-MOST_ENTRIES = 10_000  # files in an archive
-MOST_BYTES = 2**34  # unpacked size of an archive: 16 GiB, more than any answer of this package
-# Above 256 MiB, a compression of more than 1 to 100 is refused; zeros reach 1 to 1000.
-LARGE, MOST_COMPRESSED = 2**28, 100
-
 # What numpy and zipfile raise for files that are damaged, encrypted, or hold Python objects instead of numbers.
 DAMAGED = (
     *(OSError, ValueError, EOFError, KeyError, SyntaxError, RuntimeError, MemoryError),
@@ -141,16 +137,6 @@ def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
     stream = BytesIO()
     np.savez(stream, allow_pickle=False, **{name: np.asarray(array) for name, array in arrays.items()})
     return stream.getvalue()
-
-
-def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None:
-    """Raise ProblemError for an archive with too many entries, or too many bytes by its own account when unpacked."""
-    if entries > MOST_ENTRIES:
-        raise ProblemError(field, f"{entries} entries", f"an archive of at most {MOST_ENTRIES}")
-    if unpacked > MOST_BYTES or unpacked > max(LARGE, MOST_COMPRESSED * packed):
-        got = f"{packed} bytes that unpack to {unpacked} or more"
-        expected = f"at most {MOST_BYTES}, and above {LARGE} at most {MOST_COMPRESSED} times their packed size"
-        raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
 def require_keys(location: str, table: object, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:

@@ -18,12 +18,13 @@ from tempfile import TemporaryDirectory
 
 from threadpoolctl import threadpool_info
 
+from lin_freq_ocp.base.archives import LARGE, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError, warn_user
 from lin_freq_ocp.files import reading
 from lin_freq_ocp.files.problem_file import ARRAYS_SUFFIX, problem_files, read_problem
-from lin_freq_ocp.files.reading import LARGE, FileTable
+from lin_freq_ocp.files.reading import FileTable
 from lin_freq_ocp.files.solution_files import SavedSolution, load_solution, solution_bytes
 from lin_freq_ocp.files.summary import result_summary
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -167,9 +168,7 @@ def _unpack(path: Path, folder: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-            reading.require_modest(
-                str(path), len(entries), sum(entry.file_size for entry in entries), path.stat().st_size
-            )
+            require_modest(str(path), len(entries), sum(entry.file_size for entry in entries), path.stat().st_size)
             present = {entry.filename: entry for entry in entries}
             for name in (PROBLEM, ARRAYS, SOLUTION, RUN):
                 if name in present and present[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):

@@ -11,8 +11,6 @@ import csv
 import io
 import json
 import math
-import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -22,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lin_freq_ocp.base.archives import mat_variables
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.atomic import write_bytes, write_text
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -35,9 +34,6 @@ CLOCK_TOLERANCE = 0.1  # error of a clock in periods since its first time: times
 
 STEP, SECONDS = "t", "time [s]"  # columns that count the steps and the seconds; either may be missing
 FORMULAS = ("=", "+", "-", "@", "'")  # first characters of cells that a spreadsheet evaluates, or takes for a quote
-
-COMPRESSED = 15  # type of a compressed element
-PIECE = 2**22  # bytes unpacked at once
 
 SCHEMA = 2  # version of the layout of the .npz; earlier ones are read
 # Fields of Multipliers that are one array, with the dimensions of each.
@@ -364,23 +360,11 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     >>> bool((lfo.read_mat("run.mat", result.problem).x == result.trajectory.x).all())
     True
     """
-    from scipy.io import loadmat  # slow to import
-
     path = Path(path)
-    content = reading.read_bytes(path)
-    try:
-        _require_modest_mat(str(path), content)
-        stream: FileValue = BytesIO(content)
-        variables = loadmat(stream, spmatrix=False)
-    except ProblemError:
-        raise
-    except Exception as error:  # loadmat raises errors of many kinds for damaged files
-        advice = "In MATLAB: save(name, 'x', 'u', 't', '-v7')."
-        raise ProblemError(str(path), f"{error}", "a .mat file of version 5 or 7", advice) from None
+    variables = mat_variables(str(path), reading.read_bytes(path), "save(name, 'x', 'u', 't', '-v7')")
     with reading.naming_file(path):
         if "u" not in variables:
-            there = [name for name in variables if not name.startswith("__")]
-            got = f"nothing (there is {', '.join(there) or 'no variable'})"
+            got = f"nothing (there is {', '.join(variables) or 'no variable'})"
             raise ProblemError("u", got, "a variable of this name", "Rename it in MATLAB, and save x, u and t.")
         signals = {name: variables[name] for name in ("x", "u", "t") if name in variables}
         for name, value in signals.items():
@@ -396,27 +380,6 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
             if problem.sampling_time is not None:
                 require_clock("t", real_array("t", t.ravel()), problem.sampling_time)
         return trajectory
-
-
-def _require_modest_mat(field: str, content: bytes) -> None:
-    """Raise ProblemError if compressed variables of a file of version 5 or 7 unpack to too much.
-
-    Unlike a zip archive it does not declare sizes: its variables are unpacked piece by piece, and not kept.
-    """
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
-    offset, entries, unpacked = 128, 0, 0
-    while order is not None and offset + 8 <= len(content):
-        kind, size = struct.unpack_from(f"{order}II", content, offset)
-        offset += 8
-        entries, unpacked = entries + 1, unpacked + size
-        if kind == COMPRESSED:
-            unpacker, rest = zlib.decompressobj(), content[offset : offset + size]
-            while rest and not unpacker.eof:
-                unpacked += len(unpacker.decompress(rest, PIECE))
-                rest = unpacker.unconsumed_tail
-                reading.require_modest(field, entries, unpacked, len(content))
-        reading.require_modest(field, entries, 0, len(content))
-        offset += size
 
 
 def save_mat(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:

@@ -6,6 +6,7 @@ from lin_freq_ocp.base import lazy_exports
 __all__, __getattr__ = lazy_exports(__name__, {
     "costs.quadratic": "Cost NonsmoothCost", "description": "LONGEST_FACT problem_facts",
     "dynamics.base": "Dynamics signal_labels unique_names", "dynamics.linearisation": "MOST_EVALUATIONS",
+    "dynamics.measured": "read_response",
     "measures": "Measures measure one_step_residual padded_spectrum", "problem_data": "replace_fields",
     "sets.base": "ConvexSet Part", "sets.box": "end_within", "spectrum.bands": "Band stopped_bins time_signal",
     "spectrum.base": "FrequencyConstraint", "terms.maps": "AffineMap MatrixMap StageMap SumMap",

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import click
 import pytest
+from scipy.io import savemat
 
 import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require
@@ -123,6 +124,47 @@ def test_a_fresh_file_is_solved(tmp_path, monkeypatch):
     assert "cart: horizon 200" in out
     assert run("certify", "my.toml", "run.npz")[0] == 0
     assert sorted(os.listdir()) == ["my.toml", "run.npz"]
+
+
+def test_a_file_with_a_plant_of_yours_is_solved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    savemat(
+        "plant.mat", {"A": [[0.0, 1.0], [-4.0, -0.1]], "B": [[0.0], [1.0]], "Ts": 0.0, "StateName": ["angle", "speed"]}
+    )
+    (tmp_path / "frf.csv").write_text("frequency [Hz];magnitude [dB];phase [deg]\n0;0;0\n2,5;-3;-45\n5;-20;0\n")
+    assert run("init", "a.toml", "--plant", "plant.mat", "--sampling-time", "0.05")[0] == 0
+    assert run("init", "b.toml", "--response", "frf.csv")[0] == 0
+    assert run("init", "c.toml", "--response", "frf.csv", "--sampling-time", "0.05")[0] == 0
+    for name, horizon, state in (("a", 100, "angle"), ("b", 4, "x_0"), ("c", 8, "x_0")):
+        problem = lfo.read_problem(f"{name}.toml")
+        assert (problem.horizon, problem.state_names[0]) == (horizon, state)
+        assert run("solve", f"{name}.toml")[0] == 0
+    assert abs(lfo.read_problem("c.toml").dynamics.G[:, 0, 0]).round(3).tolist() == [1, 0.708, 0.1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("--plant", "none.mat"), "expected a readable .mat file"),
+        (("--response", "none.csv"), "expected a readable CSV file"),
+        (("--plant", "a.mat", "--response", "b.csv"), "plant, response: got both; expected one of them"),
+        (("--sampling-time", "0.1"), "sampling_time: got 0.1; expected none without a plant or a response"),
+        (
+            ("--response", "../frf.csv"),
+            "got a file in another folder; expected a file in the folder of the problem file",
+        ),
+        (("--response", "one.csv"), "expected at least two that increase"),
+    ],
+)
+def test_plants_that_cannot_be_taken_are_named(tmp_path, monkeypatch, given, message):
+    (tmp_path / "sub").mkdir()
+    monkeypatch.chdir(tmp_path / "sub")
+    (tmp_path / "frf.csv").write_text("f,re,im\n0,1,0\n1,0,0\n")
+    (tmp_path / "sub" / "one.csv").write_text("f,re,im\n1,1,0\n")
+    status, out, err = run("init", "my.toml", *given)
+    assert (status, out) == (2, "")
+    assert message in " ".join(err.split())
+    assert not (tmp_path / "sub" / "my.toml").exists()
 
 
 def test_settings_of_a_file_are_merged(tmp_path, monkeypatch):

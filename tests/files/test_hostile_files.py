@@ -20,7 +20,8 @@ from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from helpers.replacing import substitute
 from lin_freq_ocp.api import Rerun, outcome_fields, rerun_summary
-from lin_freq_ocp.files import BEGINNING, LARGE, MOST_ENTRIES, sweep_summary, to_json
+from lin_freq_ocp.base import LARGE, MOST_ENTRIES
+from lin_freq_ocp.files import BEGINNING, sweep_summary, to_json
 from lin_freq_ocp.pages import sweep_table
 
 SMOOTH = {
@@ -343,7 +344,7 @@ def unpacked(monkeypatch):
 
 def test_bombs_are_not_unpacked(tmp_path, unpacked, monkeypatch):
     """The sizes that the archive itself declares are enough: here of a sixteenth of what is large otherwise."""
-    substitute(monkeypatch, "files.LARGE", LARGE // 16)
+    substitute(monkeypatch, "base.LARGE", LARGE // 16)
     path = bomb(tmp_path / "bomb.zip", ["x.npy", "u.npy"], LARGE // 16)
     for read in (lfo.load, lfo.load_run):
         with pytest.raises(lfo.errors.ProblemError, match=r"bytes that unpack to 3\d+ or more"):
@@ -380,7 +381,7 @@ def test_what_is_no_array_is_not_taken_for_one(tmp_path):
 
 
 def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path, monkeypatch):
-    substitute(monkeypatch, "files.LARGE", 2**24)  # an archive above shows the limit itself
+    substitute(monkeypatch, "base.LARGE", 2**24)  # an archive above shows the limit itself
     savemat(tmp_path / "bomb.mat", {"x": np.zeros((2**18, 9)), "u": np.zeros((8, 1))}, do_compression=True)
     with pytest.raises(lfo.errors.ProblemError, match="bytes that unpack to"):
         lfo.read_mat(tmp_path / "bomb.mat", cart.problem)
@@ -388,8 +389,8 @@ def test_a_bomb_for_matlab_is_not_unpacked(cart, tmp_path, monkeypatch):
 
 def test_a_large_answer_of_zeros_is_no_bomb(cart, tmp_path, monkeypatch):
     """What is dumped can be read again: it is stored as it is where it would be taken for a bomb."""
-    substitute(monkeypatch, "files.LARGE", 10_000)
-    substitute(monkeypatch, "files.MOST_COMPRESSED", 2)
+    substitute(monkeypatch, "base.LARGE", 10_000)
+    substitute(monkeypatch, "base.MOST_COMPRESSED", 2)
     cart.dump(tmp_path / "run.zip")
     assert lfo.load_run(tmp_path / "run.zip").summary["status"] == "optimal"
 

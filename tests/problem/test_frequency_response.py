@@ -172,14 +172,12 @@ def test_bad_tables_are_named(table, named, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("f,re,im\n0,1\n", "plant.csv: row 1: got '0,1'; expected three finite numbers"),
+        ("f,re,im\n0,1\n", "plant.csv: row 1: got '0,1'; expected 3 finite numbers"),
         ("0,1,0\nx,1,0\n", "plant.csv: row 1: got 'x,1,0'"),
         ("f,re,im\n", "plant.csv: got no rows"),
         ("f,re\n0,1\n1,1\n", "The imaginary part is missing."),
-        ("f [Hz],gain [dB],phase [deg]\n0,1,0\n1,1,0\n", "plant.csv: header: got 'f [Hz],gain [dB],phase [deg]'"),
-        ("# Hz,dB,deg\n0,1,0\n1,1,0\n", "plant.csv: header: got '# Hz,dB,deg'"),
-        ("f,|G|,angle\n0,1,0\n1,1,0\n", "plant.csv: header: got 'f,|G|,angle'"),
-        ("w [rad/s],re,im\n0,1,0\n1,1,0\n", "plant.csv: header: got 'w [rad/s],re,im'"),
+        ("f,|G|,angle\n0,1,0\n1,1,0\n", "plant.csv: header: got 'angle'"),
+        ("w [rad/s],re,im\n0,1,0\n1,1,0\n", "frequencies from 0 to 0.159155 Hz; expected all bins of the record"),
     ],
 )
 def test_bad_files_are_named(tmp_path, text, message):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -188,3 +190,35 @@ def test_dynamics_that_are_none_are_refused_by_name(make, field):
         make()
     assert caught.value.field == field
     assert str(caught.value).startswith(f"{field}: got ")
+
+
+def test_known_inputs_are_sampled_like_controls():
+    """A room with the weather: dx/dt = -(x - d)/tau + b u, with d held over each hour."""
+    A, B, E, h = np.array([[-0.5, 0.3], [0.2, -0.4]]), np.array([[1.0], [0.0]]), np.array([[0.2], [0.2]]), 0.3
+    weather = np.sin(np.arange(6.0))[:, None]
+    dynamics = LinearDynamics.from_continuous(A, B, h, offset=[0.1, 0.0], disturbance=E, d=weather)
+    for t, d in enumerate(weather):
+        plain = LinearDynamics.from_continuous(A, B, h, offset=np.array([0.1, 0.0]) + E @ d)
+        assert np.allclose(dynamics.offset[t], plain.offset, rtol=1e-14, atol=1e-16)
+    assert (dynamics.A == plain.A).all()
+    assert (dynamics.B == plain.B).all()
+    assert dynamics.plant is None
+    assert (LinearDynamics.from_continuous(A, B, h, disturbance=E, d=weather[:, 0]).offset.shape) == (6, 2)
+    constant = LinearDynamics.from_continuous(A, B, h, disturbance=E, d=[2.0])
+    assert constant.plant is not None
+    assert np.allclose(constant.offset, LinearDynamics.from_continuous(A, B, h, offset=E[:, 0] * 2).offset)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"d": [1.0]}, "dynamics.disturbance: got nothing"),
+        ({"disturbance": [[1.0], [0.0]]}, "dynamics.d: got nothing"),
+        ({"disturbance": [[1.0]], "d": [1.0]}, "dynamics.disturbance: got shape (1, 1); expected shape (2, k)"),
+        ({"disturbance": [[1.0], [0.0]], "d": [[1.0, 2.0]]}, "dynamics.d: got shape (1, 2); expected shape (T, 1)"),
+        ({"disturbance": [[1.0], [np.nan]], "d": [1.0]}, "dynamics.disturbance[1][0]: got nan"),
+    ],
+)
+def test_known_inputs_that_do_not_fit_are_named(given, message):
+    with pytest.raises(ProblemError, match=re.escape(message)):
+        LinearDynamics.from_continuous(np.eye(2), np.ones((2, 1)), 0.1, **given)

@@ -7,7 +7,6 @@ of frequency, real and imaginary part, interpolated at the bins of a record.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -32,6 +31,7 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
+from lin_freq_ocp.problem.dynamics.measured import read_response
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.terms.maps import StageMap, SumMap
@@ -190,10 +190,13 @@ class FrequencyResponse(StateEquations):
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> FrequencyResponse:
-        """Interpolate a CSV file of frequency in Hz, real and imaginary part; see ``from_table``.
+        """Interpolate the response in a CSV file; see ``from_table``.
 
-        The first line may be a header; lines that begin with # are comments. ``samples`` and ``sampling_time`` must be
-        stated, because a file does not have them: the error of a missing one says what the file suggests.
+        The first line, which may be a comment, says what the columns are: ``frequency [Hz], re, im`` or
+        ``omega [rad/s], magnitude [dB], phase [deg]``, and a coherence, which is left out. Without it, they are
+        frequency in Hz, real and imaginary part. Semicolons, tabs and decimal commas are read, too. ``samples`` and
+        ``sampling_time`` must be stated, because a file does not have them: the error of a missing one says what the
+        file suggests.
         """
         table = read_response(Path(path))
         last = table[-1, 0]
@@ -380,40 +383,3 @@ def response_at_bins(
     if N % 2 == 0:
         response[-1] = response[-1].real
     return response.reshape(len(bins), *values.shape[1:])
-
-
-# Words in the header of a table that is polar, or over angular frequencies
-POLAR = re.compile(r"phase|angle|\barg\b|deg\b|\brad\b|\bmag|\babs|\||gain|\bdb", re.IGNORECASE)
-
-
-def read_response(path: Path) -> Array:
-    """Return the table of a CSV file, (k, 3): frequency in Hz, real and imaginary part.
-
-    The header is optional, and may be a comment.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
-    heads = [line for line in lines if line.lstrip().startswith("#") and line.count(",") == 2]
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if polar := [head for head in [*heads, *lines[:1]] if POLAR.search(head)]:
-        advice = "real = magnitude * cos(phase), imaginary = magnitude * sin(phase), magnitude = 10^(dB/20)."
-        expected = "columns of frequency in Hz, real part and imaginary part"
-        raise ProblemError(f"{path.name}: header", brief(polar[0]), expected, advice)
-    rows = list[list[float]]()
-    for i, line in enumerate(lines):
-        try:
-            row = [float(entry) for entry in line.split(",")]
-        except ValueError:
-            row = []
-        if i == 0 and not row:
-            continue
-        if len(row) != 3 or not np.isfinite(row).all():
-            expected = "three finite numbers: frequency in Hz, real part, imaginary part"
-            advice = "The imaginary part is missing." if len(row) == 2 else ""
-            raise ProblemError(f"{path.name}: row {i}", brief(line), expected, advice)
-        rows.append(row)
-    if not rows:
-        raise ProblemError(path.name, "no rows", "rows of frequency in Hz, real part, imaginary part")
-    return np.array(rows)

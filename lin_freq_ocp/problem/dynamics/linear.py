@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +26,8 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
-from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, clock, linearisation, state_equation
+from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, Labels, clock, linearisation, state_equation
+from lin_freq_ocp.problem.dynamics.measured import plant_in_mat
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
 
 
@@ -57,6 +60,8 @@ class LinearDynamics(StateEquations):
     -------
     from_continuous(A, B, sampling_time)
         Sample a continuous model.
+    from_mat(path)
+        Read a plant that MATLAB saved.
     from_statespace(plant)
         Take a linear model of python-control or scipy.signal.
     linearised(system, x, u)
@@ -115,10 +120,12 @@ class LinearDynamics(StateEquations):
         sampling_time: float,
         offset: ArrayLike | None = None,
         *,
+        disturbance: ArrayLike | None = None,
+        d: ArrayLike | None = None,
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
     ) -> LinearDynamics:
-        """Sample dx/dt = A x + B u + d by a zero-order hold: u is held constant over each period.
+        """Sample dx/dt = A x + B u + E d + offset by a zero-order hold: u and d are held constant over each period.
 
         Parameters
         ----------
@@ -126,8 +133,21 @@ class LinearDynamics(StateEquations):
             The continuous model.
         sampling_time : float
             Seconds per step.
+        disturbance : (n, k), optional
+            E: how known inputs, such as the weather or the voltage of a grid, act on the states.
+        d : (T, k), (T,) of one input, or (k,) if constant
+            Their values. With one per time, the model keeps no continuous plant.
         state_names, control_names : sequences of str, optional
             As for ``LinearDynamics``.
+
+        Examples
+        --------
+        >>> outside = [[5.0], [4.0], [3.0]]  # degrees, each hour
+        >>> room = lfo.LinearDynamics.from_continuous(
+        ...     [[-1 / 7200]], [[1e-3]], 3600.0, disturbance=[[1 / 7200]], d=outside, state_names=["T [degC]"]
+        ... )
+        >>> room.offset.shape
+        (3, 1)
         """
         Ac, Bc = real_array("dynamics.A", A), real_array("dynamics.B", B)
         step = positive_number("dynamics.sampling_time", sampling_time)
@@ -137,10 +157,72 @@ class LinearDynamics(StateEquations):
         drift = np.zeros(n) if offset is None else real_array("dynamics.offset", offset)
         if drift.shape != (n,):
             raise ProblemError("dynamics.offset", f"shape {drift.shape}", f"shape ({n},)")
-        plant = ContinuousPlant(Ac, Bc, drift)
+        if (disturbance is None) != (d is None):
+            missing = "d" if d is None else "disturbance"
+            raise ProblemError(f"dynamics.{missing}", "nothing", "both disturbance=E, (n, k), and d=, its values")
+        if disturbance is None:
+            return cls._sampled(ContinuousPlant(Ac, Bc, drift), step, state_names, control_names)
+        E, values = real_array("dynamics.disturbance", disturbance), real_array("dynamics.d", d)
+        if E.ndim != 2 or len(E) != n or E.shape[1] == 0:
+            raise ProblemError("dynamics.disturbance", f"shape {E.shape}", f"shape ({n}, k): E of dx/dt = ... + E d")
+        k = E.shape[1]
+        values = values[:, None] if values.ndim == k == 1 and len(values) > 1 else values
+        if values.ndim not in (1, 2) or values.shape[-1] != k:
+            raise ProblemError("dynamics.d", f"shape {values.shape}", f"shape (T, {k}), one row per time, or ({k},)")
+        if values.ndim == 1:
+            return cls._sampled(ContinuousPlant(Ac, Bc, drift + E @ values), step, state_names, control_names)
+        plain, acting, known = ContinuousPlant(Ac, np.hstack([Bc, E]), drift).sampled(step)
+        controls, inputs = np.split(acting, [Bc.shape[1]], axis=1)
+        return cls(plain, controls, known + values @ inputs.T, step, state_names, control_names)
+
+    @classmethod
+    def _sampled(
+        cls, plant: ContinuousPlant, step: float, state_names: Sequence[str] | None, control_names: Sequence[str] | None
+    ) -> LinearDynamics:
+        """Return a continuous plant sampled, which keeps the plant."""
         dynamics = cls(*plant.sampled(step), step, state_names, control_names)
         assign(dynamics, plant=plant)
         return dynamics
+
+    @classmethod
+    def from_mat(
+        cls,
+        path: str | PathLike[str],
+        sampling_time: float | None = None,
+        state_names: Sequence[str] | None = None,
+        control_names: Sequence[str] | None = None,
+    ) -> LinearDynamics:
+        """Read a linear plant from a .mat file: A, B and Ts, or a structure with these fields; outputs are not used.
+
+        MATLAB does not write objects in a form that others read. ``s = struct('A', sys.A, 'B', sys.B, 'Ts', sys.Ts,
+        'StateName', {sys.StateName}, 'InputName', {sys.InputName}); save plant.mat s -v7`` writes the fields.
+
+        Parameters
+        ----------
+        path : path
+            Of version 5 or 7. Ts is 0 for a continuous plant, which is sampled here by a zero-order hold.
+        sampling_time : float, optional
+            Seconds per step; required for a continuous plant. It must agree with the sampling time of a discrete plant.
+        state_names, control_names : sequences of str, optional
+            Default: StateName and InputName of the file, with StateUnit and InputUnit.
+
+        Raises
+        ------
+        ProblemError
+            If it is no such file, has no such plant or several, or sampling times do not agree.
+        """
+        A, B, dt, *labels = plant_in_mat(Path(path))
+        return cls._of_plant(A, B, dt, sampling_time, state_names or labels[0], control_names or labels[1])
+
+    @classmethod
+    def _of_plant(
+        cls, A: Array, B: Array, dt: float | None, sampling_time: float | None, states: Labels, controls: Labels
+    ) -> LinearDynamics:
+        """Return a plant with the sampling time dt, 0 if it is continuous."""
+        continuous, step = clock("plant", dt, sampling_time)
+        if continuous and step is not None:
+            return cls.from_continuous(A, B, step, state_names=states or None, control_names=controls or None)
+        return cls(A, B, None, step, states or None, controls or None)
 
     @classmethod
     def from_statespace(
@@ -168,12 +250,7 @@ class LinearDynamics(StateEquations):
             If it is no linear plant, a transfer function has no realisation, or sampling times do not agree.
         """
         A, B, dt, *labels = state_equation(plant)
-        states, controls = state_names or labels[0], control_names or labels[1]
-        continuous, step = clock("plant", dt, sampling_time)
-        if continuous and step is not None:
-            named = {"state_names": states, "control_names": controls}
-            return cls.from_continuous(A, B, step, **{key: names for key, names in named.items() if names})
-        return cls(A, B, None, step, states, controls)
+        return cls._of_plant(A, B, dt, sampling_time, state_names or labels[0], control_names or labels[1])
 
     @classmethod
     def linearised(
