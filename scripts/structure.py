@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_276,
-    "code lines": 42_850,
-    "code lines, linear part": 21_523,
+    "shipped lines": 46_266,
+    "code lines": 42_840,
+    "code lines, linear part": 21_513,
     "code lines, hybrid": 8_680,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.9,
+    "functions used once [%]": 11.8,
     "files entered by a solve": 48,
     "functions entered by a solve": 385,
     "calls of a solve": 763,
