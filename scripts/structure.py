@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_266,
-    "code lines": 42_840,
-    "code lines, linear part": 21_513,
+    "shipped lines": 46_229,
+    "code lines": 42_803,
+    "code lines, linear part": 21_479,
     "code lines, hybrid": 8_680,
     SHARE_SAID: 19.5,  # at least
     "files": 314,

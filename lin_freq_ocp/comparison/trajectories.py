@@ -169,7 +169,10 @@ class ProblemSignal:
         """Return the limits on the magnitude of its spectrum, in the unit of its axis."""
         lines = list[Line]()
         for term in self.problem.terms:
-            if term.kind.of != self.kind or not len(term.map.frequencies) or not term.map.spectrum_of(*self._rows):
+            spectrum = term.map.spectrum
+            if term.kind.of != self.kind or spectrum is None or not spectrum.is_of(*self._rows):
+                continue
+            if not len(spectrum.frequencies):
                 continue
             match term.semi_infinite:
                 case MagnitudeMask(limits=mask):
@@ -177,7 +180,7 @@ class ProblemSignal:
                     for low, high, *ends in pieces:
                         lines.append(Line(np.array([low, high]), self._on_axis(term, np.array(ends))))
                 case _:
-                    w, levels = term.map.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
+                    w, levels = spectrum.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
                     farthest = 1.5 * min(2 * np.pi / self.samples, np.diff(w).min(initial=np.inf))  # of neighbours
                     cuts = np.flatnonzero(np.diff(w) > farthest) + 1
                     runs = zip(np.split(w, cuts), np.split(levels, cuts), strict=True)
@@ -192,8 +195,10 @@ class ProblemSignal:
     @property
     def limited_beyond_bins(self) -> bool:
         """Whether it has a limit at other frequencies than bins: on its held spectrum, or on a residual vibration."""
-        terms = [term for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite is not None]
-        return any(not len(term.map.nearest_bins) and term.map.component == self.index for term in terms)
+        maps = [
+            term.semi_infinite.map for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite
+        ]
+        return any(one.scaled and one.component == self.index for one in maps)
 
     @property
     def kind(self) -> str:
@@ -204,7 +209,8 @@ class ProblemSignal:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
         w, levels = list[Array](), list[Array]()
         for term in self.problem.terms:
-            if term.semi_infinite is not None and term.map.spectrum_of(*self._rows):
+            spectrum = term.map.spectrum
+            if term.semi_infinite is not None and spectrum is not None and spectrum.is_of(*self._rows):
                 peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
                 levels.append(self._on_axis(term, term.semi_infinite.limit_at(w[-1])))
@@ -257,8 +263,9 @@ class Output(ProblemSignal):
         """Return its stopped or bounded bins, (N//2 + 1,)."""
         stop = np.zeros(self.samples // 2 + 1, dtype=bool)
         for term in self.problem.terms:
-            if term.kind.of == self.kind and term.map.spectrum_of(*self._rows):
-                stop[term.map.nearest_bins] = True
+            spectrum = term.map.spectrum
+            if term.kind.of == self.kind and spectrum is not None and spectrum.is_of(*self._rows):
+                stop[spectrum.nearest_bins] = True
         return stop
 
     @property

@@ -317,6 +317,6 @@ def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) 
     """
     bounded = np.zeros(shape, dtype=bool)
     for term in terms:
-        if term.kind == kind:
-            bounded[term.map.nearest_bins, term.map.component] = True
+        if term.kind == kind and term.map.spectrum is not None:
+            bounded[term.map.spectrum.nearest_bins, term.map.spectrum.component] = True
     return seal(bounded)
