@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_229,
-    "code lines": 42_803,
-    "code lines, linear part": 21_479,
+    "shipped lines": 46_061,
+    "code lines": 42_635,
+    "code lines, linear part": 21_318,
     "code lines, hybrid": 8_680,
     SHARE_SAID: 19.5,  # at least
-    "files": 314,
+    "files": 313,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,

@@ -18,7 +18,6 @@ from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.step_problem import free_first_state, known_states, soften
-from lin_freq_ocp.methods.condensed.native import NativeKernel
 from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
 from lin_freq_ocp.methods.repair import repair_trajectory
@@ -199,25 +198,19 @@ class WindowedPlanner:
             stated = change.apply(self.stated)
             moved = self._translation.change(change, without_windows(stated))
             lti = self._spectral.changed_problem(moved)[1]
-        plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._kernel
+        plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
-
-    @property
-    def _kernel(self) -> NativeKernel:
-        kernel = self._solver.kernel
-        assert isinstance(kernel, NativeKernel)
-        return kernel
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts next."""
         units = self._solver.units.u
-        chosen = self._kernel.plan_of_controls * units
+        chosen = self._solver.kernel.plan_of_controls * units
         self._rest = np.vstack([chosen[1:], chosen[-1:]])
         self._spectrum = [one.with_past(u[None], 0) for one in self._spectrum]
-        self._kernel.apply(u / units)
+        self._solver.kernel.apply(u / units)
 
     def correct(self, change: Array, ago: int) -> None:
         """Add a change to the control that acted so many samples before the next plan."""
-        self._kernel.correct_past(change / self._solver.units.u, ago)
+        self._solver.kernel.correct_past(change / self._solver.units.u, ago)
         self._spectrum = [one.with_correction(change, ago) for one in self._spectrum]
