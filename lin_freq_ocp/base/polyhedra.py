@@ -261,6 +261,18 @@ def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]
     return (first, last) if first <= last else (np.inf, -np.inf)
 
 
+def hull_weights(points: Array, rays: Array) -> Array:
+    """Return weights >= 0 of points (k, n), then of rays (l, n), with the least |sum|^2 + (s - 1)^2, s on the points.
+
+    They are a multiple of the weights with s = 1 whose sum is nearest to 0: those of another s have the value
+    s^2 |sum|^2 + (s - 1)^2, which for the best s rises with |sum|.
+    """
+    from scipy.optimize import nnls  # slow to import
+
+    rows = np.vstack([np.vstack([points, rays]).T, np.append(np.ones(len(points)), np.zeros(len(rays)))])
+    return nnls(rows, np.append(np.zeros(len(rows) - 1), 1.0))[0]
+
+
 def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:
     """Return a unit for each component, (d,), from the rows matrix v <= limits and the half widths of its bounds.
 

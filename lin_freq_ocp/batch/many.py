@@ -152,7 +152,7 @@ def _solve_parts(
         return
 
     work = Work[Mapping[str, Change], SolvedPart](
-        partial(_solve_in_worker, resolver.problem, resolver.name, time_limit),
+        partial(_solve_in_worker, resolver.problem, resolver.options.method, time_limit),
         lambda part, reason: SolvedPart(
             {key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part}
         ),

@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
+from lin_freq_ocp.problem.terms.maps import OutputMap
 from lin_freq_ocp.problem.terms.quantity import IN_DECIBELS, Quantity, Reading
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, peaks_above
 from lin_freq_ocp.problem.terms.term import Term
@@ -168,11 +169,8 @@ class ProblemSignal:
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum, in the unit of its axis."""
         lines = list[Line]()
-        for term in self.problem.terms:
-            spectrum = term.map.spectrum
-            if term.kind.of != self.kind or spectrum is None or not spectrum.is_of(*self._rows):
-                continue
-            if not len(spectrum.frequencies):
+        for term, spectrum in self._spectra:
+            if term.kind.of != self.kind or not len(spectrum.frequencies):
                 continue
             match term.semi_infinite:
                 case MagnitudeMask(limits=mask):
@@ -186,6 +184,12 @@ class ProblemSignal:
                     runs = zip(np.split(w, cuts), np.split(levels, cuts), strict=True)
                     lines += [Line(*run, not term.hard) for run in runs]
         return lines
+
+    @property
+    def _spectra(self) -> list[tuple[Term, OutputMap]]:
+        """Return the terms on its spectrum, each with the map."""
+        pairs = ((term, term.map.spectrum) for term in self.problem.terms)
+        return [(term, spectrum) for term, spectrum in pairs if spectrum is not None and spectrum.is_of(*self._rows)]
 
     def _on_axis(self, term: Term, sums: Array) -> Array:
         """Return limits of a term, in sums of samples, in the unit of the axis."""
@@ -208,9 +212,8 @@ class ProblemSignal:
     def touching(self, trajectory: Trajectory) -> Line:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
         w, levels = list[Array](), list[Array]()
-        for term in self.problem.terms:
-            spectrum = term.map.spectrum
-            if term.semi_infinite is not None and spectrum is not None and spectrum.is_of(*self._rows):
+        for term, _ in self._spectra:
+            if term.semi_infinite is not None:
                 peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
                 levels.append(self._on_axis(term, term.semi_infinite.limit_at(w[-1])))
@@ -262,9 +265,8 @@ class Output(ProblemSignal):
     def stop(self) -> Mask:
         """Return its stopped or bounded bins, (N//2 + 1,)."""
         stop = np.zeros(self.samples // 2 + 1, dtype=bool)
-        for term in self.problem.terms:
-            spectrum = term.map.spectrum
-            if term.kind.of == self.kind and spectrum is not None and spectrum.is_of(*self._rows):
+        for term, spectrum in self._spectra:
+            if term.kind.of == self.kind:
                 stop[spectrum.nearest_bins] = True
         return stop
 
@@ -472,7 +474,7 @@ def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned
     """Simulate u, (T, m), from the first planned state, unless that only shows amplified rounding errors."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
-    follows = problem.form.response(problem.horizon) is not None  # x_0, too, from the controls
+    follows = problem.response is not None  # x_0, too, from the controls
     if measures.replay_is_meaningful(growth):
         try:
             return MeasuredTrajectory(label, problem, simulate(problem, u, None if follows else planned.x[0]), planned)

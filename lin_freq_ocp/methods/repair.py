@@ -35,7 +35,7 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
     that the repaired trajectory violates.
     """
     states, controls = problem.state_tube, problem.control_tube
-    if problem.form.response(problem.horizon) is not None:
+    if problem.response is not None:
         return None
     repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
     size = (problem.horizon + 1) * (problem.state_dim + problem.control_dim)

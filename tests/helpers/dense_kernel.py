@@ -6,16 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
-from lin_freq_ocp.methods import (
-    GRADIENT_DEPENDENCE,
-    INFEASIBLE,
-    LIMIT,
-    ROW_TOLERANCE,
-    SOLVED,
-    STUCK_VIOLATION,
-    CondensedTables,
-)
+from lin_freq_ocp.methods import GRADIENT_DEPENDENCE, INFEASIBLE, LIMIT, ROW_TOLERANCE, SOLVED, CondensedTables
 
+STUCK_VIOLATION = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
 ROW_CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
 

@@ -63,9 +63,8 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
     if not sets:
         return None
     polyhedra = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    recursion = problem.form.response(problem.horizon) is None
     unsuited = len(polyhedra) < len(sets) or priced_bounds(problem) is not None
-    if unsuited or not recursion or problem.linear.time_varying:
+    if unsuited or problem.response is not None or problem.linear.time_varying:
         return None
     try:
         joint = list[StageRows]()

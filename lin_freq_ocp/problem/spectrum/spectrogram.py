@@ -186,13 +186,12 @@ class Spectrogram(FrequencyConstraint):
             return  # no window has ended
         for name, windows, levels, sums in self.changed(length=length, hop=hop, held=False).windows(signal, field):
             every = replace(windows, bins=np.arange(windows.points // 2 + 1), joint=False)
-            values = every.values(x, u)
             yield WindowSpectra(
                 name=name,
                 begins=windows.starts,
                 length=length,
                 frequencies=2 * np.pi * every.bins / every.points,
-                magnitudes=np.linalg.norm(values, axis=1).reshape(len(windows.starts), -1),
+                magnitudes=np.linalg.norm(every.values(x, u), axis=1).reshape(len(windows.starts), -1),
                 bins=windows.bins,
                 limits=np.asarray(levels * sums),
                 amplitude=2.0 / float(windows.window.sum()),

@@ -103,11 +103,6 @@ class AffineMap(ABC):
         return None
 
     @property
-    def control_times(self) -> Indices:
-        """Return the time of every group if each depends on the control of a single time; else empty."""
-        return np.arange(0)
-
-    @property
     def spectrum(self) -> OutputMap | None:
         """Return the map itself if its values belong to frequencies of one whole signal; None for other maps."""
         return None
@@ -161,10 +156,6 @@ class StageMap(MatrixMap):
     @property
     def positions(self) -> Indices:
         return self.times
-
-    @property
-    def control_times(self) -> Indices:
-        return np.arange(0) if self.D is None else self.times
 
     @property
     def additions(self) -> float:
@@ -279,9 +270,9 @@ class OutputMap(AffineMap):
     def waves(self) -> Array:
         """Return the coefficients of the samples in Re and Im of each bin or frequency in turn, (rows, samples)."""
 
-    @abstractmethod
     def pairs(self, values: Array) -> Array:
         """Return (Re, Im) of every bin or frequency, (count, 2), from values or multipliers, (groups, dim)."""
+        return values
 
     @property
     def samples(self) -> int:

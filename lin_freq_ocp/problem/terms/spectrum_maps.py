@@ -90,8 +90,7 @@ class SpectrumMap(OutputMap):
 
     @property
     def additions(self) -> float:
-        turned = 2 if self.starts.any() else 0
-        return float(5 * np.log2(self.points) + 10) + turned
+        return float(5 * np.log2(self.points) + 10) + (2 if self.starts.any() else 0)
 
     def values(self, x: Array, u: Array) -> Array:
         spectra = fft.rfft(self._frames(self.output(x, u), self.past), n=self.points, axis=1)[:, self.bins]
@@ -273,9 +272,6 @@ class FrequencyMap(OutputMap):
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         total = np.abs(weights * np.abs(self.gain.astype(complex))[:, None]).sum()
         return self.magnitudes().spread(np.abs(self.window) * total, shapes)
-
-    def pairs(self, values: Array) -> Array:
-        return values
 
     def transform(self, signal: Array) -> ComplexArray:
         """Return Y of a windowed signal, (groups,)."""
