@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_058,
-    "code lines": 42_632,
-    "code lines, linear part": 21_317,
+    "shipped lines": 46_056,
+    "code lines": 42_630,
+    "code lines, linear part": 21_315,
     "code lines, hybrid": 8_678,
     SHARE_SAID: 19.5,  # at least
     "files": 313,

@@ -141,7 +141,7 @@ def _project(normals: Array, right: Array, plane: tuple[Array, float] | None) ->
 
 
 def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
-    """Return y of the largest r with rows (y, r) <= right and r <= 1; None if there is none."""
+    """Return y of the largest r with rows (y, r) <= right and r <= 1; None without one."""
     from scipy.optimize import linprog  # slow to import
 
     d = rows.shape[1] - 1
@@ -196,7 +196,7 @@ def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
 
 
 def _point_of_facet(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
-    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
+    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None without one.
 
     The piece is cut along the rows of the cell around the centre of its largest ball; each part is searched in turn.
     """

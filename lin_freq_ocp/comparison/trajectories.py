@@ -474,7 +474,7 @@ def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned
     """Simulate u, (T, m), from the first planned state, unless that only shows amplified rounding errors."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
-    follows = problem.response is not None  # x_0, too, from the controls
+    follows = problem.response is not None  # x_0 also follows from the controls
     if measures.replay_is_meaningful(growth):
         try:
             return MeasuredTrajectory(label, problem, simulate(problem, u, None if follows else planned.x[0]), planned)

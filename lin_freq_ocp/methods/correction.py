@@ -103,7 +103,7 @@ def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Traj
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
     u = np.where(priced, cost.u_ref, near.u)
     first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
-    follows = problem.response is not None  # x_0 follows from the controls, too
+    follows = problem.response is not None  # x_0 also follows from the controls
     try:
         return simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
     except NumericalError:

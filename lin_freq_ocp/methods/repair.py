@@ -31,7 +31,7 @@ MOST_ROW_ENTRIES = 1e7  # of the rows as signals
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
     """Return the repaired trajectory, whose states and controls are within their bounds exactly; None without one.
 
-    None, too, where a repair needs more than controls: for a frequency response, and for constraints of other kinds
+    Also None where a repair needs more than controls: for a frequency response, and for constraints of other kinds
     that the repaired trajectory violates.
     """
     states, controls = problem.state_tube, problem.control_tube

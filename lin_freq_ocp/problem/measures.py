@@ -97,7 +97,7 @@ def stopped_runs(stopped: Mask) -> list[tuple[int, int]]:
 
 
 def stopband_peak(signal: Array, stopped: Mask) -> float | None:
-    """Return the largest magnitude of the zero-padded spectrum within the stopped runs, between the bins, too."""
+    """Return the largest magnitude of the zero-padded spectrum within the stopped runs, also between the bins."""
     if not stopped.any():
         return None
     magnitude, top = padded_spectrum(signal)[1], len(stopped) - 1

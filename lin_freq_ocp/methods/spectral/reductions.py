@@ -223,7 +223,7 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
 class SoftBounds(Reduced):
     """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
-    The model of the Fourier-domain method contains the prices, too. A method without prices is right if they are high
+    The model of the Fourier-domain method also contains the prices. A method without prices is right if they are high
     enough; else the judge refuses its multipliers.
     """
 
@@ -251,7 +251,7 @@ class SoftBins(Reduced):
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers of the given problem; UnsupportedError if one exceeds eta_C times its price.
 
-        The multipliers of bins that a hard band of the given problem removes, too, stay with that band.
+        The multipliers of bins that a hard band of the given problem also removes stay with that band.
         """
         through_u = self.given.equations.pull_back(reduced.eta)[1]
         rho = {

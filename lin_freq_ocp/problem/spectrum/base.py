@@ -155,7 +155,7 @@ class FrequencyConstraint(ABC):
     def with_past(self, past: Array, measured: int) -> FrequencyConstraint:
         """Return the constraint on the samples that follow ``past``, (k, components); itself if it has no memory.
 
-        ``measured`` is the number of samples from time 0 on that are measured, too.
+        ``measured`` is the number of samples from time 0 on that are also measured.
         """
         return self
 

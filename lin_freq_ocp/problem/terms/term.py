@@ -147,7 +147,7 @@ class Term:
         return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
 
     def implied_rows(self, n: int, m: int) -> LinearRows | None:
-        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None if there is none."""
+        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None without one."""
         form = self.map.stage_form(n, m) if self.hard else None
         if form is None:
             return None
