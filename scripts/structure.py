@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_056,
-    "code lines": 42_630,
-    "code lines, linear part": 21_315,
+    "shipped lines": 46_039,
+    "code lines": 42_613,
+    "code lines, linear part": 21_307,
     "code lines, hybrid": 8_678,
     SHARE_SAID: 19.5,  # at least
     "files": 313,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.8,
+    "functions used once [%]": 11.7,
     "files entered by a solve": 47,
     "functions entered by a solve": 382,
     "calls of a solve": 754,

@@ -15,7 +15,7 @@ from scipy import fft
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
-from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
+from lin_freq_ocp.methods.structured.kkt.recursions import break_times, simulate, simulation_matrix
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -185,23 +185,6 @@ def _pieces(dynamics: LinearDynamics, horizon: int) -> tuple[Array, Indices, Arr
     A[:-1] = dynamics.A
     breaks = break_times(dynamics.A, horizon, PIECE_GROWTH)
     return A, breaks, simulation_matrix(A, breaks)
-
-
-def break_times(A: Array, horizon: int, growth: float) -> Indices:
-    """Return the times at which a simulation begins anew: the states grow by no more than ``growth`` between them."""
-    if A.ndim == 2:
-        steps, power = 1, A
-        while steps < horizon and np.abs(power).max() <= growth:
-            steps, power = 2 * steps, power @ power
-        first = max(steps // 2, 1) if steps < horizon else horizon
-        return np.arange(first, horizon, first)
-    times, product = list[int](), np.eye(A.shape[1])
-    for t in range(horizon - 1):
-        product = A[t] @ product
-        if np.abs(product).max() > growth:
-            times.append(t + 1)
-            product = np.eye(A.shape[1])
-    return np.array(times, dtype=np.intp)
 
 
 def _at_bounds(tube: Box, signal: Array) -> Mask:
