@@ -29,7 +29,7 @@ def absolute_value(
     Minimise the sum of (u_t - b)^2, minus x_T. From x_0 = 0 the first control may go up or down: with T >= 2 the
     absolute value turns a negative x_1 into the same gain. Both signs of x_1 satisfy the maximum principle: every other
     control is b + 1/2, u_0 = b + 1/2 is optimal, and u_0 = b - 1/2 costs 2 b more (0 <= b < 1/2). Between them, at the
-    kink, u_0 = 0 also satisfies the joint inclusion of Clarke, with eta_0 = -2 b, and is a local maximum in u_0: not
+    kink, u_0 = 0 satisfies the joint inclusion of Clarke, too, with eta_0 = -2 b, and is a local maximum in u_0: not
     flip-stationary. With T = 1 and b = 0 it is the smallest case in which the printed, directional form of the paper's
     theorem has no solution at the optimum u = 1/2, J = -1/4.
 
@@ -119,7 +119,7 @@ def max_min_network(
     horizon : int
         T.
     load_first : bool
-        Whether x_1 = u_0; without, the network also acts on the initial state.
+        Whether x_1 = u_0; without, the network acts on the initial state, too.
     control_weight : float
         w >= 0; with 0 every mode sequence is a linear program.
     control_spectrum : band, list of bands, list of bins, "freq" or None

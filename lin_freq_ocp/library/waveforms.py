@@ -47,7 +47,7 @@ def mri_gradient(
     and |g_t - g_{t-1}| <= slew_rate * raster. Sample t is at the time t * raster, and the moment of order k is
     sum_t g_t (t raster)^k raster: a plain sum, a state with A = I, so that a waveform with zeros appended has the same
     moments. The horizon is the number of samples, both zeros counted: with the defaults (a bipolar pulse for flow
-    encoding, 1.32 ms) 132 samples are feasible and 131 are not; that also holds with moments about the centres of
+    encoding, 1.32 ms) 132 samples are feasible and 131 are not; that is so, too, with moments about the centres of
     samples. A prephaser is ``zeroth_moment=11.0, first_moment=None``, or with further moments of zero.
 
     Parameters
