@@ -51,22 +51,22 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_276,
-    "code lines": 42_850,
-    "code lines, linear part": 21_523,
-    "code lines, hybrid": 8_680,
+    "shipped lines": 46_039,
+    "code lines": 42_613,
+    "code lines, linear part": 21_307,
+    "code lines, hybrid": 8_678,
     SHARE_SAID: 19.5,  # at least
-    "files": 314,
+    "files": 313,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 80,
-    "functions used once [%]": 11.9,
-    "files entered by a solve": 48,
-    "functions entered by a solve": 385,
-    "calls of a solve": 763,
+    "functions used once [%]": 11.7,
+    "files entered by a solve": 47,
+    "functions entered by a solve": 382,
+    "calls of a solve": 754,
     "modules that tests import": 47,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
@@ -78,9 +78,9 @@ LIMITS: dict[str, float] = {
     "constants of several values": 3,
     "file stems used three times": 4,
     "names of a lone participle": 0,
-    "isinstance on dynamics": 2,
+    "isinstance on dynamics": 1,
     "isinstance on terms": 5,
-    "Any": 22,
+    "Any": 21,
 }
 """At most, but for the share of docstrings and comments."""
 

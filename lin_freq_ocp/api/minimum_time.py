@@ -28,8 +28,8 @@ from lin_freq_ocp.batch.minimum_time import (
 from lin_freq_ocp.batch.sweep import sweep_head
 from lin_freq_ocp.files.batch_files import SweepFile
 from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.method import Method
-from lin_freq_ocp.solving.solve import require_options
 
 MONOTONE = "zeros can be appended to every feasible control, and the trajectory stays feasible"
 
@@ -174,16 +174,16 @@ def minimum_time(
     """
     low, high = checked_horizons(horizons)
     require_source(problem)
-    require_options(method, backend, time_limit=time_limit, tolerance=tolerance)
+    options = Options(method, backend, time_limit, tolerance)
     failing = obstacles(partial(problem_at_horizon, problem), low, high, same_data=not callable(problem))
     monotone = not failing
 
     require_executor(executor, problem, {"method": [method]})
     name = method if isinstance(method, str) else repr(method)
-    options = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
-    head = sweep_head(problem, {"horizon": range(low, high + 1)}, options) if path is not None else {}
+    stated = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
+    head = sweep_head(problem, {"horizon": range(low, high + 1)}, stated) if path is not None else {}
     with report_progress(progress, "horizon {}: {}".format) as report:
-        solve_at = partial(solve_horizon, problem, method, backend, time_limit, tolerance)
+        solve_at = partial(solve_horizon, problem, options)
         record = None if path is None else SweepFile(path, head)
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven

@@ -19,11 +19,12 @@ from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, rea
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.phrases import html_table
-from lin_freq_ocp.loop.controller import Controller, Preview
+from lin_freq_ocp.loop.controller import Controller
 from lin_freq_ocp.loop.record import LoopRecord, plant_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.transform.reductions import Change
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -207,7 +208,8 @@ class RecedingHorizon:
         UnsupportedError
             If there is a ``max_changes``, and the condensed method does not take the problem.
         """
-        step, outcome = self._controller.advance(state, Preview(references, bounds, disturbance), applied)
+        preview = Change(references=references, bounds=bounds, disturbance=disturbance)
+        step, outcome = self._controller.advance(state, preview, applied)
         if step is None:
             assert outcome is not None  # the problem was solved as a whole
             raise_for(present_as(Result, outcome))

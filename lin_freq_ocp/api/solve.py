@@ -29,6 +29,7 @@ from lin_freq_ocp.base.errors import (
 )
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
@@ -139,9 +140,9 @@ def solve(
         advice = solver if name == "solver" else suggestion(name, known)
         raise ProblemError(name, repr(value), f"one of the keywords {', '.join(known)}", advice)
     started = now()
-    limits = backend, tolerance, gap, node_limit
+    options = Options(method, backend, time_limit, tolerance, gap, node_limit, executor, start, global_bound)
     with report_progress(progress, str) as report:
-        outcome = solve_judged(problem, method, time_limit, report, start, *limits, executor, global_bound)
+        outcome = solve_judged(problem, options, report)
     return result_of(outcome, throw, None if time_limit is None else time_limit - (now() - started))
 
 

@@ -143,7 +143,7 @@ class LimitError(SolveError):
     Attributes
     ----------
     cost : float or None
-        Of the best point, None if there is none.
+        Of the best point, None without one.
     bound : float or None
         A lower bound on the optimal cost, None if none was found.
     gap : float or None

@@ -141,7 +141,7 @@ def _project(normals: Array, right: Array, plane: tuple[Array, float] | None) ->
 
 
 def _largest_ball(rows: Array, right: Array, plane: tuple[Array, float] | None) -> Array | None:
-    """Return y of the largest r with rows (y, r) <= right and r <= 1; None if there is none."""
+    """Return y of the largest r with rows (y, r) <= right and r <= 1; None without one."""
     from scipy.optimize import linprog  # slow to import
 
     d = rows.shape[1] - 1
@@ -196,7 +196,7 @@ def uncovered_point(domain: Cell, cells: Sequence[Cell]) -> Array | None:
 
 
 def _point_of_facet(piece: Cell, far: _FarSide, used: frozenset[int]) -> Array | None:
-    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None if there is none.
+    """Return the centre of a ball in a piece of the plane that no cell on the far side covers; None without one.
 
     The piece is cut along the rows of the cell around the centre of its largest ball; each part is searched in turn.
     """
@@ -259,6 +259,18 @@ def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]
     first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
     last = float((slack[rising] / rate[rising]).min(initial=np.inf))
     return (first, last) if first <= last else (np.inf, -np.inf)
+
+
+def hull_weights(points: Array, rays: Array) -> Array:
+    """Return weights >= 0 of points (k, n), then of rays (l, n), with the least |sum|^2 + (s - 1)^2, s on the points.
+
+    They are a multiple of the weights with s = 1 whose sum is nearest to 0: those of another s have the value
+    s^2 |sum|^2 + (s - 1)^2, which for the best s rises with |sum|.
+    """
+    from scipy.optimize import nnls  # slow to import
+
+    rows = np.vstack([np.vstack([points, rays]).T, np.append(np.ones(len(points)), np.zeros(len(rays)))])
+    return nnls(rows, np.append(np.zeros(len(rows) - 1), 1.0))[0]
 
 
 def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:

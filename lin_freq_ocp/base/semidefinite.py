@@ -40,7 +40,7 @@ def is_semidefinite(matrix: Array, rise: float = 0.0) -> bool:
 
 
 def least_rise(matrix: Array) -> float:
-    """Return the least of RISES with which ``is_semidefinite``: 0 for a sum of squares; inf if there is none.
+    """Return the least of RISES with which ``is_semidefinite``: 0 for a sum of squares; inf without one.
 
     The cost v'H v / 2 is at least minus this part of sum_i H_ii v_i^2 / 2.
     """

@@ -8,7 +8,7 @@ from enum import StrEnum
 class Status(StrEnum):
     """How a solve ended.
 
-    Every value equals its text, ``result.status == "optimal"``, which files and ``--json`` hold, too.
+    Every value equals its text, ``result.status == "optimal"``, which files and ``--json`` also hold.
 
     Attributes
     ----------

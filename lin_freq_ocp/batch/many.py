@@ -152,7 +152,7 @@ def _solve_parts(
         return
 
     work = Work[Mapping[str, Change], SolvedPart](
-        partial(_solve_in_worker, resolver.problem, resolver.name, time_limit),
+        partial(_solve_in_worker, resolver.problem, resolver.options.method, time_limit),
         lambda part, reason: SolvedPart(
             {key: Item(ERROR, message=f"lost with its worker: {reason}", lost=True) for key in part}
         ),
@@ -258,7 +258,7 @@ class SolvedPart:
 
 
 def solve_part(resolver: Resolver, changes: Mapping[str, Change], time_limit: float | None = None) -> SolvedPart:
-    """Solve problems one after another, each from the one before; a failure is an item, too."""
+    """Solve problems one after another, each from the one before; a failure is also an item."""
     items, interrupted = dict[str, Item](), False
     try:
         items, interrupted = _solve_batched(resolver, changes) if time_limit is None else ({}, False)

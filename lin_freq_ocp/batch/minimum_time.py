@@ -32,7 +32,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers
-from lin_freq_ocp.solving.method import Method
+from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.reformulations import RATE_LIMIT
@@ -232,12 +232,9 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
         raise ProblemError(error.field, error.got, error.expected, advice) from None
 
 
-def solve_horizon(
-    source: Source, method: str | Method, backend: str, time_limit: float | None, tolerance: float | None, horizon: int
-) -> Outcome:
+def solve_horizon(source: Source, options: Options, horizon: int) -> Outcome:
     """Return the answer at a horizon."""
-    problem = problem_at_horizon(source, horizon)
-    return solve_judged(problem, method, time_limit, backend=backend, tolerance=tolerance)
+    return solve_judged(problem_at_horizon(source, horizon), options)
 
 
 def require_source(source: Source) -> None:

@@ -31,8 +31,9 @@ from lin_freq_ocp.batch.grid import (
     require_executor,
 )
 from lin_freq_ocp.batch.tasks import ERROR, OpenRecord, Work, finish_run, finish_tasks
+from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options, solve_judged
+from lin_freq_ocp.solving.solve import solve_judged
 
 INTERRUPTED_POINT = "interrupted"  # status of a point whose solve was stopped by Ctrl-C; no sweep keeps it
 
@@ -133,11 +134,11 @@ def run_sweep(
     progress: Callable[[int, int], None] | None,
 ) -> SweepOutcome:
     """Return the finished points of a grid, all of them unless it was interrupted; see ``lfo.sweep``."""
-    require_options(**options)
+    stated = Options(**options)
     values = grid_values(problem, grid)
     require_executor(executor, problem, values)
     points, shown = grid_points(values), {name: tuple(map(plain, given)) for name, given in values.items()}
-    work = Work(partial(solve_point, problem, options), failed_point, lambda row: row["status"] == INTERRUPTED_POINT)
+    work = Work(partial(solve_point, problem, stated), failed_point, lambda row: row["status"] == INTERRUPTED_POINT)
 
     def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
         missing = {key: point for key, point in points.items() if key not in recorded}
@@ -173,7 +174,7 @@ def sweep_head(
     }
 
 
-def solve_point(source: Source, options: Mapping[str, Any], parameters: Parameters, attempt: int = 0) -> Row:
+def solve_point(source: Source, options: Options, parameters: Parameters, attempt: int = 0) -> Row:
     """Return the row of one point; errors are in the row.
 
     ``attempt`` counts how often the point was lost before: a scheduler that keeps answers must not take it for the
@@ -183,7 +184,7 @@ def solve_point(source: Source, options: Mapping[str, Any], parameters: Paramete
     try:
         with _band_warnings(bands):
             problem = problem_at(source, parameters)
-        result = solve_judged(problem, **options)
+        result = solve_judged(problem, options)
     except LinFreqOCPError as error:
         return failed_point(parameters, str(error), now() - started)
     except Exception as error:  # a function that builds problems may raise anything: the others are solved

@@ -222,9 +222,9 @@ def hamiltonian_maximum(extremal: Extremal, least: Floors) -> list[Condition]:
     rise = np.maximum(rise, 0.0)  # negative if u_t is outside U_t by a rounding error
     total = rise.sum(1)
     for priced in extremal.terms:
-        times = priced.term.map.control_times
-        if len(times):
-            np.add.at(total, times, np.maximum(priced.gap, 0.0).sum(1))
+        form = priced.term.map.stage_form(n, problem.control_dim)
+        if form is not None and form[0][..., n:].any():  # of the control of a single time
+            np.add.at(total, priced.term.map.positions, np.maximum(priced.gap, 0.0).sum(1))
     terms = (in_u_terms * np.abs(u)).sum(1)
     scale = max(least.level, float(terms.max()))
     (t,) = first_largest(total)

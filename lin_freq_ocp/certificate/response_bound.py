@@ -49,7 +49,7 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     """Return D for normal multipliers, or None if the cost is not convex; see ``bound.lower_bound``."""
     problem = extremal.problem
-    response = problem.form.response(problem.horizon)
+    response = problem.response
     if response is None:
         return lower_bound(extremal, allowed)
     curvature = control_curvature(problem, response)
@@ -76,7 +76,7 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
 def farkas_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) -> Bound:
     """Return D for eta_C = 0 from any trajectory; see ``bound.ray_bound``."""
     problem = extremal.problem
-    response = problem.form.response(problem.horizon)
+    response = problem.response
     if response is None:
         return ray_bound(extremal, sizes, multiple)
     flat, bounds, u = np.zeros(problem.control_dim), problem.control_tube.bounds, extremal.trajectory.u

@@ -133,10 +133,10 @@ def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tupl
     """
     prices = np.abs(multipliers.rho_u), np.abs(multipliers.rho_x)
     for term in at_frequencies(problem, multipliers.frequencies).terms:
-        weights = multipliers.stage.get(term.name)
-        if weights is None or not len(term.map.nearest_bins) or term.kind.of == "outputs":
+        weights, spectrum = multipliers.stage.get(term.name), term.map.spectrum
+        if weights is None or spectrum is None or term.kind.of == "outputs":
             continue
-        size = term.per_limit * np.linalg.norm(term.map.pairs(weights), axis=1)
-        of_component = prices[term.kind.of == "states"][:, term.map.component]
-        np.add.at(of_component, term.map.nearest_bins, size)
+        size = term.per_limit * np.linalg.norm(spectrum.pairs(weights), axis=1)
+        of_component = prices[term.kind.of == "states"][:, spectrum.component]
+        np.add.at(of_component, spectrum.nearest_bins, size)
     return prices

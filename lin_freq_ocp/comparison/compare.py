@@ -63,7 +63,7 @@ class ComparisonOutcome:
 
     @cached_property
     def constrained_solution(self) -> MeasuredTrajectory | None:
-        """Return the trajectory with the frequency constraint; None if there is none."""
+        """Return the trajectory with the frequency constraint; None without one."""
         return measured_solution(self.constrained_label, self.problem, self.constrained)
 
     @property
@@ -195,7 +195,7 @@ def compare_methods(
     failure: LimitError | None = None
     try:
         classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
-    except LimitError as error:  # an unproven point can be filtered, too
+    except LimitError as error:  # an unproven point can also be filtered
         classical, failure = error.result, error
     constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
     if classical.trajectory is None and constrained.trajectory is not None:

@@ -88,7 +88,7 @@ def filter_limits(problem: OptimalControlProblem) -> str:
             f"the band is on {others}, on which filters of the controls do not act; they remove its frequencies from "
             "every control instead"
         )
-    without_bins = [term for term in problem.terms if term.kind.is_spectrum and not len(term.map.nearest_bins)]
+    without_bins = [term for term in problem.terms if term.kind.is_spectrum and term.map.spectrum is None]
     if any(term.semi_infinite is None for term in without_bins):
         limits.append("filters do not act on linear equations over all times")
     limits += [f"{term.name} is not about bins" for term in without_bins if term.semi_infinite is not None]
@@ -100,10 +100,11 @@ def _other_bands(problem: OptimalControlProblem) -> dict[str, list[tuple[int, Ma
     states = [(problem.state_samples, problem.state_band[:, i]) for i in range(problem.state_dim)]
     outputs = list[tuple[int, Mask]]()
     for term in problem.terms:
-        if term.kind.of == "outputs":
-            bounded = np.zeros(term.map.samples // 2 + 1, dtype=bool)
-            bounded[term.map.nearest_bins] = True
-            outputs.append((term.map.samples, bounded))
+        spectrum = term.map.spectrum
+        if term.kind.of == "outputs" and spectrum is not None:
+            bounded = np.zeros(spectrum.samples // 2 + 1, dtype=bool)
+            bounded[spectrum.nearest_bins] = True
+            outputs.append((spectrum.samples, bounded))
     return {"states": states, "outputs": outputs}
 
 

@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
+from lin_freq_ocp.problem.terms.maps import OutputMap
 from lin_freq_ocp.problem.terms.quantity import IN_DECIBELS, Quantity, Reading
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, peaks_above
 from lin_freq_ocp.problem.terms.term import Term
@@ -168,8 +169,8 @@ class ProblemSignal:
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum, in the unit of its axis."""
         lines = list[Line]()
-        for term in self.problem.terms:
-            if term.kind.of != self.kind or not len(term.map.frequencies) or not term.map.spectrum_of(*self._rows):
+        for term, spectrum in self._spectra:
+            if term.kind.of != self.kind or not len(spectrum.frequencies):
                 continue
             match term.semi_infinite:
                 case MagnitudeMask(limits=mask):
@@ -177,12 +178,18 @@ class ProblemSignal:
                     for low, high, *ends in pieces:
                         lines.append(Line(np.array([low, high]), self._on_axis(term, np.array(ends))))
                 case _:
-                    w, levels = term.map.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
+                    w, levels = spectrum.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
                     farthest = 1.5 * min(2 * np.pi / self.samples, np.diff(w).min(initial=np.inf))  # of neighbours
                     cuts = np.flatnonzero(np.diff(w) > farthest) + 1
                     runs = zip(np.split(w, cuts), np.split(levels, cuts), strict=True)
                     lines += [Line(*run, not term.hard) for run in runs]
         return lines
+
+    @property
+    def _spectra(self) -> list[tuple[Term, OutputMap]]:
+        """Return the terms on its spectrum, each with the map."""
+        pairs = ((term, term.map.spectrum) for term in self.problem.terms)
+        return [(term, spectrum) for term, spectrum in pairs if spectrum is not None and spectrum.is_of(*self._rows)]
 
     def _on_axis(self, term: Term, sums: Array) -> Array:
         """Return limits of a term, in sums of samples, in the unit of the axis."""
@@ -192,8 +199,10 @@ class ProblemSignal:
     @property
     def limited_beyond_bins(self) -> bool:
         """Whether it has a limit at other frequencies than bins: on its held spectrum, or on a residual vibration."""
-        terms = [term for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite is not None]
-        return any(not len(term.map.nearest_bins) and term.map.component == self.index for term in terms)
+        maps = [
+            term.semi_infinite.map for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite
+        ]
+        return any(one.scaled and one.component == self.index for one in maps)
 
     @property
     def kind(self) -> str:
@@ -203,8 +212,8 @@ class ProblemSignal:
     def touching(self, trajectory: Trajectory) -> Line:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
         w, levels = list[Array](), list[Array]()
-        for term in self.problem.terms:
-            if term.semi_infinite is not None and term.map.spectrum_of(*self._rows):
+        for term, _ in self._spectra:
+            if term.semi_infinite is not None:
                 peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
                 levels.append(self._on_axis(term, term.semi_infinite.limit_at(w[-1])))
@@ -256,9 +265,9 @@ class Output(ProblemSignal):
     def stop(self) -> Mask:
         """Return its stopped or bounded bins, (N//2 + 1,)."""
         stop = np.zeros(self.samples // 2 + 1, dtype=bool)
-        for term in self.problem.terms:
-            if term.kind.of == self.kind and term.map.spectrum_of(*self._rows):
-                stop[term.map.nearest_bins] = True
+        for term, spectrum in self._spectra:
+            if term.kind.of == self.kind:
+                stop[spectrum.nearest_bins] = True
         return stop
 
     @property
@@ -465,7 +474,7 @@ def replay_control(label: str, problem: OptimalControlProblem, u: Array, planned
     """Simulate u, (T, m), from the first planned state, unless that only shows amplified rounding errors."""
     stopped = ""
     growth = measures.growth_along(problem, planned)
-    follows = problem.form.response(problem.horizon) is not None  # x_0, too, from the controls
+    follows = problem.response is not None  # x_0 also follows from the controls
     if measures.replay_is_meaningful(growth):
         try:
             return MeasuredTrajectory(label, problem, simulate(problem, u, None if follows else planned.x[0]), planned)

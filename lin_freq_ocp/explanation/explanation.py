@@ -24,7 +24,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import map_constraints
-from lin_freq_ocp.solving.families import family_of
+from lin_freq_ocp.solving.families import Options, family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.limits import (
@@ -125,11 +125,11 @@ class _VariantSolver:
 
     def solve_variant(self, problem: OptimalControlProblem) -> Outcome:
         """Solve a variant with a simple cost, or with none: only feasibility matters."""
-        result = solve_judged(replace(problem, cost=self.problem.quadratic), time_limit=self._seconds_left())
+        result = solve_judged(replace(problem, cost=self.problem.quadratic), Options(time_limit=self._seconds_left()))
         self.interrupted |= result.interrupted
         if result.interrupted or _is_feasible(result) is not None or "convex" not in family_of(problem).shorthands:
             return result
-        return solve_judged(replace(problem, cost=QuadraticCost()), "convex", time_limit=self._seconds_left())
+        return solve_judged(replace(problem, cost=QuadraticCost()), Options("convex", time_limit=self._seconds_left()))
 
     def _seconds_left(self) -> float | None:
         left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
@@ -181,7 +181,7 @@ def least_cure(
 ) -> Cure | None:
     """Return the smallest relaxation of one limit that restores feasibility, tried on the problem; None without one."""
     rows, reached = None, np.zeros(0)
-    if problem.form.response(problem.horizon) is None:  # else it takes no state delta
+    if problem.response is None:  # else it takes no state delta
         rows = limit.rows()
     if rows is not None:
         relaxation = _least_by_delta(problem, limit, rows, feasible, time_limit)
@@ -202,7 +202,7 @@ def _least_by_delta(
     problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
-    result = solve_judged(_elastic_problem(problem, limit, rows), "convex", time_limit=time_limit, proof=False)
+    result = solve_judged(_elastic_problem(problem, limit, rows), Options("convex", time_limit=time_limit), proof=False)
     if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
     n, of_x = problem.state_dim, stated_sizes(problem)[0]

@@ -63,7 +63,7 @@ def nonzero(dimensions: int) -> Value:
 
 @dataclass(frozen=True)
 class Tables:
-    """A list of tables; if ``single``, one table is read, too."""
+    """A list of tables; if ``single``, one table is also read."""
 
     item: Codec
     single: bool = True
@@ -90,7 +90,7 @@ class TableRecord:
     make : class or function
         Arguments without a default are required keys.
     like : class, optional
-        Its arguments are keys, too: ``make`` passes them on.
+        Its arguments are also keys: ``make`` passes them on.
     own : str
         A second name of the object in errors of ``make``.
     classes : tuple of classes, optional

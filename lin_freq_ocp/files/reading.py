@@ -58,7 +58,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileValue:
-    """Return the value of a JSON text; ``infinite`` allows Infinity and NaN, which Python writes, too.
+    """Return the value of a JSON text; ``infinite`` allows Infinity and NaN, which Python also writes.
 
     ProblemError if it is no JSON, is nested too deeply for Python, or has numbers that are too large for it.
     """

@@ -224,7 +224,7 @@ class DifferentiableFunction:
                 raise ProblemError(f"{self.title}.{of}", got, "a function that is defined around", advice)
             derivative = stated[..., j]
             allowed = DOUBT * doubt + DERIVATIVE_TOLERANCE * np.maximum(np.abs(derivative), np.abs(difference))
-            for index in np.argwhere(~(np.abs(derivative - difference) <= allowed)):  # not a number is wrong, too
+            for index in np.argwhere(~(np.abs(derivative - difference) <= allowed)):  # not a number is also wrong
                 at = tuple(map(int, index))
                 by = " and ".join([*(labels[i] for i in at[1:]), label])
                 expected = f"{difference[at]:.8g}, as differences of {of} say"
@@ -345,7 +345,7 @@ class DifferentiableFunction:
 
 
 def _components(field: str, signal: Any) -> list[Formula | float]:
-    """Return formulas and numbers as a list, of a single one, too."""
+    """Return formulas and numbers as a list, also of a single one."""
     components = [signal] if isinstance(signal, Formula) or np.ndim(signal) == 0 else list(signal)
     for component in components:
         if not isinstance(component, Formula):

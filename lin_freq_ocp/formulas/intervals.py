@@ -19,7 +19,7 @@ WithDerivatives = tuple[Interval, Interval, Interval]
 # Bounds are moved outwards by this part of themselves: sums, products, quotients and roots have an error of half an
 # eps, the elementary functions of the mathematical library of a few.
 SLACK = 8 * float(np.finfo(np.float64).eps)
-# Bounds are moved outwards by this, too, as results near zero have no relative accuracy.
+# Bounds are also moved outwards by this, as results near zero have no relative accuracy.
 SMALLEST = float(np.finfo(np.float64).tiny)
 # Extrema of sine and cosine this near to an interval (relative to its bounds above 1) count as inside.
 TURN = 1e-9
@@ -75,7 +75,7 @@ def power(a: Interval, exponent: int) -> Interval:
 
 
 def root(a: Interval) -> Interval:
-    """Return the root of the part of a above zero; unbounded if there is none."""
+    """Return the root of the part of a above zero; unbounded without one."""
     none = a[1] < 0
     lower, upper = outward(np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0)))
     return np.where(none, -np.inf, np.maximum(lower, 0.0)), np.where(none, np.inf, upper)
@@ -96,7 +96,7 @@ def exponential(a: Interval) -> WithDerivatives:
 
 
 def logarithm(a: Interval) -> WithDerivatives:
-    """Return the logarithm of the part of a above zero, unbounded if there is none; derivatives as of a root."""
+    """Return the logarithm of the part of a above zero, unbounded without one; derivatives as of a root."""
     lower = np.where(a[0] > 0, np.log(np.where(a[0] > 0, a[0], 1.0)), -np.inf)
     upper = np.where(a[1] > 0, np.log(np.where(a[1] > 0, a[1], 1.0)), np.inf)
     slope = inverse(a)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,7 +37,6 @@ from lin_freq_ocp.loop.windows import WindowedPlan, WindowedPlanner, has_windows
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.spectrum.base import EXCEEDED
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import family_of
@@ -51,20 +50,6 @@ from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 
 NO_SOLUTION = (Status.INFEASIBLE, Status.INFEASIBLE_CLAIMED)
-
-
-@dataclass(frozen=True)
-class Preview:
-    """References, bounds and a disturbance that a step foresees over its horizon."""
-
-    references: Mapping[str, ArrayLike] | None = None  # "x_ref", "u_ref"
-    bounds: Mapping[str, SetOrSets] | None = None  # "state_set", "control_set"
-    disturbance: ArrayLike | None = None  # (n,) or (T, n), added to the coming states
-
-    @property
-    def empty(self) -> bool:
-        """Whether the step has the data of the problem."""
-        return self.references is None and self.bounds is None and self.disturbance is None
 
 
 class Controller:
@@ -116,11 +101,12 @@ class Controller:
         return LoopRecord(self.problem, tuple(self._steps), acted=acted.reshape(-1, self.problem.control_dim))
 
     def advance(
-        self, state: ArrayLike, preview: Preview, applied: ArrayLike | None
+        self, state: ArrayLike, preview: Change, applied: ArrayLike | None
     ) -> tuple[Step | None, Outcome | None]:
         """Plan from a measured state; return the step, None if there is no control, and the answer of its problem.
 
-        ``applied`` is the control that acted in the last step, if it was not the controller's.
+        ``preview`` has the references, bounds and disturbance that the step foresees over its horizon. ``applied`` is
+        the control that acted in the last step, if it was not the controller's.
         """
         acted = None if applied is None else self.measured("applied", applied, self.problem.control_dim)
         x = self.completed("state", state, acted)
@@ -129,7 +115,7 @@ class Controller:
             if self._planner is not None:
                 self._planner.correct(acted - self._applied[-1 - self.delay], 1 + self.delay)
             self._applied[-1 - self.delay] = acted
-        started, plain, begin = now(), preview.empty, x
+        started, plain, begin = now(), preview.starts_elsewhere, x
         if self.delay:  # the state to which the last control leads
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
         if self._planner is not None:
@@ -186,14 +172,12 @@ class Controller:
             warn_user(without_first_plan(self.problem), ClosedLoopWarning)
         return planner
 
-    def _windowed_step(
-        self, planner: WindowedPlanner, x: Array, begin: Array, preview: Preview, started: float
-    ) -> Step:
+    def _windowed_step(self, planner: WindowedPlanner, x: Array, begin: Array, preview: Change, started: float) -> Step:
         """Return the step of a plan that keeps the windows of the controls."""
         budget = UNLIMITED
         if self._steps:
             budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
-        found = planner.plan(begin, None if preview.empty else self._change(begin, preview), budget)
+        found = planner.plan(begin, None if preview.starts_elsewhere else self._change(begin, preview), budget)
         limits = self._limits if preview.bounds is None else ControlLimits.of(found.stated)
         control = limits.clip(begin, found.control)
         planner.apply(control)
@@ -283,7 +267,7 @@ class Controller:
         plans = [rest] if own is None else [own, rest]  # the first of two equally good ones
         return min(plans, key=lambda plan: rank(outcome.problem, plan, self._tolerance))
 
-    def _answers(self, x: Array, begin: Array, preview: Preview) -> tuple[Outcome, Outcome | None]:
+    def _answers(self, x: Array, begin: Array, preview: Change) -> tuple[Outcome, Outcome | None]:
         """Return the answer for the state where a plan begins and, if it is infeasible, that with soft constraints."""
         change = self._change(begin, preview)
         hard = self._solve_step(self._hard, change, x)
@@ -291,13 +275,13 @@ class Controller:
             return hard, None
         return hard, self._solve_step(self._soft, change, x)
 
-    def _change(self, begin: Array, preview: Preview) -> Change:
+    def _change(self, begin: Array, preview: Change) -> Change:
         """Return the change of the problem to a state where a plan begins, (n,), and to previewed data."""
         bounds = preview.bounds
         if bounds and bounds.get("state_set") is not None:
             first_free = free_first_state(replace(self._problem, state_set=bounds["state_set"], stage_rows=[]))
             bounds = {**bounds, "state_set": first_free.state_set}
-        return Change(begin, references=preview.references, bounds=bounds, disturbance=preview.disturbance)
+        return replace(preview, initial_state=begin, bounds=bounds)
 
     @property
     def _tolerance(self) -> float | None:

@@ -22,7 +22,6 @@ from lin_freq_ocp.methods.condensed.native import (
     KERNEL_ARRAYS,
     OF_WINDOWS,
     WINDOW_INTEGERS,
-    NativeKernel,
     array_lengths,
     model_arrays,
 )
@@ -324,7 +323,7 @@ class StepTables:
         start[self.known] = (self.first_known - self.origin[self.known]) / self.units.x[self.known]
         x, acting, reference, anchor = start, np.zeros(m), np.zeros(free), np.zeros(n)
         farthest, steps = LOST * max(1.0, float(np.abs(x).max())), list[RecordedStep]()
-        for k in range(MEASURED if isinstance(kernel, NativeKernel) else RECORDED):  # NumPy is some 100 times slower
+        for k in range(MEASURED):
             moved = lti.B @ acting + drift  # by the control that acts, until a delayed plan begins
             if k % PUSH_EVERY == 0 and k:
                 x = x + reach * PUSH * rng.uniform(-1, 1, n) * measured
@@ -347,7 +346,7 @@ class StepTables:
                 raise UnsupportedError("problem: no state was found with a plan. lfo.solve(problem) says why.")
             anchor = anchor if k else begin
             steps.append(RecordedStep(x, reference, kernel.control, kernel.changes))
-            if isinstance(kernel, NativeKernel) and self.windows is not None:
+            if self.windows is not None:
                 kernel.apply(kernel.control)
             control = acting if self.delay else steps[-1].control
             x = lti.A @ x + lti.B @ control + drift + reach * NOISE * rng.standard_normal(n) * measured

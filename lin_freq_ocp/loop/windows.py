@@ -18,7 +18,6 @@ from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.step_problem import free_first_state, known_states, soften
-from lin_freq_ocp.methods.condensed.native import NativeKernel
 from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
 from lin_freq_ocp.methods.repair import repair_trajectory
@@ -27,7 +26,7 @@ from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, entries_of, named_entries
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import allowed_residual
@@ -51,13 +50,13 @@ def without_windows(problem: OptimalControlProblem) -> OptimalControlProblem:
 
 def maps_of_windows(
     problem: OptimalControlProblem, entries: Sequence[FrequencyConstraint]
-) -> Iterator[tuple[FrequencyConstraint, SpectrogramMap, Array]]:
+) -> Iterator[tuple[FrequencyConstraint, SpectrumMap, Array]]:
     """Yield the constraint, the windows and the limits of V of each limited control."""
     m, names, step = problem.control_dim, problem.control_names, problem.sampling_time
     signal = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), names, problem.horizon, step)
     for where, one in named_entries("control_spectrum", entries):
         for _, windows, levels, sums in one.windows(signal, where):
-            yield one, windows, np.broadcast_to(levels * sums, len(windows.spectrum.bins))
+            yield one, windows, np.broadcast_to(levels * sums, len(windows.bins))
 
 
 def control_windows(problem: OptimalControlProblem, units: LtiUnits, delay: int) -> ControlWindows | None:
@@ -70,10 +69,10 @@ def control_windows(problem: OptimalControlProblem, units: LtiUnits, delay: int)
     for one, windows, limits in maps_of_windows(problem, ahead):  # no control acts before the first plan
         if not one.slides or not (np.isfinite(limits) & (limits > 0)).all():
             raise UnsupportedError(f"control_spectrum: {one.describe(problem.control_names)}; {KERNEL_TAKES}.")
-        spectrum, unit, hop = windows.spectrum, units.u[windows.component], int(getattr(one, "hop", 1))
-        frequencies, begin = 2 * np.pi * spectrum.bins / spectrum.points, int(windows.starts[0])
+        unit, hop = units.u[windows.component], int(getattr(one, "hop", 1))
+        frequencies, begin = 2 * np.pi * windows.bins / windows.points, int(windows.starts[0])
         scaled = limits / unit, windows.past / unit
-        sets.append(WindowSet(windows.component, hop, begin, spectrum.window, frequencies, *scaled))
+        sets.append(WindowSet(windows.component, hop, begin, windows.window, frequencies, *scaled))
     return ControlWindows(tuple(sets), known_states(problem.linear)) if sets else None
 
 
@@ -83,9 +82,9 @@ def promises(problem: OptimalControlProblem) -> list[str]:
     rest = np.zeros((problem.horizon, problem.control_dim))
     ahead = [one.with_past(rest[:0], 0).hold_last(rest) for one in entries_of(problem.control_spectrum)]
     for one, windows, limits in maps_of_windows(problem, ahead):
-        taper, hop, j = windows.spectrum.window, int(getattr(one, "hop", 1)), windows.component
+        taper, hop, j = windows.window, int(getattr(one, "hop", 1)), windows.component
         times, U, size = np.arange(len(taper)), largest[j], 2 / taper.sum()
-        bend = (np.pi / windows.spectrum.points) ** 2 / 2 * (taper * (times - times.mean()) ** 2).sum()
+        bend = (np.pi / windows.points) ** 2 / 2 * (taper * (times - times.mean()) ** 2).sum()
         ends, parts = np.append(taper, np.zeros(hop)), np.arange(1, hop) / hop
         moved = [np.roll(ends, i) - (1 - part) * ends - part * np.roll(ends, hop) for i, part in enumerate(parts, 1)]
         turn = max((np.abs(one).sum() for one in moved), default=0.0)
@@ -152,7 +151,7 @@ class WindowedPlan:
         for term, one, of_set, (_, found, _) in zip(terms, windows, self.plan.duals, maps, strict=True):
             levels = one.levels * units.u[one.component]
             turned = of_set.duals * np.exp(-1j * of_set.begins * one.frequencies[of_set.points])
-            on_points = np.zeros((len(found.starts), len(found.spectrum.bins)), dtype=np.complex128)
+            on_points = np.zeros((len(found.starts), len(found.bins)), dtype=np.complex128)
             place = np.searchsorted(found.starts, of_set.begins), of_set.points
             np.add.at(on_points, place, turned * units.cost / levels[of_set.points])
             duals[term.name] = np.stack([on_points.real, on_points.imag], axis=-1).reshape(-1, 2)
@@ -199,25 +198,19 @@ class WindowedPlanner:
             stated = change.apply(self.stated)
             moved = self._translation.change(change, without_windows(stated))
             lti = self._spectral.changed_problem(moved)[1]
-        plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._kernel
+        plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
-
-    @property
-    def _kernel(self) -> NativeKernel:
-        kernel = self._solver.kernel
-        assert isinstance(kernel, NativeKernel)
-        return kernel
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts next."""
         units = self._solver.units.u
-        chosen = self._kernel.plan_of_controls * units
+        chosen = self._solver.kernel.plan_of_controls * units
         self._rest = np.vstack([chosen[1:], chosen[-1:]])
         self._spectrum = [one.with_past(u[None], 0) for one in self._spectrum]
-        self._kernel.apply(u / units)
+        self._solver.kernel.apply(u / units)
 
     def correct(self, change: Array, ago: int) -> None:
         """Add a change to the control that acted so many samples before the next plan."""
-        self._kernel.correct_past(change / self._solver.units.u, ago)
+        self._solver.kernel.correct_past(change / self._solver.units.u, ago)
         self._spectrum = [one.with_correction(change, ago) for one in self._spectrum]

@@ -5,9 +5,9 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "absorbed_cost": "absorb_cost", "candidate": "Candidate SOLVED_TOLERANCE SolveOptions zero_multipliers",
-    "condensed.dense": "DenseKernel", "condensed.native": "NativeKernel library", "correction": "corrections",
-    "condensed.plans": "Budget CondensedSolver extremals_of unsettled_plan", "repair": "break_times repair_trajectory",
-    "condensed.tables": "CondensedTables INFEASIBLE LIMIT SOLVED condense",
+    "condensed.native": "NativeKernel library", "correction": "corrections",
+    "condensed.plans": "Budget CondensedSolver extremals_of unsettled_plan", "repair": "repair_trajectory",
+    "condensed.tables": "CondensedTables GRADIENT_DEPENDENCE INFEASIBLE LIMIT ROW_TOLERANCE SOLVED condense",
     "convex.attempts": "ACCURATE_ANSWER ScaledSolver", "convex.polish": "steepest_recession zero_rounding",
     "convex.sparse_program": "MOST_PROGRAMS ProgramCache convex_candidates solve_convex",
     "fitted_multipliers": "MOST_GRADIENTS Uniqueness abnormal_multipliers fit_multipliers uniqueness",

@@ -60,7 +60,7 @@ class AbsorbedCost(OwnStates):
 
 def absorb_cost(problem: OptimalControlProblem) -> AbsorbedCost | None:
     """Return the problem whose cost is convex at each time; None if the given one's is, or has no response."""
-    response = problem.form.response(problem.horizon)
+    response = problem.response
     curvature = None if response is None else bin_curvature(problem, response)
     if response is None or curvature is None or problem.quadratic.nonconvexity() is None:
         return None

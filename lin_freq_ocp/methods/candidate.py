@@ -138,9 +138,8 @@ class Attempt:
 
 def require_convex(problem: OptimalControlProblem) -> None:
     """Raise UnsupportedError, with the time or the bins and the eigenvalue, unless the cost is convex."""
-    response = problem.form.response(problem.horizon)
-    if response is not None:
-        require_convex_bins(problem, response)
+    if problem.response is not None:
+        require_convex_bins(problem, problem.response)
         return
     worst = problem.quadratic.nonconvexity()
     if worst is not None:
@@ -157,7 +156,7 @@ def contradiction_at_ends(problem: OptimalControlProblem) -> Multipliers | None:
     for t, end in zip((0, T), problem.ends, strict=True):
         for term in problem.terms:
             rows = term.polyhedron(n, m)
-            if rows is None or t not in rows.times or len(term.map.control_times):
+            if rows is None or t not in rows.times or rows.C[..., n:].any():
                 continue
             k = int(np.flatnonzero(rows.times == t)[0])
             C = rows.matrix(k)[:, :n]

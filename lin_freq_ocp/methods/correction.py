@@ -99,11 +99,11 @@ def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Traj
 
     Interior points approach it to the root of their tolerance only. Signals without a cost are those of ``near``.
     """
-    cost, T = problem.quadratic, len(near.u)
+    cost = problem.quadratic
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
     u = np.where(priced, cost.u_ref, near.u)
     first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
-    follows = problem.form.response(T) is not None  # x_0 follows from the controls, too
+    follows = problem.response is not None  # x_0 also follows from the controls
     try:
         return simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
     except NumericalError:
@@ -186,7 +186,7 @@ def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     reach = np.ptp(x, axis=0)
-    if problem.form.response(problem.horizon) is None:
+    if problem.response is None:
         steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)
         responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)
         for t in range(steps):

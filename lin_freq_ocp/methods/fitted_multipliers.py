@@ -72,7 +72,7 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     # least squares in (w, s), with rows s - A'y = g and the conditions on w
     variables, count = program.A.shape[1], len(cone.lower)
     gradient = program.P @ z + program.q
-    unit_of_cost = min(float(np.abs(gradient).max(initial=0.0)), 1.0) or 1.0  # solvers have absolute tolerances, too
+    unit_of_cost = min(float(np.abs(gradient).max(initial=0.0)), 1.0) or 1.0  # solvers also have absolute tolerances
     gradient = gradient / unit_of_cost
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
     identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")

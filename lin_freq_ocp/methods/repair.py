@@ -15,7 +15,7 @@ from scipy import fft
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
-from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
+from lin_freq_ocp.methods.structured.kkt.recursions import break_times, simulate, simulation_matrix
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -31,11 +31,11 @@ MOST_ROW_ENTRIES = 1e7  # of the rows as signals
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
     """Return the repaired trajectory, whose states and controls are within their bounds exactly; None without one.
 
-    None, too, where a repair needs more than controls: for a frequency response, and for constraints of other kinds
+    Also None where a repair needs more than controls: for a frequency response, and for constraints of other kinds
     that the repaired trajectory violates.
     """
     states, controls = problem.state_tube, problem.control_tube
-    if problem.form.response(problem.horizon) is not None:
+    if problem.response is not None:
         return None
     repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
     size = (problem.horizon + 1) * (problem.state_dim + problem.control_dim)
@@ -185,23 +185,6 @@ def _pieces(dynamics: LinearDynamics, horizon: int) -> tuple[Array, Indices, Arr
     A[:-1] = dynamics.A
     breaks = break_times(dynamics.A, horizon, PIECE_GROWTH)
     return A, breaks, simulation_matrix(A, breaks)
-
-
-def break_times(A: Array, horizon: int, growth: float) -> Indices:
-    """Return the times at which a simulation begins anew: the states grow by no more than ``growth`` between them."""
-    if A.ndim == 2:
-        steps, power = 1, A
-        while steps < horizon and np.abs(power).max() <= growth:
-            steps, power = 2 * steps, power @ power
-        first = max(steps // 2, 1) if steps < horizon else horizon
-        return np.arange(first, horizon, first)
-    times, product = list[int](), np.eye(A.shape[1])
-    for t in range(horizon - 1):
-        product = A[t] @ product
-        if np.abs(product).max() > growth:
-            times.append(t + 1)
-            product = np.eye(A.shape[1])
-    return np.array(times, dtype=np.intp)
 
 
 def _at_bounds(tube: Box, signal: Array) -> Mask:

@@ -103,7 +103,7 @@ def _states(problem: ProblemData) -> list[Fact]:
             text = interval(float(box.lower[i]), float(box.upper[i]))
             free = "anywhere" if not convex_set.members else f"as the {end} set says"
             words.append(f"{verb} {free if text == 'no bound' else text}")
-        if problem.form.response(problem.horizon) is not None:
+        if problem.response is not None:
             words = [word for word in words if not word.endswith(" anywhere")]
         facts.append((f"state: {name}", "; ".join(words)))
     return facts

@@ -97,7 +97,7 @@ def stopped_runs(stopped: Mask) -> list[tuple[int, int]]:
 
 
 def stopband_peak(signal: Array, stopped: Mask) -> float | None:
-    """Return the largest magnitude of the zero-padded spectrum within the stopped runs, between the bins, too."""
+    """Return the largest magnitude of the zero-padded spectrum within the stopped runs, also between the bins."""
     if not stopped.any():
         return None
     magnitude, top = padded_spectrum(signal)[1], len(stopped) - 1
@@ -110,14 +110,13 @@ def stopband_peak(signal: Array, stopped: Mask) -> float | None:
 
 def one_step_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     """Return x_{t+1} - f_t(x_t, u_t), shape (T, n); unstable dynamics do not amplify it."""
-    recursion = problem.form.response(problem.horizon) is None
-    dynamics = problem.dynamics_along(trajectory) if recursion else problem.equations
+    dynamics = problem.dynamics_along(trajectory) if problem.response is None else problem.equations
     return trajectory.x[1:] - dynamics.successors(trajectory.x, trajectory.u)
 
 
 def growth_along(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the ``amplification`` of the dynamics along a trajectory; 0 of a frequency response, without recursion."""
-    if problem.form.response(problem.horizon) is not None:
+    if problem.response is not None:
         return 0.0
     return amplification(problem.dynamics_along(trajectory), problem.horizon)
 

@@ -44,7 +44,7 @@ class OptimalControlProblem(ProblemData):
         control_set may be a FiniteSet.
     initial_state, terminal_state : (n,), mapping, set, or None
         A point (a number, for a single state; a mapping with the value of every state by its name), a set, or free.
-        The state set of that time holds, too: the problem is infeasible if they have no common point. A terminal_state
+        The state set of that time also holds: the problem is infeasible if they have no common point. A terminal_state
         may be Periodic(), x_T = x_0, or LinkedEnds.
     control_spectrum, state_spectrum : Band, MagnitudeBound, EnergyBound, LinearConstraint, sequence of them, or None
         Frequency constraints, on the DFT of length T for controls and T+1 for states (T with Periodic()).

@@ -17,6 +17,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, 
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.forms import form_of
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_over_time, box_of, end_within
@@ -71,6 +72,11 @@ class ProblemData:
     def mode_names(self) -> tuple[str, ...]:
         """The name of every mode of the form; empty for a problem without modes."""
         return self.form.mode_names
+
+    @cached_property
+    def response(self) -> Response | None:
+        """The map from all controls to all states; None where states follow by a recursion."""
+        return self.form.response(self.horizon)
 
     @cached_property
     def level_sizes(self) -> Array:
@@ -194,7 +200,7 @@ class ProblemData:
 
 
 Data = TypeVar("Data", bound=ProblemData)
-OF_FORM = "form", "mode_names", "level_sizes"
+OF_FORM = "form", "mode_names", "response", "level_sizes"
 # The cached properties that depend on a field and not on all of them
 DEPENDENT = {
     "dynamics": (*OF_FORM, "linear", "equations", "borders", "gap"),
@@ -272,10 +278,10 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
     Where the signal is ``fixed`` (time to value), a hard part that the value satisfies, up to rounding, has no term.
     """
     per_time = isinstance(given, Sequence)
-    sets = given if per_time else [given] * len(times) if given and given.members else ()
+    sets = zip(given, times[:, None].tolist(), strict=False) if per_time else [(given, times.tolist())] if given else ()
     parts: dict[tuple[object, ...], list[tuple[int, Part]]] = {}
     parts_of: dict[int, tuple[Part, ...]] = {}
-    for i, (one, t) in enumerate(zip(sets, times, strict=False)):
+    for i, (one, held) in enumerate(sets):
         if not one.members:
             continue
         if one.dimension not in (None, dimension):
@@ -288,11 +294,9 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
                 raise ProblemError(field, links[0].name, "a set of one state or control", advice)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
-            if t in fixed and part.penalty.hard:
-                violation = float(part.penalty.violation(part.values(fixed[t][None])).max())
-                if violation <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(fixed[t]) + np.abs(part.c)).max()):
-                    continue
-            parts.setdefault((k, part.F.shape, part.penalty.signature), []).append((int(t), part))
+            timed = [(t, part) for t in held if t not in fixed or not _is_met(part, fixed[t])]
+            if timed:
+                parts.setdefault((k, part.F.shape, part.penalty.signature), []).extend(timed)
     of_state, name, terms = field != "control_set", field.replace("_", " "), list[Term]()
     kind = TermKind.STATE_SET if of_state else TermKind.CONTROL_SET
     for i, timed in enumerate(parts.values()):  # the same part of a set at several times is one term
@@ -302,6 +306,14 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
         penalty = same[0].penalty.stacked([part.penalty for part in same])
         terms.append(Term(name if i == 0 else f"{name} {i + 1}", kind, rows, penalty, (field, 0)))
     return terms
+
+
+def _is_met(part: Part, value: Array) -> bool:
+    """Whether a value satisfies a hard part, up to rounding; a soft part has a price at every value."""
+    if not part.penalty.hard:
+        return False
+    violation = float(part.penalty.violation(part.values(value[None])).max())
+    return violation <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 
 
 def _merge_equal(arrays: list[Array]) -> Array:
@@ -317,6 +329,6 @@ def bounded_bins(terms: Sequence[Term], kind: TermKind, shape: tuple[int, int]) 
     """
     bounded = np.zeros(shape, dtype=bool)
     for term in terms:
-        if term.kind == kind:
-            bounded[term.map.nearest_bins, term.map.component] = True
+        if term.kind == kind and term.map.spectrum is not None:
+            bounded[term.map.spectrum.nearest_bins, term.map.spectrum.component] = True
     return seal(bounded)

@@ -203,7 +203,7 @@ class LinearProgram:
     def drift(self) -> Array:
         """Return the constant d_t, (T, n), of the dynamics of the deviations."""
         problem, origin = self.problem, self.origin
-        response = problem.form.response(problem.horizon)
+        response = problem.response
         if response is not None:  # x_{t+1} is a sum over all controls
             through_u = response.matrix[problem.state_dim :] @ origin.u.ravel()
             return response.base[1:] + through_u.reshape(origin.x[1:].shape) - origin.x[1:]
@@ -266,7 +266,7 @@ class LinearProgram:
     def dynamics(self) -> sp.csr_array:
         """Return the coefficients of all variables in the rows of the dynamics, (T n, variables)."""
         (T, n, m), first = self.layout.shape, 0
-        response = self.problem.form.response(T)
+        response = self.problem.response
         if response is not None:  # x_{t+1} is a sum over all controls
             values = -response.matrix[n:]
             columns = np.broadcast_to(np.arange(self.states, self.signals), values.shape)
@@ -354,7 +354,7 @@ def dense_rows(problem: OptimalControlProblem) -> DenseRows:
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     of_u, of_x = 2 * int(problem.control_stop.sum()), 2 * int(problem.state_stop.sum())
     count, entries = of_u + of_x, of_u * T + of_x * (T + 1)
-    if problem.form.response(T) is not None:
+    if problem.response is not None:
         count, entries = count + T * n, entries + T * n * T * m
     for term in problem.terms:
         rows, size = term.map.dense_size
@@ -391,6 +391,6 @@ def _same_recursion(new: OptimalControlProblem, old: OptimalControlProblem) -> b
     """Whether the dynamics are the same but for their offset."""
     if new.dynamics is old.dynamics:
         return True
-    if any(one.form.response(one.horizon) is not None for one in (new, old)):
+    if any(one.response is not None for one in (new, old)):
         return False
     return all(np.array_equal(getattr(new.linear, name), getattr(old.linear, name)) for name in ("A", "B"))

@@ -29,6 +29,7 @@ from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.dual import growth, precision
 from lin_freq_ocp.proof.statement import line, rows
+from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.limits import Limit, of_source, replace_bounds
@@ -140,9 +141,9 @@ def share_of_way(problem: OptimalControlProblem, at: Trajectory, inner: Trajecto
 
 def interior_trajectory(outcome: Outcome, problem: OptimalControlProblem, at: Trajectory) -> Trajectory | None:
     """Return a trajectory strictly inside all inequalities, by the method of the outcome; None if none was found."""
-    sizes = trajectory_sizes(problem, at)
+    sizes, options = trajectory_sizes(problem, at), Options(outcome.method, outcome.backend or "auto")
     for share in SHARES:
-        found = solve_judged(tighten(problem, share, sizes), outcome.method, backend=outcome.backend or "auto")
+        found = solve_judged(tighten(problem, share, sizes), options)
         if found.trajectory is not None and least_distance(problem, found.trajectory) > 0:
             return found.trajectory
     return None

@@ -66,7 +66,7 @@ def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> Optima
 
 
 def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, region: Region) -> float:
-    """Return a bound on how far a raised cost is above the given one in a region; inf if there is none."""
+    """Return a bound on how far a raised cost is above the given one in a region; inf without one."""
     if raised is given:
         return 0.0
     cost, other, total = given.quadratic, raised.quadratic, 0.0
@@ -85,7 +85,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
 def _semidefinite(matrix: Array, least: float) -> Array:
     """Return a symmetric matrix with the least rise of the diagonal that makes it semidefinite; itself if none does.
 
-    The difference to the given matrix is semidefinite, too, rounding included.
+    The difference to the given matrix is also semidefinite, rounding included.
     """
     symmetric, diagonal = (matrix + matrix.T) / 2, np.diag(np.diagonal(matrix))
     if np.array_equal(matrix, diagonal):

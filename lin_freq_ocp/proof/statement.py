@@ -23,11 +23,11 @@ from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.maps import AffineMap
+from lin_freq_ocp.problem.terms.maps import AffineMap, OutputMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone, Within
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask
-from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrogramMap, SpectrumMap
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
@@ -225,7 +225,7 @@ def multiplier_lines(terms: Sequence[Term], weights: Sequence[Array]) -> Iterato
     first = 0
     for term, given in zip(terms, weights, strict=True):
         if term.semi_infinite is not None:
-            places = term.map.frequencies.tolist()
+            places = term.map.locations.tolist()
             for w, pair in zip(places, given, strict=True):
                 if pair.any():
                     yield line(multiplier=first, frequency=w, values=pair)
@@ -303,37 +303,24 @@ def written_values(values: AffineMap, sizes: Sizes) -> Iterator[list[str]]:
 
 @written_values.register
 def _spectrum(values: SpectrumMap, sizes: Sizes) -> Iterator[list[str]]:
-    yield from _bins_of_window(values, 0, sizes)
-
-
-def _bins_of_window(values: SpectrumMap, start: int, sizes: Sizes) -> Iterator[list[str]]:
-    """Yield the bins of each group, of samples from a time on."""
-    signal = signal_text(values, start, sizes)
-    bins = [f'{{{signal}, "frequency": [{k}, {values.points}]}}' for k in values.bins.tolist()]
-    if values.joint:
-        yield bins
-    else:
-        yield from ([one] for one in bins)
-
-
-@written_values.register
-def _spectrogram(values: SpectrogramMap, sizes: Sizes) -> Iterator[list[str]]:
     if values.held or (values.starts < 0).any():
         raise UnsupportedError("a spectrogram of samples before time 0, or of a held control")
     for start in values.starts.tolist():
-        yield from _bins_of_window(values.spectrum, start, sizes)
+        signal = signal_text(values, start, sizes)
+        bins = [f'{{{signal}, "frequency": [{k}, {values.points}]}}' for k in values.bins.tolist()]
+        yield from [bins] if values.joint else ([one] for one in bins)
 
 
 @written_values.register
 def _frequencies(values: FrequencyMap, sizes: Sizes) -> Iterator[list[str]]:
-    if type(values) is not FrequencyMap:
+    if values.scaled:
         raise UnsupportedError(f"a {type(values).__name__}")
     signal = signal_text(values, 0, sizes)
     for w in values.at.tolist():
         yield [f'{{{signal}, "frequency": {encode(w)}}}']
 
 
-def signal_text(values: SpectrumMap | FrequencyMap, first: int, sizes: Sizes) -> str:
+def signal_text(values: OutputMap, first: int, sizes: Sizes) -> str:
     """Return the fields "output", "first" and "window" of a spectrum."""
     _, n, m = sizes
     of_x = np.zeros(n) if values.C is None else values.C
@@ -351,12 +338,7 @@ def written_multipliers(values: AffineMap, weights: Array) -> Array:
 
 @written_multipliers.register
 def _spectrum_multipliers(values: SpectrumMap, weights: Array) -> Array:
-    return values.pairs(weights).reshape(len(weights), -1)
-
-
-@written_multipliers.register
-def _spectrogram_multipliers(values: SpectrogramMap, weights: Array) -> Array:
-    base, pairs = values.spectrum, values.pairs(weights).reshape(len(values.starts), -1, 2)
-    angles = 2 * np.pi * (np.outer(values.starts, base.bins) % base.points) / base.points
+    pairs = values.pairs(weights).reshape(len(values.starts), -1, 2)
+    angles = 2 * np.pi * (np.outer(values.starts, values.bins) % values.points) / values.points
     turned = (pairs[..., 0] + 1j * pairs[..., 1]) * np.exp(1j * angles)
     return np.stack([turned.real, turned.imag], axis=-1).reshape(len(weights), -1)

@@ -1,4 +1,4 @@
-"""The table of methods: those for each kind of dynamics, and the options of ``solve`` that each of them takes.
+"""The options of ``solve``, and the table of methods: those for each kind of dynamics, with the options they take.
 
 A new kind of dynamics is a subclass of ``Dynamics``. With an entry here it has methods of its own, otherwise those of
 its standard form. Dynamics with modes or kinks register their methods in solving/hybrid.
@@ -7,6 +7,7 @@ its standard form. Dynamics with modes or kinks register their methods in solvin
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
 from lin_freq_ocp.base.errors import UnsupportedError, suggestion
@@ -15,8 +16,41 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.program.backends.base import backend as solver_named
+from lin_freq_ocp.program.backends.base import names
 from lin_freq_ocp.solving.linear import Convex, LinearAuto, Spectral, Structured
 from lin_freq_ocp.solving.method import Method
+
+
+@dataclass(frozen=True, eq=False)
+class Options:
+    """The keywords of ``lfo.solve`` that choose a method and limit it; ``lfo.solve`` documents them.
+
+    UnsupportedError if one does not exist, MissingExtraError if the backend is not installed.
+    """
+
+    method: str | Method = "auto"
+    backend: str = "auto"
+    time_limit: float | None = None
+    tolerance: float | None = None
+    gap: float | None = None
+    node_limit: int | None = None
+    executor: Executor | None = None
+    start: object = None
+    global_bound: bool | None = None
+
+    def __post_init__(self):
+        if isinstance(self.method, str) and self.method != "auto":
+            require_shorthand(self.method)
+        if self.backend != "auto" and self.backend not in names(binaries=True):
+            solver_named(self.backend)
+        for name in ("time_limit", "tolerance", "gap", "node_limit"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
+
+
+DEFAULT_OPTIONS = Options()
 
 
 @dataclass(frozen=True)
@@ -74,8 +108,8 @@ ONLY = {
     "gap": "linear dynamics have a 'tolerance'; searches over modes, and 'auto', have a gap to prove",
     "node_limit": "only a search over affine modes has nodes",
     "executor": "only 'branch_and_bound' has parts for it",
-    "global_bound": "only 'auto' over smooth pieces computes one after its search",
     "start": "only 'branch_and_bound' and the search over smooth pieces begin with one",
+    "global_bound": "only 'auto' over smooth pieces computes one after its search",
 }
 
 
@@ -98,12 +132,13 @@ def require_shorthand(name: str) -> None:
         raise UnsupportedError(f"method: got {name!r}; expected {known} or {names[-1]!r}. {hint}".rstrip())
 
 
-def choose_method(problem: OptimalControlProblem, method: str | Method, keywords: Mapping[str, object]) -> Method:
-    """Return the method for a problem, with the keywords of ``solve`` that are not None as its options.
+def choose_method(problem: OptimalControlProblem, stated: Options) -> Method:
+    """Return the method for a problem, with the options that are given.
 
     UnsupportedError if there is no such method, it is not for these dynamics, or it does not take an option.
     """
-    family, options = family_of(problem), {name: value for name, value in keywords.items() if value is not None}
+    family, method, auto = family_of(problem), stated.method, ("backend", "auto")
+    options = {name: value for name in ONLY if (value := getattr(stated, name)) is not None and (name, value) != auto}
     start = options.pop("start", None)
     if isinstance(method, str):
         if method not in family.shorthands:
@@ -133,8 +168,9 @@ def choose_method(problem: OptimalControlProblem, method: str | Method, keywords
     return chosen
 
 
-def saved_options(problem: OptimalControlProblem, name: str | Method, method: Method) -> dict[str, object]:
-    """Return the equivalent shorthand and keywords of ``solve``, as a file stores them."""
+def saved_options(problem: OptimalControlProblem, stated: Options, method: Method) -> dict[str, object]:
+    """Return the equivalent shorthand and keywords of ``solve``, as a file stores them, but for a start."""
+    name = stated.method
     if not isinstance(name, str):
         shorthands = family_of(problem).shorthands
         name = next((text for text, known in shorthands.items() if known.describes(method)), method.shorthand)
@@ -144,7 +180,8 @@ def saved_options(problem: OptimalControlProblem, name: str | Method, method: Me
     further: dict[str, object] = {} if saved["node_limit"] is None else {"node_limit": saved["node_limit"]}
     if not getattr(method, "global_bound", True) and "global_bound" in family_of(problem).shorthands[name].options:
         further["global_bound"] = False
-    return {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance, **further}
+    chosen = {"method": name, "backend": saved["backend"] or "auto", "tolerance": tolerance}
+    return {**chosen, **further, "time_limit": stated.time_limit}
 
 
 def _other_kind_message(name: str, family: Family) -> str:

@@ -277,7 +277,7 @@ class LinearAuto:
     def _other_methods(self, problem: OptimalControlProblem) -> tuple[Method, ...]:
         """Return the methods that follow the Fourier-domain method, in this order."""
         convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
-        if problem.form.response(problem.horizon) is not None:  # there are no stages
+        if problem.response is not None:  # there are no stages
             return (convex,)
         return (structured, convex) if structured_first(problem) else (convex, structured)
 

@@ -15,15 +15,14 @@ from lin_freq_ocp.certificate.many import batch_judge_takes, judge_batch
 from lin_freq_ocp.certificate.rays import infeasibility_certificate
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, Plan, extremals_of
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
-from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.solving.families import choose_method, saved_options
+from lin_freq_ocp.solving.families import Options, choose_method, saved_options
 from lin_freq_ocp.solving.judging import judge_candidate
 from lin_freq_ocp.solving.linear import LinearAuto, Spectral
 from lin_freq_ocp.solving.method import Method, Request
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.solving.solve import require_options, restore_outcome, solve_translated
+from lin_freq_ocp.solving.solve import restore_outcome, solve_translated
 from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache
 from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, far_origin, translated_by
@@ -105,10 +104,9 @@ class Resolver:
 
     def __init__(self, problem: OptimalControlProblem, method: str | Method = "auto", tolerance: float | None = None):
         require_problem(problem)
-        require_options(method, tolerance=tolerance)
-        self.problem, self.name = problem, method
-        self.method = choose_method(problem, method, {"tolerance": tolerance})
-        self.linear = isinstance(problem.form.standard_form, LinearDynamics)
+        self.problem, self.options = problem, Options(method, tolerance=tolerance)
+        self.method = choose_method(problem, self.options)
+        self.linear = not problem.mode_names and problem.form.affine and problem.response is None
         self._cache: SolverCache | None = None
         self._programs = ProgramCache()
         self._moves = np.zeros(problem.state_dim)  # of each state, the largest in a solve until now
@@ -215,7 +213,7 @@ class Resolver:
         tree: SearchCache | None = None,
     ) -> Outcome:
         """Solve the changed problem, from a start and a tree if the method takes them, and judge the answer."""
-        require_options(self.name, time_limit=time_limit)
+        options = replace(self.options, time_limit=time_limit)
         problem = change.apply(self.problem)
         cache = self.cache_for(problem)
         change = cache.translation.change(change, problem)
@@ -232,4 +230,4 @@ class Resolver:
         outcome = restore_outcome(translation, solve_translated(self.method, translation, request), tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
             self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
-        return replace(outcome, options=saved_options(problem, self.name, self.method) | {"time_limit": time_limit})
+        return replace(outcome, options=saved_options(problem, options, self.method))

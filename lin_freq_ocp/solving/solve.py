@@ -11,7 +11,6 @@ References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programmin
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
@@ -28,9 +27,7 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERA
 from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
-from lin_freq_ocp.program.backends.base import backend as solver_named
-from lin_freq_ocp.program.backends.base import names
-from lin_freq_ocp.solving.families import choose_method, require_shorthand, saved_options
+from lin_freq_ocp.solving.families import DEFAULT_OPTIONS, Options, choose_method, saved_options
 from lin_freq_ocp.solving.judging import (
     allowed_residual,
     candidate_of,
@@ -51,46 +48,21 @@ COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as m
 @one_blas_thread
 def solve_judged(
     problem: OptimalControlProblem,
-    method: str | Method = "auto",
-    time_limit: float | None = None,
+    options: Options = DEFAULT_OPTIONS,
     progress: Report | None = None,
-    start: object = None,
-    backend: str = "auto",
-    tolerance: float | None = None,
-    gap: float | None = None,
-    node_limit: int | None = None,
-    executor: Executor | None = None,
-    global_bound: bool | None = None,
     proof: bool = True,
 ) -> Outcome:
-    """Solve a problem and judge the answer; ``lfo.solve`` documents parameters and errors, ``Request`` proof."""
+    """Solve a problem and judge the answer; ``lfo.solve`` documents options and errors, ``Request`` proof."""
     require_problem(problem)
-    limits = {"tolerance": tolerance, "gap": gap, "node_limit": node_limit}
-    options = {**limits, "executor": executor, "start": start, "global_bound": global_bound}
-    chosen = choose_method(problem, method, {"backend": None if backend == "auto" else backend, **options})
-    require_options(chosen, backend, time_limit=time_limit, **limits)
-    first = None if start is None else start_of(problem, start)
-    allowed = tolerance or getattr(chosen, "tolerance", None)
-    request = Request(np.inf if time_limit is None else time_limit, allowed, progress, first, proof=proof)
+    chosen = choose_method(problem, options)
+    first = None if options.start is None else start_of(problem, options.start)
+    allowed = options.tolerance or getattr(chosen, "tolerance", None)
     translation = translation_of(problem)
-    outcome = reduce_fractional_samples(solve_translated(chosen, translation, request), tolerance)
-    outcome = restore_outcome(translation, outcome, allowed)
-    saved = saved_options(problem, method, chosen) | ({} if first is None else {"start": first.saved})
-    return replace(outcome, options=saved | {"time_limit": time_limit})
-
-
-def require_options(method: str | Method, backend: str = "auto", **limits: float | None) -> None:
-    """Raise UnsupportedError if an option of solve does not exist, MissingExtraError if the backend is not installed.
-
-    ``limits`` are time_limit, tolerance, gap and node_limit: numbers above zero, or None.
-    """
-    if isinstance(method, str):
-        require_shorthand(method)
-    if backend not in ("auto", *names(binaries=True)):
-        solver_named(backend)
-    for name, value in limits.items():
-        if value is not None and not value > 0:
-            raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
+    request = Request(options.time_limit or np.inf, allowed, progress, first, proof=proof)
+    outcome = solve_translated(chosen, translation, request)
+    outcome = restore_outcome(translation, reduce_fractional_samples(outcome, options.tolerance), allowed)
+    saved = saved_options(problem, options, chosen) | ({} if first is None else {"start": first.saved})
+    return replace(outcome, options=saved)
 
 
 def solve_translated(method: Method, translation: Translation, request: Request) -> Outcome:

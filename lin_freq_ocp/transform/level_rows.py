@@ -83,7 +83,7 @@ def level_use(problem: OptimalControlProblem, u: Array) -> LevelUse | None:
 def rows_of_levels(problem: OptimalControlProblem) -> Array | None:
     """Return R, (rows, T, m), of all constraints on u but its levels; None if some are no linear rows.
 
-    None, too, if the cost is no sum over single samples, or the initial state is free.
+    Also None if the cost is no sum over single samples, or the initial state is free.
     """
     if _set_of_levels(problem) is None:
         return None
@@ -117,7 +117,7 @@ def rows_of_levels(problem: OptimalControlProblem) -> Array | None:
 
 
 class FewBetweenLevels(Reduced):
-    """The way from any optimum to one with few samples between levels, at which its multipliers are normals, too."""
+    """The way from any optimum to one with few samples between levels, at which its multipliers are also normals."""
 
     def trajectory(self, reduced: Trajectory) -> Trajectory:
         """Return an optimum with at most as many entries between levels as there are rows."""

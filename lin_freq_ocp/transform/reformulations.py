@@ -26,7 +26,7 @@ from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_indices, entries_of
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -393,7 +393,7 @@ def rate_limit(
 def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, horizon: int) -> QuadraticCost:
     """Return a cost of (x, w) and u, w = ``chosen`` u_{t-1}, with 1/2 sum of prices (u_t - u_{t-1})^2 besides.
 
-    In deviations from u_ref, (u - u_ref) - (w - u_ref) is the change; so u_ref is the reference of w, too.
+    In deviations from u_ref, (u - u_ref) - (w - u_ref) is the change; so u_ref is also the reference of w.
     """
     k, n = len(chosen), len(cost.p) - len(chosen)
     P = np.diag(prices)
@@ -451,9 +451,7 @@ def at_frequencies(
         state_spectrum=set_points(problem.state_spectrum, problem.state_names),
         control_spectrum=set_points(problem.control_spectrum, problem.control_names),
         output_spectrum=[
-            OutputSpectrum(
-                outputs.C, outputs.D, set_points(outputs.constraints, outputs.output_names), outputs.output_names
-            )
+            outputs.with_constraints(set_points(outputs.constraints, outputs.output_names))
             for outputs in entries_of(problem.output_spectrum)
         ],
     )

@@ -45,7 +45,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     if u.shape != (T, m):
         raise ProblemError("u", f"shape {u.shape}", f"shape {(T, m)}", "Time is axis 0.")
-    response = problem.form.response(T)
+    response = problem.response
     if response is not None:
         if initial_state is not None:
             advice = "All outputs follow from the controls."

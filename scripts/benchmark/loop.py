@@ -45,8 +45,8 @@ from threadpoolctl import threadpool_limits
 import lin_freq_ocp as lfo
 from benchmark.loop_cases import cart_pole, elastic_wall, pendulum, soft_pendulum, windowed
 from benchmark.record import Record, build_parser
+from helpers.dense_kernel import DenseKernel
 from lin_freq_ocp.base.clock import use_clock
-from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.tables import condense
 from lin_freq_ocp.methods.spectral.model import lti_problem, natural_units
 from lin_freq_ocp.program.linear_program import LinearProgram

@@ -18,7 +18,7 @@ from rich.table import Table
 import lin_freq_ocp as lfo
 from benchmark.structured_cases import CASES
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.structured import choice, embedding, solver, stages
+from lin_freq_ocp.methods.structured import choice, embedding, solver
 from lin_freq_ocp.methods.structured.kkt import dense, range_space, recursions
 
 
@@ -35,7 +35,6 @@ LAYERS = {
     "refinement where steps fall short": (embedding, "EXPECTED", -np.inf),
     "sweeps one way": (dense.Regulator, "gram", both_sweeps),
     "blocks of stages": (dense, "NARROW", 10**9),
-    "rows by one matrix": (stages, "DENSE", 0),
     "low rank of fine masks": (range_space, "WORTH", 0.0),
     "the smaller space": (choice.Sizes, "seconds", lambda sizes: {"range space": 0.0}),
     "conjugate gradients": (choice, "ITERATIONS", np.inf),

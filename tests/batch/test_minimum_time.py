@@ -16,7 +16,7 @@ import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.batch import Verdict, obstacles, problem_at_horizon, search_horizons
-from lin_freq_ocp.solving import solve_judged
+from lin_freq_ocp.solving import Options, solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
 
 LAST = 14  # largest horizon of the random problems
@@ -239,7 +239,7 @@ def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
 
 def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
     def stopped(problem, *options, **more):
-        outcome = solve_judged(problem, "convex")
+        outcome = solve_judged(problem, Options("convex"))
         return replace(outcome, status=lfo.results.Status.LIMIT, certificate=None, infeasibility=None)
 
     substitute(monkeypatch, "solving.solve_judged", stopped)

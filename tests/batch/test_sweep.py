@@ -283,8 +283,8 @@ def test_ctrl_c_keeps_what_is_finished(serial, tmp_path):
 def test_ctrl_c_within_a_solve_ends_the_sweep_without_that_point(monkeypatch):
     honest = solve_judged
 
-    def pressed(problem, **options):
-        return replace(honest(problem, **options), interrupted=problem.horizon == 61)
+    def pressed(problem, options):
+        return replace(honest(problem, options), interrupted=problem.horizon == 61)
 
     substitute(monkeypatch, "solving.solve_judged", pressed)
     found = lfo.sweep(SHORT, {"horizon": [60, 61, 62]})

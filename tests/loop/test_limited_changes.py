@@ -9,9 +9,10 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.dense_kernel import DenseKernel
 from helpers.loops import LOOPS, pendulum, states
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.methods import LIMIT, SOLVED, Budget, CondensedSolver, DenseKernel
+from lin_freq_ocp.methods import LIMIT, SOLVED, Budget, CondensedSolver
 
 QUEUE = 4  # rows that the C kernel counts as tried after the last change
 SOFT = {"state_set": 1e3}

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods import break_times, repair_trajectory
+from lin_freq_ocp.methods import repair_trajectory
+from lin_freq_ocp.methods.structured import break_times
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 

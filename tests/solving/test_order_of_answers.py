@@ -12,7 +12,7 @@ from helpers.replacing import substitute
 from lin_freq_ocp.certificate import RIGOROUS, Bound, judge
 from lin_freq_ocp.methods import Candidate, solve_convex, zero_multipliers
 from lin_freq_ocp.results import Attempt, Reason, Status, Trajectory
-from lin_freq_ocp.solving import judge_candidate, solve_judged, take_best
+from lin_freq_ocp.solving import Options, judge_candidate, solve_judged, take_best
 
 PROBLEM = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[0.9]], [[1.0]]),
@@ -22,7 +22,7 @@ PROBLEM = lfo.OptimalControlProblem(
     state_set=lfo.Box(-5.0, 5.0),
     initial_state=[2.0],
 )
-BEST = replace(solve_judged(PROBLEM, "convex"), attempts=())
+BEST = replace(solve_judged(PROBLEM, Options("convex")), attempts=())
 FALLING = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1.0]], [[1.0, 0.0]]),
     3,
@@ -42,7 +42,7 @@ def moved(distance):
 
 def infeasible(status, bound):
     """Return an outcome with the ray of an infeasible problem, of which its bound says how far it holds."""
-    outcome = solve_judged(replace(PROBLEM, terminal_state=[5.0]), "convex")
+    outcome = solve_judged(replace(PROBLEM, terminal_state=[5.0]), Options("convex"))
     return replace(outcome, attempts=(), status=status, infeasibility=replace(outcome.infeasibility, bound=bound))
 
 
@@ -88,7 +88,7 @@ def test_attempts_name_the_reason(name):
 def test_a_proof_of_infeasibility_within_rounding_is_no_last_word():
     """Full control misses the end by 1e-7 or by 1. A point within the tolerance of the judge may answer the first."""
     missed = [replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + by]) for by in (1e-7, 1.0)]
-    reasons = [solve_judged(problem, "convex").attempt.reason for problem in missed]
+    reasons = [solve_judged(problem, Options("convex")).attempt.reason for problem in missed]
     assert reasons == [Reason.NEARLY_FEASIBLE, Reason.PROVEN]
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
-from lin_freq_ocp.solving import FAMILIES, choose_method
+from lin_freq_ocp.solving import FAMILIES, Options, choose_method
 
 PROBLEMS = {
     "linear": lfo.library.double_integrator(),
@@ -74,12 +74,12 @@ def test_an_option_is_taken_or_refused(kind, method):
         elif option not in TAKEN[kind, method]:
             words = f"{option}: got .* for the method '{method}' and {kind}"
         else:
-            found = choose_method(PROBLEMS[kind], method, {option: value})
+            found = choose_method(PROBLEMS[kind], Options(method, **{option: value}))
             fields = {"tolerance": ("tolerance", "gap"), "start": ()}.get(option, (option,))
             assert not fields or value in {getattr(found, name, None) for name in fields}
             continue
         with pytest.raises(lfo.errors.UnsupportedError, match=words):
-            choose_method(PROBLEMS[kind], method, {option: value})
+            choose_method(PROBLEMS[kind], Options(method, **{option: value}))
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)
@@ -87,12 +87,12 @@ def test_an_option_is_taken_or_refused(kind, method):
 def test_an_object_is_its_shorthand_with_keywords(kind, name):
     if (kind, name) not in TAKEN:
         with pytest.raises(lfo.errors.UnsupportedError, match=f"method: got '{name}', which is for"):
-            choose_method(PROBLEMS[kind], OBJECTS[name], {})
+            choose_method(PROBLEMS[kind], Options(OBJECTS[name]))
         return
-    options = {option: getattr(OBJECTS[name], option, None) for option in ("backend", "tolerance", "gap", "node_limit")}
+    options = {option: value for option in OPTIONS if (value := getattr(OBJECTS[name], option, None)) is not None}
     assert (
-        choose_method(PROBLEMS[kind], name, options)
-        == choose_method(PROBLEMS[kind], OBJECTS[name], {})
+        choose_method(PROBLEMS[kind], Options(name, **options))
+        == choose_method(PROBLEMS[kind], Options(OBJECTS[name]))
         == OBJECTS[name]
     )
 

@@ -31,6 +31,7 @@ from scipy.linalg import block_diag
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
+from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
 from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
@@ -431,18 +432,14 @@ def judge_modes(
     if weights is not None and weights.shape != active.shape:
         raise ProblemError("multipliers.weights", f"shape {weights.shape}", f"shape {active.shape}")
     if weights is None:
-        # alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t: the nearest point of a polytope V alpha to 0.
-        # beta >= 0 with the least |V beta|^2 + (sum beta - 1)^2 is a multiple of alpha, as the sum s enters that as
-        # s^2 |V alpha|^2 + (s - 1)^2, which rises with |V alpha| for the best s
-        from scipy.optimize import nnls  # slow to import
-
+        # alpha >= 0, sum alpha = 1, with sum alpha_i a_i nearest to p_t
         weights = np.eye(active.shape[1])[sequence]
         extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
         least, none = floors(extremal, scales), np.zeros(0, dtype=np.intp)
         for stage in switching_stages(extremal, least, arrays, active, none):
             weights[stage.time] = 0.0
-            V = ((stage.slopes - stage.required) / stage.scale).T
-            beta, _ = nnls(np.vstack([V, np.ones(len(stage.modes))]), np.append(np.zeros(len(V)), 1.0))
+            points = (stage.slopes - stage.required) / stage.scale
+            beta = hull_weights(points, points[:0])
             weights[stage.time, stage.modes] = beta / beta.sum()
     extremal = extremal_at(_averaged_problem(problem, weights, sequence), trajectory, multipliers)
     least = floors(extremal, scales, problem.origin)

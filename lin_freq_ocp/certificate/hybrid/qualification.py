@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -66,13 +67,9 @@ def _vanishes_nearby(gradient: Array, bend: Array) -> bool:
 
 def _dependent(gradients: list[Array], normals: list[Array]) -> bool:
     """Whether a sum of gradients, with weights >= 0 that are not all zero, and of normals is zero."""
-    from scipy.optimize import nnls  # slow to import
-
-    columns = np.array([vector / np.linalg.norm(vector) for vector in (*gradients, *normals) if vector.any()]).T
-    total = np.append(np.ones(len(gradients)), np.zeros(columns.shape[1] - len(gradients)))
-    weights = nnls(np.vstack([columns, total]), np.append(np.zeros(len(columns)), 1.0))[0]
-    share = float(total @ weights)
-    return not np.linalg.norm(columns @ weights) > DEGENERATE * share
+    vectors = np.array([vector / np.linalg.norm(vector) for vector in (*gradients, *normals) if vector.any()])
+    weights = hull_weights(*np.split(vectors, [len(gradients)]))
+    return not np.linalg.norm(vectors.T @ weights) > DEGENERATE * float(weights[: len(gradients)].sum())
 
 
 def _free_components(problem: OptimalControlProblem, t: int) -> Mask:

@@ -69,7 +69,7 @@ def array_lengths(parts: Sequence[tuple[str, str]], integers: Mapping[str, int])
 
 def library() -> ctypes.CDLL | None:
     """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
-    purpose = "the control step in C could not be compiled, NumPy computes it"
+    purpose = "the control step in C could not be compiled, other methods compute it"
     return compiled_library(__file__, ("kernel.h", "kernel.c"), purpose)
 
 

@@ -15,7 +15,6 @@ from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
-from lin_freq_ocp.methods.condensed.dense import DenseKernel
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, LIMIT, SOLVED, CondensedTables, condense
 from lin_freq_ocp.methods.condensed.windows import ControlWindows, WindowDuals
@@ -127,10 +126,12 @@ class CondensedSolver:
 
     def _set_up(self, tables: CondensedTables) -> None:
         self._lock = threading.Lock()  # the kernel keeps the multipliers of its last step
-        compiled = library() if len(tables.families) <= FAMILIES and tables.loop.shape[1] <= STATES else None
-        if compiled is None and self.windows is not None:
-            raise UnsupportedError("control_spectrum: windows of a Spectrogram need a C compiler.")
-        self.kernel = DenseKernel(tables) if compiled is None else NativeKernel(tables, compiled, self.windows)
+        if len(tables.families) > FAMILIES or tables.loop.shape[1] > STATES:
+            raise UnsupportedError(f"the condensed method takes up to {FAMILIES} kinds of rows and {STATES} states.")
+        compiled = library()
+        if compiled is None:
+            raise UnsupportedError("the condensed method runs in C: it needs a C compiler, or the library of a wheel.")
+        self.kernel = NativeKernel(tables, compiled, self.windows)
 
     def __getstate__(self) -> dict[str, object]:
         """Return what another process needs; the kernel is made anew."""
@@ -200,7 +201,6 @@ class CondensedSolver:
     def plan_windows(self, start: Array, lti: Lti, budget: Budget) -> Plan:
         """Return the plan from an initial state, (n,), with windows; where it is not ``settled``, that of promise 4."""
         units, kernel, x, made = self.units, self.kernel, start / self.units.x, 0
-        assert isinstance(kernel, NativeKernel)
         if not self._take(lti):
             raise UnsupportedError("bounds: they bound other components than those of the problem.")
         most = kernel.tables.most_changes if budget.changes is None else budget.changes

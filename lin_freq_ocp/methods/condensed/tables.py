@@ -33,7 +33,6 @@ DEFINITE = 1e-12
 SMALL_WEIGHT = 1e-6  # of the feedback's cost, relative to the mean weight, where the problem has none
 
 ROW_TOLERANCE = 1e-9  # of a row's value, relative to the size of its family
-STUCK_VIOLATION = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
 GRADIENT_DEPENDENCE = 1e-7  # a gradient with less than this part of its length outside the active ones depends on them
 SOLVED, LIMIT, INFEASIBLE = range(3)  # statuses of a step
 

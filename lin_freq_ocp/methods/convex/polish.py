@@ -117,7 +117,7 @@ def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> I
         along = linear.direction(zero_rounding(v, np.abs(v).max(), PROJECTED_ROUNDING) * columns)
         x, u = np.clip(along.x, *signs[0]), np.clip(along.u, *signs[1])
         yield Trajectory(x.copy(), u)
-        if problem.form.response(problem.horizon) is None:
+        if problem.response is None:
             for t in range(problem.horizon):
                 A, B, _ = problem.linear.at(t)
                 moved = A @ to_long_double(x[t]) + B @ to_long_double(u[t])

@@ -49,7 +49,7 @@ VARIABLES = 9e3  # of a program without dense rows, above which it is a little f
 def solve_convex(problem: OptimalControlProblem, backend_name: str, options: SolveOptions = DEFAULTS) -> Candidate:
     """Solve a problem with linear dynamics and a convex quadratic cost, in units in which it should be of order 1.
 
-    If the answer has other sizes, the problem is solved in the units of these, too, and the answer with the smaller
+    If the answer has other sizes, the problem is also solved in the units of these, and the answer with the smaller
     residuals is returned. UnsupportedError if the cost is not convex, the backend is unknown, or the program does not
     fit into memory.
     """

@@ -11,6 +11,6 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "search.path_native": "OPTIMAL path_library run_path", "smooth.sequential": "LocalOptimum local_optimum",
     "smooth.interior_point": "Barrier BarrierPoint End FEW_ROWS Filter Measure smooth_optimum",
     "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress",
-    "smooth.newton": "NewtonRun NewtonSystem iterate_from newton",
+    "smooth.newton": "NewtonRun NewtonSystem iterate_from newton", "angles": "AngleBound AngleBoxes",
 })
 # fmt: on

@@ -225,7 +225,7 @@ class Exchange:
         return step, new, ray
 
     def _eliminated_step(self, right: Array, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for the present working rows; an inaccurate QP, too, leads to the search for a ray."""
+        """Return the same for the present working rows; an inaccurate QP also leads to the search for a ray."""
         working, inverse = self.working, self.kkt.inverse
         step = inverse @ right
         if not len(working):

@@ -169,7 +169,7 @@ class LtiUnits:
 
 def refusal(problem: OptimalControlProblem) -> str | None:
     """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, response = problem.quadratic, problem.form.response(problem.horizon)
+    cost, response = problem.quadratic, problem.response
     if response is not None and not closes_on_the_circle(problem):
         return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
     taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
@@ -209,8 +209,7 @@ def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
 def natural_units(problem: OptimalControlProblem) -> LtiUnits:
     """Return units with data of order 1; UnsupportedError if the cost of the sizes is not finite and above 0."""
     states, controls, known = natural_sizes(problem)
-    recursion = problem.form.response(problem.horizon) is None
-    balanced = recursion and not known.all()
+    balanced = problem.response is None and not known.all()
     x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
     u = _power_of_two(_control_sizes(problem.control_tube, controls))
     cost = problem.quadratic
@@ -268,7 +267,7 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     x, u = units.x, units.u
-    outputs = problem.form.response(T)
+    outputs = problem.response
     if outputs is None:
         A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion

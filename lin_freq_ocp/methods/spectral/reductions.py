@@ -18,6 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stop_band
 from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.terms.maps import OutputMap
 from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -62,9 +63,8 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
     if not sets:
         return None
     polyhedra = [(rows, term) for term in sets if (rows := _polyhedron(problem, term)) is not None]
-    recursion = problem.form.response(problem.horizon) is None
     unsuited = len(polyhedra) < len(sets) or priced_bounds(problem) is not None
-    if unsuited or not recursion or problem.linear.time_varying:
+    if unsuited or problem.response is not None or problem.linear.time_varying:
         return None
     try:
         joint = list[StageRows]()
@@ -223,7 +223,7 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
 class SoftBounds(Reduced):
     """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
-    The model of the Fourier-domain method contains the prices, too. A method without prices is right if they are high
+    The model of the Fourier-domain method also contains the prices. A method without prices is right if they are high
     enough; else the judge refuses its multipliers.
     """
 
@@ -239,19 +239,19 @@ class SoftBounds(Reduced):
 
 @dataclass(frozen=True, eq=False)
 class SoftBins(Reduced):
-    """The problem with its soft bins removed from the spectra, and the terms of these bins.
+    """The problem with its soft bins removed from the spectra, and the terms of these bins with their spectra.
 
     The penalty is exact: if the price of a bin exceeds its multiplier, the bin is zero. A bound of zero with a price w
     costs w |uhat_k|, whose subgradients at uhat_k = 0 are all lambda with |lambda| <= w. With these bins removed, rho_k
     is such a subgradient if |rho_k| <= w: passing them would not lower the cost.
     """
 
-    terms: tuple[Term, ...]
+    bands: tuple[tuple[Term, OutputMap], ...]
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return multipliers of the given problem; UnsupportedError if one exceeds eta_C times its price.
 
-        The multipliers of bins that a hard band of the given problem removes, too, stay with that band.
+        The multipliers of bins that a hard band of the given problem also removes stay with that band.
         """
         through_u = self.given.equations.pull_back(reduced.eta)[1]
         rho = {
@@ -259,8 +259,8 @@ class SoftBins(Reduced):
             TermKind.STATE_SPECTRUM: (reduced.rho_x.copy(), self.given.state_stop, reduced.eta),
         }
         stage = dict(reduced.stage)
-        for term in self.terms:
-            bins, component, (forces, stopped, others) = term.map.nearest_bins, term.map.component, rho[term.kind]
+        for term, spectrum in self.bands:
+            bins, component, (forces, stopped, others) = spectrum.nearest_bins, spectrum.component, rho[term.kind]
             on_bins = np.where(stopped[bins, component], 0.0, forces[bins, component])
             price = reduced.eta_C * np.broadcast_to(term.penalty.weights, (len(bins), 1))[:, 0]
             rounding = 0.0 if reduced.eta_C else np.abs(others[:, component]).max()
@@ -278,16 +278,20 @@ class SoftBins(Reduced):
 
 def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:
     """Return the problem with its soft bins removed; None if it has none."""
-    terms = tuple(term for term in problem.terms if _is_soft_band(problem, term))
+    bands = tuple(
+        (term, spectrum)
+        for term in problem.terms
+        if (spectrum := term.map.spectrum) is not None and _is_soft_band(problem, term)
+    )
     changes: dict[str, object] = {}
     for kind, field in FIELDS.items():
-        soft = [term for term in terms if term.kind == kind]
+        soft = [(term, spectrum) for term, spectrum in bands if term.kind == kind]
         if soft:
-            replaced = {term.source[1] for term in soft if term.source is not None}
+            replaced = {term.source[1] for term, _ in soft if term.source is not None}
             hard = [entry for i, entry in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
-            bands = [stop_band(bins=term.map.nearest_bins, component=term.map.component) for term in soft]
-            changes[field] = [*hard, *bands]
-    return SoftBins(problem, replace(problem, **changes), terms) if terms else None
+            stops = [stop_band(bins=spectrum.nearest_bins, component=spectrum.component) for _, spectrum in soft]
+            changes[field] = [*hard, *stops]
+    return SoftBins(problem, replace(problem, **changes), bands) if bands else None
 
 
 def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:

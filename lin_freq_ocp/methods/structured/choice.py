@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.structured.kkt.null_space import GROWTH, NullSpaceSolver, break_times, sort_rows
+from lin_freq_ocp.methods.structured.kkt.null_space import GROWTH, NullSpaceSolver, sort_rows
 from lin_freq_ocp.methods.structured.kkt.range_space import CouplingResponse, fine_rows, range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import Loops
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops, break_times
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced, TwoLevel
 from lin_freq_ocp.methods.structured.kkt.system import KKTSolver
 from lin_freq_ocp.methods.structured.stages import Stages
@@ -81,7 +81,7 @@ def sizes_of(stages: Stages) -> Sizes:
     channels = {int(entry) - stages.states for entry in coupling.channels}
     driven = np.flatnonzero(stages.B.any(axis=(0, 1))).tolist()
     whole = (channels | set(driven)) - banded - set(range(-stages.states, 0))
-    starts = len(break_times(stages.A, GROWTH)) * stages.states
+    starts = len(break_times(stages.A, stages.horizon, GROWTH)) * stages.states
     unknowns = T * len(banded) - stopped + (T + 1) * len(whole) + starts + int((~stages.fixed).sum())
     left = starts + len(coupling.terminal) + sum(len(part.at) for part in rest)
     return Sizes(T, stages.H.shape[1], len(channels), coupling.count, unknowns, left, len(bands))

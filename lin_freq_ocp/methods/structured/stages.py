@@ -24,8 +24,6 @@ from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
-DENSE = 3e5  # entries of a matrix up to which products with it take less time than FFTs; measured
-
 
 @dataclass(frozen=True, eq=False)
 class Stages:
@@ -333,7 +331,6 @@ class AllRows:
     def __init__(self, coupling: Coupling, stages: int, states: int):
         self._coupling, self._states, self._shape = coupling, states, (stages, len(coupling.channels))
         self._families = tuple(coupling.families())
-        self._dense = coupling.count * stages * len(coupling.channels) <= DENSE
 
     @cached_property
     def gradients(self) -> tuple[Array, Array]:
@@ -357,12 +354,9 @@ class AllRows:
     def values(self, y: Array) -> Array:
         """Return F y."""
         terminal, signals = self._coupling.terminal, y[:, self._coupling.channels]
-        if self._dense:
-            values = self._matrix.T @ signals.ravel()
-        else:
-            values = np.zeros(self._coupling.count)
-            for rows, at in self._families:
-                values[at] = rows.forward(signals[:, :, None])[:, 0]
+        values = np.zeros(self._coupling.count)
+        for rows, at in self._families:
+            values[at] = rows.forward(signals[:, :, None])[:, 0]
         values[: len(terminal)] = y[-1, terminal]
         return values
 
@@ -370,15 +364,8 @@ class AllRows:
         """Add F'nu to a gradient (stages, n + k)."""
         terminal, channels = self._coupling.terminal, self._coupling.channels
         gradient[-1, terminal] += nu[: len(terminal)]
-        if self._dense:
-            gradient[:, channels] += (self._matrix @ nu).reshape(self._shape)
-        elif len(channels):
+        if len(channels):
             signals = np.zeros((*self._shape, 1))
             for rows, at in self._families:
                 rows.add_adjoint(nu[at, None], signals)
             gradient[:, channels] += signals[:, :, 0]
-
-    @cached_property
-    def _matrix(self) -> Array:
-        """F' without the rows of x_T, (stages * channels, rows)."""
-        return self.gradients[0].reshape(self._shape[0] * self._shape[1], self._coupling.count)

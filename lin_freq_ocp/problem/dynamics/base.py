@@ -113,7 +113,7 @@ class Dynamics(ABC):
         self.standard_form.require_sets(sets)
 
     def gap(self, sets: StageSets) -> str | None:
-        """Return a point of the sets where f_t is not defined, in words; None if there is none."""
+        """Return a point of the sets where f_t is not defined, in words; None without one."""
         return self.standard_form.gap(sets)
 
     def borders(self, sets: StageSets) -> tuple[SwitchingBoundary, ...]:

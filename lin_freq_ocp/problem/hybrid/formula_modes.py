@@ -242,7 +242,7 @@ def _affine_text(affine: Array, labels: Sequence[str]) -> str:
 def _union(a: _Piece, b: _Piece) -> _Piece | None:
     """Return the union of two pieces if they have the same map and it is a polyhedron; else None.
 
-    The rows of each piece that hold on the other, too, define the envelope of both. It is their union if no ball of the
+    The rows of each piece that also hold on the other define the envelope of both. It is their union if no ball of the
     envelope lies outside a dropped row of each (Bemporad, Fukuda and Torrisi, Computational Geometry 18, 2001).
     """
     sizes = np.abs(a.states) + np.abs(b.states)

@@ -60,7 +60,7 @@ EIGENVALUE_ROUNDING = 1e-12  # of a Hessian, relative to its largest eigenvalue
 class PathConstraint(StageRows):
     """h(t, x_t, u_t) <= upper, component by component, by formulas that need not be convex.
 
-    It holds for t < T, and without controls for x_T, too. Solvers get the exact first and second derivatives.
+    It holds for t < T, and without controls also for x_T. Solvers get the exact first and second derivatives.
     Dynamics are linear or piecewise smooth.
 
     Parameters
@@ -279,7 +279,7 @@ class PathConstraint(StageRows):
 
 @dataclass(frozen=True, eq=False)
 class TangentRows(StageRows):
-    """A path constraint to first order along a trajectory: rows C_t x_t + D_t u_t <= e_t, if D is zero for x_T, too."""
+    """A path constraint to first order along a trajectory: rows C_t x_t + D_t u_t <= e_t, if D is zero also for x_T."""
 
     def at_dimensions(self, n: int, m: int, horizon: int, field: str) -> TangentRows:
         """Return the rows, which are complete."""

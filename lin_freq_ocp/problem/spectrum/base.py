@@ -31,7 +31,7 @@ from lin_freq_ocp.base.names import component_names, index_of_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 
 Entry = TypeVar("Entry")
@@ -136,7 +136,7 @@ class FrequencyConstraint(ABC):
         """Whether it limits each point of sliding windows, and is hard."""
         return False
 
-    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
+    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array, Array | float]]:
         """Yield the name, the windows, the levels of a window's groups and sums per level, of each component."""
         yield from ()
 
@@ -155,7 +155,7 @@ class FrequencyConstraint(ABC):
     def with_past(self, past: Array, measured: int) -> FrequencyConstraint:
         """Return the constraint on the samples that follow ``past``, (k, components); itself if it has no memory.
 
-        ``measured`` is the number of samples from time 0 on that are measured, too.
+        ``measured`` is the number of samples from time 0 on that are also measured.
         """
         return self
 

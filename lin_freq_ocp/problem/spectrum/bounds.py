@@ -71,7 +71,7 @@ class MagnitudeBound(SpectrumBound):
     db : float, array or mapping, with ``reference`` : float
         The amplitude is reference * 10^(db / 20). Points are linear over the logarithm of the frequency.
     harmonics : list of int or mapping, with ``fundamental_hz`` : float
-        The orders of the bounded harmonics; a mapping {5: 4.0, 7: 4.0} states their amplitudes, too. The signal must
+        The orders of the bounded harmonics; a mapping {5: 4.0, 7: 4.0} also states their amplitudes. The signal must
         last a whole number of periods of the fundamental.
     bins : list of int, or band : Band
         The bounded bins: listed, or the bins that the band would remove.
@@ -85,14 +85,14 @@ class MagnitudeBound(SpectrumBound):
     oversampling : int
         Bound a grid that is this many times as fine as the DFT's.
     between : bool
-        Bound the spectrum between the points of the finer grid, too: the limit at the points is smaller by the factor
+        Also bound the spectrum between the points of the finer grid: the limit at the points is smaller by the factor
         cos(pi/(2 oversampling)), because a spectrum of N samples exceeds its largest value on the whole grid by no more
         (Ehlich and Zeller, Mathematische Zeitschrift 86, 1964). The theorem is for a mask of one level on the whole
         circle. At the end of a band next to large values, the spectrum between the last two points can exceed the
         limit, the more the deeper the mask: look at the zero-padded spectrum, or use ``every_frequency``. A price is
         on the violation of the smaller limit.
     edges : bool
-        Bound the points of the grid next to the band, too: from the last one at or below the band to the first one at
+        Also bound the points of the grid next to the band: from the last one at or below the band to the first one at
         or above it.
     every_frequency : bool
         |V(w)| <= limit for every w in the closed band, V(w) = sum_t u_t exp(-iwt), not at bins only: zero-padding shows

@@ -43,7 +43,7 @@ class ResidualVibration(FrequencyConstraint):
         In the unit of the signal: a constant signal u moves q by u.
     relative : bool
         Limit |sum_t u_t z^(T-1-t)| instead of |V|: a last sample of size 1 then counts 1 for every mode, as motion
-        controllers and 3D printers state it. The limit is in the unit of the signal, too.
+        controllers and 3D printers state it. The limit is also in the unit of the signal.
     component : int or str, optional
         Index or name of the component; default all, each with this bound.
 

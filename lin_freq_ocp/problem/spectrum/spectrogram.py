@@ -20,7 +20,7 @@ from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, WindowSpectra, component_indices
 from lin_freq_ocp.problem.spectrum.bounds import MagnitudeBound
 from lin_freq_ocp.problem.spectrum.spectrum_bound import SpectrumBound
-from lin_freq_ocp.problem.terms.spectrum_maps import SpectrogramMap
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 
 
@@ -171,7 +171,7 @@ class Spectrogram(FrequencyConstraint):
             if self.rest is not None and self.penalty is None:
                 every = np.maximum(every, windows.gauges(self.rest, self.facets) / per_level)
             term = self.bound.term(of, signal.kind, windows, every, per_level, source)
-            shown = self.bound.statement(name, windows.spectrum, levels, signal.sampling_time)
+            shown = self.bound.statement(name, windows, levels, signal.sampling_time)
             labels = [f"{label}, in a window" if self.length else label for label in shown.labels]
             labels = labels * (count if len(labels) > 1 else 1)
             yield replace(term, statement=replace(shown, labels=labels, levels=np.tile(levels, count)))
@@ -185,22 +185,20 @@ class Spectrogram(FrequencyConstraint):
         if known + signal.length - self.offset < length:
             return  # no window has ended
         for name, windows, levels, sums in self.changed(length=length, hop=hop, held=False).windows(signal, field):
-            spectrum = windows.spectrum
-            every = replace(spectrum, bins=np.arange(spectrum.points // 2 + 1), joint=False)
-            values = replace(windows, spectrum=every).values(x, u)
+            every = replace(windows, bins=np.arange(windows.points // 2 + 1), joint=False)
             yield WindowSpectra(
                 name=name,
                 begins=windows.starts,
                 length=length,
                 frequencies=2 * np.pi * every.bins / every.points,
-                magnitudes=np.linalg.norm(values, axis=1).reshape(len(windows.starts), -1),
-                bins=spectrum.bins,
+                magnitudes=np.linalg.norm(every.values(x, u), axis=1).reshape(len(windows.starts), -1),
+                bins=windows.bins,
                 limits=np.asarray(levels * sums),
-                amplitude=2.0 / float(spectrum.window.sum()),
+                amplitude=2.0 / float(windows.window.sum()),
                 soft=self.penalty is not None,
             )
 
-    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrogramMap, Array, Array | float]]:
+    def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array, Array | float]]:
         count, samples = len(signal.names), signal.length
         past = np.zeros((0, count)) if self.past is None else self.past
         if past.shape[1] != count:
@@ -218,7 +216,7 @@ class Spectrogram(FrequencyConstraint):
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
         for (name, spectrum, levels, sums), i in zip(bounded, components, strict=False):  # none without bins
-            yield name, SpectrogramMap(spectrum, first, past[:, i], self.held), levels, sums
+            yield name, replace(spectrum, starts=first, past=past[:, i], held=self.held), levels, sums
 
 
 LOBE = 4.0  # width of the main lobe of a Hann window, in bins of its length

@@ -41,8 +41,8 @@ class SpectrumBound(FrequencyConstraint, ABC):
 
     label: ClassVar[str]
     joint: ClassVar[bool]  # whether one limit bounds all bins together
-    between: bool = False  # whether the limit holds between the points of the grid, too
-    edges: bool = False  # whether the points of the grid next to the band are bounded, too
+    between: bool = False  # whether the limit also holds between the points of the grid
+    edges: bool = False  # whether the points of the grid next to the band are also bounded
     limit: float | Array  # as stated
     quantity: Quantity  # the unit of the limit
     fundamental_hz: float | None

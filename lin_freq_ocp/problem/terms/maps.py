@@ -8,8 +8,8 @@ else in the package tells maps apart. ``AffineMap`` and ``MatrixMap`` document t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, is_dataclass
-from typing import ClassVar
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -64,7 +64,7 @@ class AffineMap(ABC):
     @property
     @abstractmethod
     def positions(self) -> Indices:
-        """Return the time of every group; of a spectrum, the nearest bin of the plain DFT."""
+        """Return the time of every group; of a spectrum, the nearest bin of the plain DFT; empty without either."""
 
     @property
     @abstractmethod
@@ -107,42 +107,14 @@ class AffineMap(ABC):
         return None
 
     @property
-    def control_times(self) -> Indices:
-        """Return the time of every group if each depends on the control of a single time; else empty."""
-        return np.arange(0)
-
-    @property
-    def nearest_bins(self) -> Indices:
-        """Return the bin of the plain DFT nearest to each bin of a spectrum, (bins,); empty for other maps."""
-        return np.arange(0)
-
-    @property
-    def samples(self) -> int:
-        """Return the length of the signal of a spectrum; 0 for other maps."""
-        return 0
-
-    @property
-    def component(self) -> int:
-        """Return the index of the state or control that a spectrum belongs to."""
-        return 0
-
-    @property
-    def frequencies(self) -> Array:
-        """Return the frequency of each group in rad/sample, (groups,); empty if groups are not single bins."""
-        return np.zeros(0)
+    def spectrum(self) -> OutputMap | None:
+        """Return the map itself if its values belong to frequencies of one whole signal; None for other maps."""
+        return None
 
     @property
     def locations(self) -> Array:
-        """Return the point of each group in the parameter set of a semi-infinite constraint, (groups, ...)."""
-        return self.frequencies
-
-    def pairs(self, values: Array) -> Array:
-        """Return (Re, Im) of every bin of a spectrum, (bins, 2), from values or multipliers, (groups, dim)."""
-        return values
-
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        """Whether the map is a spectrum of y = C x + D u."""
-        return False
+        """Return the point of each group in the parameter set of a semi-infinite constraint; empty for other maps."""
+        return np.zeros(0)
 
     @property
     def dense_size(self) -> tuple[int, int]:
@@ -188,10 +160,6 @@ class StageMap(MatrixMap):
     @property
     def positions(self) -> Indices:
         return self.times
-
-    @property
-    def control_times(self) -> Indices:
-        return np.arange(0) if self.D is None else self.times
 
     @property
     def additions(self) -> float:
@@ -277,6 +245,96 @@ class SumMap(MatrixMap):
 
     def magnitudes(self) -> AffineMap:
         return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
+
+
+@dataclass(frozen=True, eq=False)
+class OutputMap(AffineMap):
+    """A map of the windowed output w_t y_t, y_t = C x_t + D u_t, whose values are (Re, Im) of bins or frequencies."""
+
+    C: Array | None  # (n,)
+    D: Array | None  # (m,); y has the samples t = 0 .. T-1, and without D also T
+    window: Array  # w_t, (samples,); ones for the plain DFT
+
+    @property
+    @abstractmethod
+    def real(self) -> Mask:
+        """At which bins or frequencies the spectrum is real for every signal, (count,)."""
+
+    @property
+    @abstractmethod
+    def nearest_bins(self) -> Indices:
+        """Return the bin of the plain DFT nearest to each bin or frequency, (count,)."""
+
+    @property
+    @abstractmethod
+    def frequencies(self) -> Array:
+        """Return the frequency of each group in rad/sample, (groups,); empty if groups are not single bins."""
+
+    @abstractmethod
+    def waves(self) -> Array:
+        """Return the coefficients of the samples in Re and Im of each bin or frequency in turn, (rows, samples)."""
+
+    def pairs(self, values: Array) -> Array:
+        """Return (Re, Im) of every bin or frequency, (count, 2), from values or multipliers, (groups, dim)."""
+        return values
+
+    @property
+    def samples(self) -> int:
+        """Return the number of weights w_t."""
+        return len(self.window)
+
+    @property
+    def component(self) -> int:
+        """Return the index of the first state or control in y."""
+        row = self.C if self.C is not None else self.D
+        assert row is not None  # one of C and D is stated
+        return int(np.flatnonzero(row)[0])
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, signals = 2 * len(self.real), sum(1 for part in (self.C, self.D) if part is not None and part.any())
+        return rows, rows * len(self.window) * signals
+
+    def is_of(self, C: Array | None, D: Array | None) -> bool:
+        """Whether y is C x + D u."""
+        return all(
+            first is second or (first is not None and second is not None and np.array_equal(first, second))
+            for first, second in ((self.C, C), (self.D, D))
+        )
+
+    def signal_rows(self, of_y: Array, times: Indices, horizon: int, n: int, m: int) -> sp.csr_array:
+        """Return rows on (x, u) from rows on y, (rows, samples), at these times, (samples,) or (rows, samples)."""
+        values, columns = list[Array](), list[Indices]()
+        for row, first, width in ((self.C, 0, n), (self.D, (horizon + 1) * n, m)):
+            if row is not None:
+                used = np.flatnonzero(row)
+                parts = np.broadcast_arrays(of_y[..., None] * row[used], first + times[..., None] * width + used)
+                shape = len(of_y), of_y.shape[1] * len(used)
+                values.append(parts[0].reshape(shape))
+                columns.append(parts[1].reshape(shape))
+        return sparse_rows(np.hstack(values), np.hstack(columns), (horizon + 1) * n + horizon * m)
+
+    def magnitudes(self) -> Self:
+        """Return the map with the absolute values of the coefficients."""
+        of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
+        return replace(self, C=of_x, D=of_u)
+
+    def length(self, horizon: int) -> int:
+        """Return the number of samples of the signal over a horizon."""
+        return horizon + (self.D is None)
+
+    def output(self, x: Array, u: Array) -> Array:
+        """Return y, (samples,)."""
+        parts = [part[: self.length(len(u))] @ row for row, part in ((self.C, x), (self.D, u)) if row is not None]
+        return sum(parts[1:], parts[0])
+
+    def spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
+        """Return the adjoint of ``output`` for weights of its first samples, in the shapes of x and u."""
+        of_x, of_u = (np.zeros(shape, dtype=signal.dtype) for shape in shapes)
+        for row, part in ((self.C, of_x), (self.D, of_u)):
+            if row is not None:
+                part[: len(signal)] += np.outer(signal, row)
+        return of_x, of_u
 
 
 def sparse_rows(values: Array, columns: Array | Indices, width: int) -> sp.csr_array:

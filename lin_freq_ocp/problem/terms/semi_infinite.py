@@ -14,15 +14,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, to_long_double
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.problem.terms.maps import Shapes
 from lin_freq_ocp.problem.terms.penalties import LargestExcess, NormBall
 from lin_freq_ocp.problem.terms.penalty import HARD, Penalty
 from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
@@ -197,35 +195,10 @@ class MagnitudeMask(SemiInfiniteConstraint):
 
 
 @dataclass(frozen=True, eq=False)
-class ScaledMap(FrequencyMap, ABC):
-    """A gain times a sum of the samples, no term of it larger than its sample; the values belong to no DFT bins."""
-
-    @property
-    @abstractmethod
-    def gain(self) -> ComplexArray:
-        """Return the gain of each value, (groups,)."""
-
-    @property
-    def nearest_bins(self) -> Indices:
-        return np.arange(0)
-
-    @property
-    def frequencies(self) -> Array:
-        return np.zeros(0)
-
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        return False
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        return super().sizes(x, u) * np.abs(self.gain.astype(complex))[:, None]
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return super().pulled_sizes(weights * np.abs(self.gain.astype(complex))[:, None], shapes)
-
-
-@dataclass(frozen=True, eq=False)
-class ZeroOrderHoldMap(ScaledMap):
+class ZeroOrderHoldMap(FrequencyMap):
     """(Re, Im) of S(w) V(w)."""
+
+    scaled: ClassVar[bool] = True
 
     @property
     def gain(self) -> ComplexArray:
@@ -234,11 +207,6 @@ class ZeroOrderHoldMap(ScaledMap):
     @property
     def additions(self) -> float:
         return super().additions * max(float(self.at.max(initial=0.0)) / np.pi, 1.0)
-
-    @cached_property
-    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        first, second = super()._factors
-        return self.gain[:, None] * first, second
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,9 +232,10 @@ def sinc(w: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class VibrationMap(ScaledMap):
+class VibrationMap(FrequencyMap):
     """(Re, Im) of V for modes ``at``, (groups, 2): natural frequency in Hz, damping ratio; see ``VibrationLimit``."""
 
+    scaled: ClassVar[bool] = True
     sampling_time: float
     relative: bool = False  # V is the sum of the samples alone
 
@@ -278,25 +247,19 @@ class VibrationMap(ScaledMap):
     def gain(self) -> ComplexArray:
         """Return (z - 1) / sqrt(1 - zeta^2), (groups,); 1 if relative."""
         if self.relative:
-            return to_long_double(np.ones(len(self.at)) + 0j)
-        turned: ComplexArray = np.exp(self._angles)
-        return (turned - 1) / np.sqrt(1 - self._damping_ratio**2)
+            return super().gain
+        turned: ComplexArray = np.exp(-self.exponents)
+        return (turned - 1) / np.sqrt(1 - to_long_double(self.at[:, 1]) ** 2)
 
     @property
-    def _angles(self) -> ComplexArray:
-        """Return s h, (groups,)."""
-        w, damping = (2 * np.pi * self.sampling_time) * to_long_double(self.at[:, 0]), self._damping_ratio
-        return w * (-damping + 1j * np.sqrt(1 - damping**2))
+    def exponents(self) -> ComplexArray:
+        """Return -s h, (groups,)."""
+        frequencies, damping = to_long_double(self.at).T
+        return 2 * np.pi * self.sampling_time * frequencies * (damping - 1j * np.sqrt(1 - damping**2))
 
     @property
-    def _damping_ratio(self) -> Array:
-        return to_long_double(self.at[:, 1])
-
-    @cached_property
-    def _factors(self) -> tuple[ComplexArray, ComplexArray]:
-        B, s = int(np.ceil(np.sqrt(self.samples))), self._angles[:, None]
-        later = self.samples - 1 - B * np.arange(-(-self.samples // B))
-        return self.gain[:, None] * np.exp(s * later), np.exp(-s * np.arange(B))
+    def first_power(self) -> int:
+        return 1 - self.samples
 
 
 @dataclass(frozen=True, eq=False)

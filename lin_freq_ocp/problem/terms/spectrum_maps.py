@@ -1,135 +1,70 @@
 # ruff: noqa: D102
 """Spectra of a linear output y_t = C x_t + D u_t of the trajectory as affine maps.
 
-Their values are at the bins of a DFT, at any frequencies, or at the bins of windows that may begin with known samples
-of the past. ``AffineMap`` documents the methods without a docstring.
+Their values are at the bins of a DFT, of the whole output or of windows that may begin with known samples of the past,
+or at any frequencies. ``AffineMap`` and ``OutputMap`` document the methods without a docstring.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import fft
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal
-from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, sparse_rows
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal, to_long_double
+from lin_freq_ocp.problem.terms.maps import OutputMap, Shapes, SpectrumForm
 
-
-@dataclass(frozen=True, eq=False)
-class OutputMap(AffineMap):
-    """A map of the windowed output w_t y_t, y_t = C x_t + D u_t, whose values are (Re, Im) of bins or frequencies."""
-
-    C: Array | None  # (n,)
-    D: Array | None  # (m,); y has the samples t = 0 .. T-1, and without D also T
-    window: Array  # w_t, (samples,); ones for the plain DFT
-
-    @property
-    @abstractmethod
-    def real(self) -> Mask:
-        """At which bins or frequencies the spectrum is real for every signal, (count,)."""
-
-    @abstractmethod
-    def waves(self) -> Array:
-        """Return the coefficients of the samples in Re and Im of each bin or frequency in turn, (rows, samples)."""
-
-    @property
-    def samples(self) -> int:
-        return len(self.window)
-
-    @property
-    def component(self) -> int:
-        row = self.C if self.C is not None else self.D
-        assert row is not None  # one of C and D is stated
-        return int(np.flatnonzero(row)[0])
-
-    @property
-    def positions(self) -> Indices:
-        return self.nearest_bins
-
-    @property
-    def dense_size(self) -> tuple[int, int]:
-        rows, signals = 2 * len(self.real), sum(1 for part in (self.C, self.D) if part is not None and part.any())
-        return rows, rows * len(self.window) * signals
-
-    def spectrum_of(self, C: Array | None, D: Array | None) -> bool:
-        return all(
-            first is second or (first is not None and second is not None and np.array_equal(first, second))
-            for first, second in ((self.C, C), (self.D, D))
-        )
-
-    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        waves = self.waves()
-        return self.signal_rows(waves, np.arange(self.samples), horizon, n, m), np.zeros(len(waves))
-
-    def signal_rows(self, of_y: Array, times: Indices, horizon: int, n: int, m: int) -> sp.csr_array:
-        """Return rows on (x, u) from rows on y, (rows, samples), at these times, (samples,) or (rows, samples)."""
-        values, columns = list[Array](), list[Indices]()
-        for row, first, width in ((self.C, 0, n), (self.D, (horizon + 1) * n, m)):
-            if row is not None:
-                used = np.flatnonzero(row)
-                parts = np.broadcast_arrays(of_y[..., None] * row[used], first + times[..., None] * width + used)
-                shape = len(of_y), of_y.shape[1] * len(used)
-                values.append(parts[0].reshape(shape))
-                columns.append(parts[1].reshape(shape))
-        return sparse_rows(np.hstack(values), np.hstack(columns), (horizon + 1) * n + horizon * m)
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        """Return the typical size of a bin, the Euclidean norm of w y, for every entry, (groups, dim)."""
-        y = self.magnitudes().output(np.abs(x), np.abs(u))[: self.samples]
-        return np.full(self.shape, np.sqrt(((self.window * y) ** 2).sum()))
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        return self.magnitudes().spread(np.abs(self.window) * np.abs(self.pairs(weights)).sum(), shapes)
-
-    def magnitudes(self) -> Self:
-        """Return the map with the absolute values of the coefficients."""
-        of_x, of_u = (None if part is None else np.abs(part) for part in (self.C, self.D))
-        return replace(self, C=of_x, D=of_u)
-
-    def length(self, horizon: int) -> int:
-        """Return the number of samples of the signal over a horizon."""
-        return horizon + (self.D is None)
-
-    def output(self, x: Array, u: Array) -> Array:
-        """Return y, (samples,)."""
-        parts = [part[: self.length(len(u))] @ row for row, part in ((self.C, x), (self.D, u)) if row is not None]
-        return sum(parts[1:], parts[0])
-
-    def spread(self, signal: Array, shapes: Shapes) -> tuple[Array, Array]:
-        """Return the adjoint of ``output`` for weights of its first samples, in the shapes of x and u."""
-        of_x, of_u = (np.zeros(shape, dtype=signal.dtype) for shape in shapes)
-        for row, part in ((self.C, of_x), (self.D, of_u)):
-            if row is not None:
-                part[: len(signal)] += np.outer(signal, row)
-        return of_x, of_u
+PI = np.arccos(np.longdouble(-1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class SpectrumMap(OutputMap):
-    """(Re, Im) of Y_j = sum_t w_t y_t exp(-2 pi i j t / N) at chosen bins j, for y_t = C x_t + D u_t.
+    """(Re, Im) of Y_sj = sum_i w_i y_{s+i} exp(-2 pi i j (s+i) / N) at chosen bins j, of windows from samples s on.
 
-    Each bin is a group (Re, Im); with ``joint``, all of them are a single group. The imaginary parts of bins 0 and N/2
-    are zero; a joint group leaves them out.
+    By default, the one window is the whole output. Each bin of a window is a group (Re, Im); with ``joint``, all of
+    them are a single group. The imaginary parts of bins 0 and N/2 are zero; a joint group leaves them out. Windows that
+    end after the output hold its last sample.
     """
 
+    constants: ClassVar[tuple[str, ...]] = ("past",)
     points: int  # N: the number of samples, or a multiple of it for a finer grid
     bins: Indices  # (bins,), within 0 .. N/2
     joint: bool = False
+    starts: Indices = field(default_factory=lambda: np.zeros(1, dtype=np.intp))  # s, (windows,), within the past and y
+    past: Array = field(default_factory=lambda: np.zeros(0))  # (P,): y at times -P .. -1
+    held: bool = False  # whether windows may end after the output
+
+    @property
+    def spectrum(self) -> SpectrumMap | None:
+        whole = len(self.starts) == 1 and not (self.starts[0] or len(self.past) or self.held)
+        return self if whole else None
 
     @property
     def shape(self) -> tuple[int, int]:
-        return (1, 2 * len(self.bins) - int(self.real.sum())) if self.joint else (len(self.bins), 2)
+        count = len(self.starts)
+        return (count, int(self.kept.sum())) if self.joint else (count * len(self.bins), 2)
+
+    @property
+    def positions(self) -> Indices:
+        of_windows = np.repeat(np.maximum(self.starts, 0), self.shape[0] // len(self.starts))
+        return of_windows if self.spectrum is None else self.nearest_bins
 
     @property
     def real(self) -> Mask:
         return np.asarray((self.bins == 0) | (2 * self.bins == self.points))
+
+    @property
+    def kept(self) -> Mask:
+        """Which of (Re, Im) of each bin are values of a joint map, (2 bins,)."""
+        kept = np.ones((len(self.bins), 2), dtype=bool)
+        kept[self.real, 1] = False
+        return kept.ravel()
 
     @property
     def nearest_bins(self) -> Indices:
@@ -139,34 +74,53 @@ class SpectrumMap(OutputMap):
     def frequencies(self) -> Array:
         return np.zeros(0) if self.joint else 2 * np.pi * self.bins / self.points
 
-    def spectrum_form(self, n: int, m: int) -> SpectrumForm:
-        parts = [np.zeros(size) if part is None else part for part, size in ((self.C, n), (self.D, m))]
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, entries = super().dense_size
+        return len(self.starts) * rows, len(self.starts) * entries
+
+    def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
+        if len(self.starts) > 1 or self.held:
+            return None
+        row = np.concatenate([np.zeros(k) if part is None else part for part, k in ((self.C, n), (self.D, m))])
         kept = self.kept if self.joint else np.ones(2 * len(self.bins), dtype=bool)
-        return SpectrumForm(np.concatenate(parts), self.window, self.points, self.bins, kept)
+        first = int(self.starts[0])
+        window = np.append(np.zeros(max(first, 0)), self.window[max(-first, 0) :])
+        return None if len(window) > self.points else SpectrumForm(row, window, self.points, self.bins, kept)
 
     @property
     def additions(self) -> float:
-        return float(5 * np.log2(self.points) + 10)
+        return float(5 * np.log2(self.points) + 10) + (2 if self.starts.any() else 0)
 
     def values(self, x: Array, u: Array) -> Array:
-        spectrum = fft.rfft(self.window * self.output(x, u)[: self.samples], n=self.points)[self.bins]
-        return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
+        spectra = fft.rfft(self._frames(self.output(x, u), self.past), n=self.points, axis=1)[:, self.bins]
+        turned = spectra * self._turns.astype(spectra.dtype)
+        pairs = np.stack([turned.real, turned.imag], axis=-1)
+        pairs[:, self.real, 1] = 0.0  # exactly, without the rounding error of a factor 1
+        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.joint else pairs.reshape(-1, 2)
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pairs = self.pairs(weights)
-        signal = self.signal_of(pairs[:, 0] + 1j * pairs[:, 1])
-        return self.spread(signal, shapes)
+        pairs = self._window_pairs(weights)
+        turned = pairs[..., 0] + 1j * pairs[..., 1]
+        spectra = np.zeros((len(self.starts), self.points // 2 + 1), dtype=turned.dtype)
+        spectra[:, self.bins] = turned * np.conj(self._turns.astype(turned.dtype))
+        frames = real_signal(spectra, self.points)[:, : self.samples] * self.window
+        return self.spread(self._add_windows(frames, shapes), shapes)
 
-    def signal_of(self, weights: ComplexArray) -> Array:
-        """Return the adjoint of the windowed DFT, (..., samples), for complex weights of the bins, (..., bins)."""
-        spectra = np.zeros((*weights.shape[:-1], self.points // 2 + 1), dtype=np.result_type(weights, np.complex64))
-        spectra[..., self.bins] = weights
-        return real_signal(spectra, self.points)[..., : self.samples] * self.window
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        times = self.starts[:, None] + np.arange(self.samples)
+        waves = self._waves_at(times) * (times >= 0)[:, None]
+        last = np.broadcast_to(np.minimum(times, self.length(horizon) - 1)[:, None], waves.shape)
+        constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
+        each = -1, self.samples
+        found = self.signal_rows(waves.reshape(each), last.reshape(each), horizon, n, m)
+        found.sum_duplicates()  # of a held sample
+        return found, constant
 
     def waves(self) -> Array:
-        return self.waves_at(np.arange(self.samples))
+        return self._waves_at(np.arange(self.samples))
 
-    def waves_at(self, times: Array | Indices) -> Array:
+    def _waves_at(self, times: Array | Indices) -> Array:
         """Return the coefficients, (..., rows, samples), of samples at these times, (..., samples)."""
         angle = 2 * np.pi * (self.bins[:, None] * times[..., None, :] % self.points) / self.points
         waves = np.stack([np.cos(angle), -np.sin(angle)], axis=-2) * self.window
@@ -174,37 +128,98 @@ class SpectrumMap(OutputMap):
         waves = waves.reshape(*times.shape[:-1], -1, self.samples)
         return waves[..., self.kept, :] if self.joint else waves
 
-    def grouped(self, pairs: Array) -> Array:
-        """Return values, (groups, dim), from (Re, Im) of every bin, (bins, 2), of one spectrum or several."""
-        return pairs.reshape(-1, 2 * len(self.bins))[:, self.kept] if self.joint else pairs
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return the typical size of a bin, the Euclidean norm of w y, for every entry, (groups, dim)."""
+        frames = self._frames(self.magnitudes().output(np.abs(x), np.abs(u)), np.abs(self.past))
+        norms = np.sqrt((frames**2).sum(axis=1))
+        return np.broadcast_to(np.repeat(norms, self.shape[0] // len(norms))[:, None], self.shape)
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        total = np.abs(self._window_pairs(weights)).sum(axis=(1, 2))
+        frames = total[:, None] * np.abs(self.window)
+        return self.magnitudes().spread(self._add_windows(frames, shapes), shapes)
 
     def pairs(self, values: Array) -> Array:
+        """Return (Re, Im) of every bin of every window, (windows * bins, 2)."""
         if not self.joint:
             return values
         pairs = np.zeros((len(values), 2 * len(self.bins)), dtype=values.dtype)
         pairs[:, self.kept] = values
         return pairs.reshape(-1, 2)
 
-    @property
-    def kept(self) -> Mask:
-        """Which of (Re, Im) of each bin are values of a joint map, (2 bins,)."""
-        kept = np.ones((len(self.bins), 2), dtype=bool)
-        kept[self.real, 1] = False
-        return kept.ravel()
+    def gauges(self, u: Array, facets: int | None) -> Array:
+        """Return |Y| of each group for controls u (T, m), or the radius of the regular polygon with it on the boundary.
+
+        The first of so many facets of the polygon is that of the real axis, where phases refer to the windows.
+        """
+        pairs = self.values(u, u)
+        if facets is None:
+            return np.linalg.norm(pairs, axis=1)
+        own = (pairs[:, 0] + 1j * pairs[:, 1]) * np.conj(self._turns.astype(np.complex128)).ravel()
+        directions = np.exp(-2j * np.pi * np.arange(facets) / facets)
+        return (own[:, None] * directions).real.max(axis=1) / np.cos(np.pi / facets)
+
+    @cached_property
+    def _turns(self) -> ComplexArray:
+        """Return exp(-2 pi i j s / N) in extended precision, (windows, bins)."""
+        return np.exp(-2j * PI * (np.outer(self.starts, self.bins) % self.points) / self.points)
+
+    def _window_pairs(self, values: Array) -> Array:
+        """Return (Re, Im) of every bin of every window, (windows, bins, 2)."""
+        return self.pairs(values).reshape(len(self.starts), -1, 2)
+
+    def _frames(self, y: Array, past: Array) -> Array:
+        """Return the windows of the past and of y, times their weights, (windows, samples)."""
+        beyond = max(int(self.starts.max()) + self.samples - len(y), 0)
+        whole = np.concatenate([past, y, np.repeat(y[-1:], beyond)])
+        return sliding_window_view(whole, self.samples)[len(past) + self.starts] * self.window
+
+    def _add_windows(self, frames: Array, shapes: Shapes) -> Array:
+        """Return the sum of the windows at each time from 0 on."""
+        P, samples = len(self.past), self.length(shapes[1][0])
+        signal = np.zeros(P + samples, dtype=frames.dtype)
+        times = np.minimum(self.starts[:, None] + np.arange(frames.shape[1]), samples - 1)
+        np.add.at(signal, P + times, frames)
+        return signal[P:]
 
 
 @dataclass(frozen=True, eq=False)
 class FrequencyMap(OutputMap):
-    """(Re, Im) of Y(w) = sum_t w_t y_t exp(-iwt) at frequencies w, a group for each, for y_t = C x_t + D u_t.
+    """(Re, Im) of g sum_t w_t y_t exp(r (t - t_0)) at points of a set, a group for each, for y_t = C x_t + D u_t.
 
-    With t = a B + b, exp(-iwt) is a product of two factors with about sqrt(T) values each.
+    Here, points are frequencies w in rad/sample, with g = 1, r = -iw and t_0 = 0. With t = a B + b, exp(rt) is a
+    product of two factors with about sqrt(T) values each.
     """
 
-    at: Array  # w in rad/sample, (groups,)
+    at: Array  # the points, (groups,), or (groups, parameters)
+    scaled: ClassVar[bool] = False  # whether g differs from 1: then the values belong to no frequency of the output
+
+    @property
+    def gain(self) -> ComplexArray:
+        """Return g, (groups,), in extended precision; no term of a value is larger than |g| times its sample."""
+        return to_long_double(np.ones(len(self.at)) + 0j)
+
+    @property
+    def exponents(self) -> ComplexArray:
+        """Return r, (groups,), in extended precision."""
+        return -1j * to_long_double(self.at)
+
+    @property
+    def first_power(self) -> int:
+        """Return -t_0."""
+        return 0
+
+    @property
+    def spectrum(self) -> FrequencyMap | None:
+        return None if self.scaled else self
 
     @property
     def shape(self) -> tuple[int, int]:
         return len(self.at), 2
+
+    @property
+    def positions(self) -> Indices:
+        return np.arange(0) if self.scaled else self.nearest_bins
 
     @property
     def nearest_bins(self) -> Indices:
@@ -236,6 +251,10 @@ class FrequencyMap(OutputMap):
         signal = (np.conj(first).T @ (turned * np.conj(second))).real.reshape(-1)[: self.samples]
         return self.spread(signal * self.window, shapes)
 
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        waves = self.waves()
+        return self.signal_rows(waves, np.arange(self.samples), horizon, n, m), np.zeros(len(waves))
+
     def waves(self) -> Array:
         first, second = self.factors(np.dtype(np.float64))
         products = first[:, :, None] * second[:, None, :]
@@ -243,6 +262,16 @@ class FrequencyMap(OutputMap):
         waves = np.stack([whole.real, whole.imag], axis=1)
         waves[self.real, 1] = 0.0  # exactly, without the rounding error of sin(pi t)
         return waves.reshape(-1, self.samples)
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        """Return the typical size of a value, the Euclidean norm of w y times |g|, for every entry, (groups, dim)."""
+        y = self.magnitudes().output(np.abs(x), np.abs(u))[: self.samples]
+        norm = np.sqrt(((self.window * y) ** 2).sum())
+        return np.full(self.shape, norm) * np.abs(self.gain.astype(complex))[:, None]
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        total = np.abs(weights * np.abs(self.gain.astype(complex))[:, None]).sum()
+        return self.magnitudes().spread(np.abs(self.window) * total, shapes)
 
     def transform(self, signal: Array) -> ComplexArray:
         """Return Y of a windowed signal, (groups,)."""
@@ -253,16 +282,16 @@ class FrequencyMap(OutputMap):
         return (first * inner).sum(axis=1)
 
     def factors(self, dtype: np.dtype[np.floating]) -> tuple[ComplexArray, ComplexArray]:
-        """Return exp(-iw a B), (groups, A), and exp(-iw b), (groups, B), in the precision of a type."""
+        """Return g exp(r (a B - t_0)), (groups, A), and exp(r b), (groups, B), in the precision of a type."""
         first, second = self._factors
         return (first, second) if dtype == np.longdouble else (first.astype(complex), second.astype(complex))
 
     @cached_property
     def _factors(self) -> tuple[ComplexArray, ComplexArray]:
         """Return the factors in extended precision."""
-        B = int(np.ceil(np.sqrt(self.samples)))
-        w, A = self.at.astype(np.longdouble)[:, None], -(-self.samples // B)
-        return np.exp(-1j * w * (B * np.arange(A))), np.exp(-1j * w * np.arange(B))
+        B, r = int(np.ceil(np.sqrt(self.samples))), self.exponents[:, None]
+        powers = B * np.arange(-(-self.samples // B)) + self.first_power
+        return self.gain[:, None] * np.exp(r * powers), np.exp(r * np.arange(B))
 
     def signal(self, x: Array, u: Array) -> Array:
         """Return w_t y_t, (samples,)."""
@@ -271,124 +300,3 @@ class FrequencyMap(OutputMap):
     def at_points(self, points: Array) -> FrequencyMap:
         """Return the same map at other points."""
         return replace(self, at=points)
-
-
-PI = np.arccos(np.longdouble(-1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class SpectrogramMap(AffineMap):
-    """(Re, Im) of Y_sj = sum_i w_i y_{s+i} exp(-2 pi i j (s+i) / N) for windows from s on, and bins j of each of them.
-
-    The phase refers to time 0. The groups are those of ``spectrum``, window by window. Windows that end after the
-    signal hold its last sample.
-    """
-
-    constants: ClassVar[tuple[str, ...]] = ("past",)
-    spectrum: SpectrumMap  # of the first window's length
-    starts: Indices  # s, (windows,), not before the past begins
-    past: Array  # (P,): y at times -P .. -1
-    held: bool = False  # whether windows may end after the signal
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        groups, dim = self.spectrum.shape
-        return len(self.starts) * groups, dim
-
-    @property
-    def positions(self) -> Indices:
-        return np.repeat(np.maximum(self.starts, 0), self.spectrum.shape[0])
-
-    @property
-    def additions(self) -> float:
-        return self.spectrum.additions + 2
-
-    @property
-    def component(self) -> int:
-        return self.spectrum.component
-
-    @property
-    def dense_size(self) -> tuple[int, int]:
-        rows, entries = self.spectrum.dense_size
-        return len(self.starts) * rows, len(self.starts) * entries
-
-    def values(self, x: Array, u: Array) -> Array:
-        spectra = fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
-        turned = spectra[:, self.spectrum.bins] * self._turns.astype(spectra.dtype)
-        pairs = np.stack([turned.real, turned.imag], axis=-1)
-        pairs[:, self.spectrum.real, 1] = 0.0  # exactly, without the rounding error of a factor 1
-        return self.spectrum.grouped(pairs.reshape(-1, 2))
-
-    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pairs = self._window_pairs(weights)
-        turned = pairs[..., 0] + 1j * pairs[..., 1]
-        frames = self.spectrum.signal_of(turned * np.conj(self._turns.astype(turned.dtype)))
-        return self.spectrum.spread(self._add_windows(frames, shapes), shapes)
-
-    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
-        base = self.spectrum
-        times = self.starts[:, None] + np.arange(base.samples)
-        waves = np.where(times[:, None] >= 0, base.waves_at(times), 0.0)
-        last = np.minimum(times, base.length(horizon) - 1)
-        each = np.repeat(last, waves.shape[1], axis=0)
-        constant = self.values(np.zeros((horizon + 1, n)), np.zeros((horizon, m))).ravel()
-        found = base.signal_rows(waves.reshape(each.shape), each, horizon, n, m)
-        found.sum_duplicates()  # of a held sample
-        return found, constant
-
-    def sizes(self, x: Array, u: Array) -> Array:
-        y = self.spectrum.magnitudes().output(np.abs(x), np.abs(u))
-        norms = np.linalg.norm(self._frames(y, np.abs(self.past)), axis=1)
-        return np.broadcast_to(np.repeat(norms, self.spectrum.shape[0])[:, None], self.shape)
-
-    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        total = np.abs(self._window_pairs(weights)).sum(axis=(1, 2))
-        frames = total[:, None] * np.abs(self.spectrum.window)
-        return self.spectrum.magnitudes().spread(self._add_windows(frames, shapes), shapes)
-
-    def spectrum_form(self, n: int, m: int) -> SpectrumForm | None:
-        if len(self.starts) > 1 or self.held:
-            return None
-        form, first = self.spectrum.spectrum_form(n, m), int(self.starts[0])
-        window = np.append(np.zeros(max(first, 0)), form.window[max(-first, 0) :])
-        return None if len(window) > form.points else SpectrumForm(form.row, window, form.points, form.bins, form.kept)
-
-    def pairs(self, values: Array) -> Array:
-        return self._window_pairs(values).reshape(-1, 2)
-
-    def gauges(self, u: Array, facets: int | None) -> Array:
-        """Return |Y| of each group for controls u (T, m), or the radius of the regular polygon with it on the boundary.
-
-        The first of so many facets of the polygon is that of the real axis, where phases refer to the windows.
-        """
-        pairs = self.values(u, u)
-        if facets is None:
-            return np.linalg.norm(pairs, axis=1)
-        own = (pairs[:, 0] + 1j * pairs[:, 1]) * np.conj(self._turns.astype(np.complex128)).ravel()
-        directions = np.exp(-2j * np.pi * np.arange(facets) / facets)
-        return (own[:, None] * directions).real.max(axis=1) / np.cos(np.pi / facets)
-
-    @property
-    def _turns(self) -> ComplexArray:
-        """Return exp(-2 pi i j s / N) in extended precision, (windows, bins)."""
-        base = self.spectrum
-        return np.exp(-2j * PI * (np.outer(self.starts, base.bins) % base.points) / base.points)
-
-    def _window_pairs(self, values: Array) -> Array:
-        """Return (Re, Im) of every bin of every window, (windows, bins, 2)."""
-        return self.spectrum.pairs(values).reshape(len(self.starts), -1, 2)
-
-    def _frames(self, y: Array, past: Array | None = None) -> Array:
-        """Return the windows of the past and of y, times their weights, (windows, samples)."""
-        beyond = max(int(self.starts.max()) + self.spectrum.samples - len(y), 0)
-        whole = np.concatenate([self.past if past is None else past, y, np.repeat(y[-1:], beyond)])
-        frames = sliding_window_view(whole, self.spectrum.samples)[len(self.past) + self.starts]
-        return frames * self.spectrum.window
-
-    def _add_windows(self, frames: Array, shapes: Shapes) -> Array:
-        """Return the sum of the windows at each time from 0 on."""
-        P, samples = len(self.past), self.spectrum.length(shapes[1][0])
-        signal = np.zeros(P + samples, dtype=frames.dtype)
-        times = np.minimum(self.starts[:, None] + np.arange(frames.shape[1]), samples - 1)
-        np.add.at(signal, P + times, frames)
-        return signal[P:]

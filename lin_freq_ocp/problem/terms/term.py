@@ -123,16 +123,17 @@ class Term:
             levels = constraint.limit_at(at) / self.per_limit
             yield from statement.readings(ratios * levels, levels, at)
             return
-        values = self.map.values(x, u)
+        values, spectrum = self.map.values(x, u), self.map.spectrum
+        frequencies = np.zeros(0) if spectrum is None else spectrum.frequencies
         first = values[:, :1] if statement.relative else np.zeros((len(values), 0))
         sizes = np.linalg.norm(values[:, first.shape[1] :], axis=1)
         levels = np.broadcast_to(statement.levels, sizes.shape)
         if statement.relative:
             share = np.where(sizes > 0, np.inf, 0.0)
             np.divide(sizes, first[:, 0], out=share, where=first[:, 0] > 0)
-            yield from statement.readings(levels * share, levels, self.map.frequencies)
+            yield from statement.readings(levels * share, levels, frequencies)
         else:
-            yield from statement.readings(sizes / self.per_limit, levels, self.map.frequencies)
+            yield from statement.readings(sizes / self.per_limit, levels, frequencies)
 
     def violation(self, x: Array, u: Array) -> Array:
         """Return the violation of the hard part, zero or above, (groups, dim) or (groups, 1)."""
@@ -146,7 +147,7 @@ class Term:
         return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
 
     def implied_rows(self, n: int, m: int) -> LinearRows | None:
-        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None if there is none."""
+        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None without one."""
         form = self.map.stage_form(n, m) if self.hard else None
         if form is None:
             return None

@@ -1,5 +1,5 @@
 # pyright: reportAttributeAccessIssue=false
-"""SCIP, by PySCIPOpt: branch and cut on linear rows and second-order cones; the quadratic cost is a cone, too.
+"""SCIP, by PySCIPOpt: branch and cut on linear rows and second-order cones; the quadratic cost is also a cone.
 
 With y = L'z, P = L L', the epigraph variable w of 1/2 z'P z lies in the cone |(y, w - 1/2)| <= w + 1/2. Written as a
 quadratic row, 1/2 z'P z <= w, SCIP's bound was seen to stop 3e-6 short of the optimum, for want of cuts.

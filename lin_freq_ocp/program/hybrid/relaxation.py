@@ -69,7 +69,7 @@ class Member:
 class ModeRelaxation:
     """The relaxations of one problem with piecewise-affine dynamics and a convex cost."""
 
-    bounds_where_several = False  # whether (x_t, u_t) has its own bounds where shares have them, too
+    bounds_where_several = False  # whether (x_t, u_t) also has its own bounds where shares have them
 
     def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
         self.problem, self.reach = problem, ModeReach(problem)

@@ -1,22 +1,18 @@
-"""The method for pulse trains: branch and bound over angles, whose best is refined by Newton's method and judged.
-
-The local search over angles is sequential quadratic programming.
-"""
+"""The method for pulse trains: branch and bound over angles, whose best is refined by Newton's method and judged."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.hybrid.global_bound.angles import AngleBound
 from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.methods.hybrid.angles import AngleBound, local_angles
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -24,43 +20,6 @@ from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.simulation import simulate
-
-COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
-AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
-
-
-def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
-    """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails."""
-    from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
-
-    low, high = bound.low, bound.high
-    order = np.diff(np.eye(len(angles)), axis=0)
-
-    def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
-        return bound.amplitudes(steps, angles)[derivative][rows]
-
-    constraints: list[LinearConstraint | NonlinearConstraint] = []
-    limited = np.isfinite(low) | np.isfinite(high)
-    for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
-        if len(rows):
-            values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
-            constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
-    if len(order):
-        constraints.append(LinearConstraint(order, 0.0, np.inf))
-    optimum = minimize(
-        partial(bound.relative_cost, steps),
-        angles,
-        jac=True,
-        method="SLSQP",
-        bounds=[(0.0, QUARTER)] * len(angles),
-        constraints=constraints,
-        options={"ftol": COST_ROUNDING, "maxiter": 200},
-    )
-    at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
-    values, _ = bound.amplitudes(steps, at)
-    violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    return None if violation > AMPLITUDE_VIOLATION else (at, bound.size * bound.relative_cost(steps, at)[0])
-
 
 GAP = 1e-6  # default of the relative gap to prove
 LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre

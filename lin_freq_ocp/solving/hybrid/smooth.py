@@ -374,7 +374,7 @@ def _proof_of_infeasibility(
 
 
 def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> bool:
-    """Whether a trajectory satisfies the bounds and path constraints of a problem that has others, too."""
+    """Whether a trajectory satisfies the bounds and path constraints of a problem that also has others."""
     constraints, stops = problem.path_constraints, problem.control_stop.any() or problem.state_stop.any()
     if len(problem.terms) == len(constraints) and not stops:
         return False

@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import singledispatch
 
 import numpy as np
 
 from helpers.own_kinds import Changes
-from lin_freq_ocp.problem import (
-    AffineMap,
-    FrequencyMap,
-    SpectrogramMap,
-    SpectrumMap,
-    StageMap,
-    SumMap,
-    VibrationMap,
-    ZeroOrderHoldMap,
-)
+from lin_freq_ocp.problem import AffineMap, FrequencyMap, SpectrumMap, StageMap, SumMap, VibrationMap, ZeroOrderHoldMap
 
 N, M = 3, 2
 DIM = 4
@@ -67,13 +59,13 @@ def spectrum_map(rng: np.random.Generator, T: int, joint: bool = False) -> Spect
     return SpectrumMap(C, D, window, points, bins, joint)
 
 
-def spectrogram_map(rng: np.random.Generator, T: int, joint: bool = False) -> SpectrogramMap:
+def windowed_map(rng: np.random.Generator, T: int, joint: bool = False) -> SpectrumMap:
     frame = spectrum_map(rng, int(rng.integers(1, T + 1)), joint)
     length, samples, past = frame.samples, frame.length(T), rng.standard_normal(int(rng.integers(0, 8)))
     starts = np.arange(-min(len(past), length - 1), samples - length + 1, int(rng.integers(1, 4)))
     if rng.random() < 0.3:
         starts = starts[:1]
-    return SpectrogramMap(frame, starts, past)
+    return replace(frame, starts=starts, past=past)
 
 
 def frequency_map(rng: np.random.Generator, T: int) -> FrequencyMap:
@@ -103,8 +95,8 @@ MAPS: dict[str, Callable[[np.random.Generator, int], AffineMap]] = {
     "both ends": both_ends,
     "spectrum": spectrum_map,
     "joint spectrum": lambda rng, T: spectrum_map(rng, T, joint=True),
-    "spectrogram": spectrogram_map,
-    "joint windows": lambda rng, T: spectrogram_map(rng, T, joint=True),
+    "windows": windowed_map,
+    "joint windows": lambda rng, T: windowed_map(rng, T, joint=True),
     "frequencies": frequency_map,
     "zero-order hold": held_map,
     "vibrations": vibration_map,
@@ -134,15 +126,9 @@ def _(one: SumMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 @plain_values.register
 def _(one: SpectrumMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    return plain_spectrum(one, plain_signal(one, x, u, one.samples))
-
-
-@plain_values.register
-def _(one: SpectrogramMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    frame = one.spectrum
-    whole = np.append(one.past, plain_signal(frame, x, u, frame.length(len(u))))
-    cut = [whole[len(one.past) + s :][: frame.samples] for s in one.starts]
-    return np.concatenate([plain_spectrum(frame, y, s) for y, s in zip(cut, one.starts, strict=True)])
+    whole = np.append(one.past, plain_signal(one, x, u, one.length(len(u))))
+    cut = [whole[len(one.past) + s :][: one.samples] for s in one.starts]
+    return np.concatenate([plain_spectrum(one, y, s) for y, s in zip(cut, one.starts, strict=True)])
 
 
 @plain_values.register

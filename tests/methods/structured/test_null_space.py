@@ -51,7 +51,7 @@ def test_both_solvers_agree(chosen, seed):
 
 def test_restarts_hold_unstable_dynamics(chosen):
     system = random_system(3, growth=80.0, T=100)
-    assert len(break_times(system[0].A, 100.0)) > 10
+    assert len(break_times(system[0].A, system[0].horizon, 100.0)) > 10
     _, left = solved(NullSpaceSolver(system[0], chosen, DenseReduced), *system)
     assert left < 1e-9
 

@@ -263,7 +263,7 @@ class TreeSearch:
                 self._duals.append(None)
             else:
                 self._nodes.append(ModeNode(parent, stage, answer.reach.allowed, max(bound, answer.bound), None))
-                # those of the parent hold for the child, too, and may prove more than those of a rough solution
+                # those of the parent also hold for the child, and may prove more than those of a rough solution
                 self._duals.append(answer.duals if answer.duals and answer.bound >= bound else inherited)
         if parent >= 0:
             self._duals[parent] = None

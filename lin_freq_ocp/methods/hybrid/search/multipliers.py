@@ -27,8 +27,7 @@ facet lambda = alpha <g, eta>. So alpha, and nu' where nu does not fit, minimise
 
     |sum_i alpha_i (a_i - a_s) + G_s' lambda + N (nu - nu')|,
 
-the distance of a polyhedron from 0: beta, nu'' >= 0 with the least |V beta - N nu''|^2 + (sum beta - 1)^2 are a
-multiple of them. eta and the other multipliers stay as they are.
+the distance of a polyhedron from 0 (``hull_weights``). eta and the other multipliers stay as they are.
 """
 
 from __future__ import annotations
@@ -42,6 +41,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -174,15 +174,13 @@ def multipliers_with_weights(
 
 def _nearest_combination(points: Array, rays: Array) -> tuple[Array, Array, float]:
     """Return alpha, nu >= 0, sum alpha = 1, with the least |sum alpha_i p_i - sum nu_k r_k|, and its largest entry."""
-    from scipy.optimize import nnls  # slow to import
-
     norms = np.linalg.norm(rays, axis=1)
     norms = np.where(norms > 0, norms, 1.0)
-    matrix = np.hstack([points.T, -(rays / norms[:, None]).T])
-    total = np.concatenate([np.ones(len(points)), np.zeros(len(rays))])
-    shares, _ = nnls(np.vstack([matrix, total]), np.append(np.zeros(len(matrix)), 1.0))
-    shares = shares / shares[: len(points)].sum()
-    return shares[: len(points)], shares[len(points) :] / norms, float(np.abs(matrix @ shares).max())
+    unit = -rays / norms[:, None]
+    weights = hull_weights(points, unit)
+    shares = weights / weights[: len(points)].sum()
+    residual = float(np.abs(np.vstack([points, unit]).T @ shares).max())
+    return shares[: len(points)], shares[len(points) :] / norms, residual
 
 
 WEIGHT_FITS = 12  # fits of weights, each with the adjoint of the last

@@ -34,7 +34,7 @@ ROWS = 512
 class Cholesky:
     """M = D^-1 L L' D^-1, with M shifted until it is definite; it reads the lower triangle of M, and overwrites M.
 
-    The factor of a matrix with infinite or undefined entries has such entries, too. ``definite`` says that the least
+    The factor of a matrix with infinite or undefined entries also has such entries. ``definite`` says that the least
     shift sufficed.
     """
 

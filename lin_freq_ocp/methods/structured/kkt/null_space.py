@@ -23,7 +23,7 @@ import numpy as np
 from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
-from lin_freq_ocp.methods.structured.kkt.recursions import Loops
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops, break_times
 from lin_freq_ocp.methods.structured.kkt.system import Compliance, SystemSolution
 from lin_freq_ocp.methods.structured.stages import CoupledRows, SpectrumRows, Stages
 
@@ -300,7 +300,7 @@ class NullSpace:
         self.B = np.ascontiguousarray(stages.B[:, :, slacks.controls])
         self.horizon, self.states, self.controls = stages.horizon, stages.states, len(slacks.controls)
         self.coefficients = Coefficients(stages, bands, slacks.controls)
-        self.breaks = break_times(stages.A, GROWTH)
+        self.breaks = break_times(stages.A, stages.horizon, GROWTH)
         self.free, self.fixed = np.flatnonzero(~stages.fixed), stages.fixed
         self._starts = self.coefficients.count + len(self.breaks) * self.states
         self.size = self._starts + len(self.free)
@@ -364,15 +364,3 @@ class NullSpace:
             of_y, prices = self.price_rows(np.eye(1, self.row_count, i)[0])
             matrix[i] = self.gradient(of_y, prices)
         return matrix
-
-
-def break_times(A: Array, growth: float) -> Indices:
-    """Return the times within 1 .. T-1 before which a product of transition matrices exceeds the growth."""
-    times: list[int] = []
-    product = np.eye(A.shape[1])
-    for t in range(len(A) - 2):
-        product = A[t] @ product
-        if np.abs(product).max() > growth:
-            times.append(t + 1)
-            product = np.eye(A.shape[1])
-    return np.array(times, dtype=np.intp)

@@ -212,3 +212,20 @@ def cholesky(S: Array) -> Array:
             L, info = lapack.dpotrf(S + np.diag(floor), lower=1, clean=1)
             floor *= 10
     return L
+
+
+def break_times(A: Array, horizon: int, growth: float) -> Indices:
+    """Return the times within 1 .. T-1 at which a simulation begins anew: states grow at most so much between them."""
+    if A.ndim == 2:
+        steps, power = 1, A
+        while steps < horizon and np.abs(power).max() <= growth:
+            steps, power = 2 * steps, power @ power
+        first = max(steps // 2, 1) if steps < horizon else horizon
+        return np.arange(first, horizon, first)
+    times, product = list[int](), np.eye(A.shape[1])
+    for t in range(horizon - 1):
+        product = A[t] @ product
+        if np.abs(product).max() > growth:
+            times.append(t + 1)
+            product = np.eye(A.shape[1])
+    return np.array(times, dtype=np.intp)

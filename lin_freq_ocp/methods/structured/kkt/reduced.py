@@ -31,7 +31,8 @@ import scipy.linalg as la
 
 from lin_freq_ocp.base.arrays import Array, Indices, times_vectors
 from lin_freq_ocp.methods.structured.kkt.dense import Cholesky, OpenLoop
-from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace, break_times
+from lin_freq_ocp.methods.structured.kkt.null_space import NullSpace
+from lin_freq_ocp.methods.structured.kkt.recursions import break_times
 from lin_freq_ocp.methods.structured.kkt.system import largest
 
 WEIGHT = 10.0  # of E'E, relative to the mean diagonal of M: of order 1, for both to keep their digits
@@ -148,7 +149,7 @@ class Noise:
         """Simulate the noise, with restarts of its own."""
         n, m, T = space.states, space.controls, space.horizon
         random, still = np.random.default_rng(0), np.zeros((T + 1, n))
-        breaks = break_times(space.A, NOISE_GROWTH)
+        breaks = break_times(space.A, len(space.A) - 1, NOISE_GROWTH)
         starts = np.zeros((len(breaks), n))
         self._states, self._covariances = n, np.zeros((m, n + m, n + m))
         for j, banded in enumerate(space.coefficients.banded):

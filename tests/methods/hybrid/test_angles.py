@@ -9,8 +9,8 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate.hybrid import AngleBound, AngleBoxes
 from lin_freq_ocp.errors import UnsupportedError
+from lin_freq_ocp.methods.hybrid import AngleBound, AngleBoxes
 
 M = 0.9
 

@@ -1,4 +1,4 @@
-"""The step of the condensed method by NumPy, where no compiler is found: the gradients of all rows are a matrix."""
+"""The step of the condensed method by NumPy, as kernel.c computes it: here the gradients of all rows are a matrix."""
 
 from __future__ import annotations
 
@@ -6,18 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
-from lin_freq_ocp.base.arrays import Array
-from lin_freq_ocp.base.resources import one_blas_thread
-from lin_freq_ocp.methods.condensed.tables import (
-    GRADIENT_DEPENDENCE,
-    INFEASIBLE,
-    LIMIT,
-    ROW_TOLERANCE,
-    SOLVED,
-    STUCK_VIOLATION,
-    CondensedTables,
-)
+from lin_freq_ocp.methods import GRADIENT_DEPENDENCE, INFEASIBLE, LIMIT, ROW_TOLERANCE, SOLVED, CondensedTables
 
+STUCK_VIOLATION = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
 ROW_CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
 
@@ -52,19 +43,18 @@ class DenseKernel:
 
     def _forget(self) -> None:
         """Begin without multipliers."""
-        self.ray: Array | None = None  # multipliers of rows whose gradients cancel, after INFEASIBLE
+        self.ray: np.ndarray | None = None  # multipliers of rows whose gradients cancel, after INFEASIBLE
         rows, r = self.gradients.shape
         self._flag = np.zeros(rows, dtype=int)  # 0 inactive, +-2 active at its upper, lower bound, +-1 beyond it
         self._lambda, self._active = np.zeros(rows), list[int]()
         self._Q, self._R = np.zeros((r, 0)), np.zeros((0, 0))
 
     @property
-    def multipliers(self) -> Array:
+    def multipliers(self) -> np.ndarray:
         """Return the multipliers of the rows, (families, T+1)."""
         return self._lambda.reshape(len(self.tables.families), self.tables.loop.shape[0] + 1).copy()
 
-    @one_blas_thread
-    def step(self, x: Array, most_changes: int | None = None) -> int:
+    def step(self, x: np.ndarray, most_changes: int | None = None) -> int:
         """Solve from an initial state, (n,), with so many changes at most; return SOLVED, LIMIT or INFEASIBLE.
 
         A state that is not finite is INFEASIBLE.
@@ -108,12 +98,12 @@ class DenseKernel:
         self.unknowns, self.control = xi, self.plan[: len(self.control)] + self.tables.loop.K @ x  # u_0
         return status
 
-    def _distance(self, y: Array) -> Array:
+    def _distance(self, y: np.ndarray) -> np.ndarray:
         """Return y less the bounds that the flags of the rows name; 0 for inactive rows."""
         bound = np.where(self._flag > 0, self.upper, self.lower)
         return np.where(self._flag == 0, 0.0, y - bound)
 
-    def _violations(self, y: Array) -> Array:
+    def _violations(self, y: np.ndarray) -> np.ndarray:
         """Return by how much rows violate what their flags say: their bounds, or that they are beyond one."""
         outside = np.maximum(y - self.upper, self.lower - y)
         beyond = np.where(self._flag > 0, self.upper - y, y - self.lower)
@@ -122,7 +112,7 @@ class DenseKernel:
     def _limit(self, row: int, side: int) -> float:
         return float((self._up if side > 0 else self._low)[row])
 
-    def _first_block(self, rate: Array, step: float) -> tuple[int | None, float, int]:
+    def _first_block(self, rate: np.ndarray, step: float) -> tuple[int | None, float, int]:
         """Return the first active multiplier that ends on the way rate * step, the step to there, and its new flag."""
         blocking, rest = None, 0
         for j, row in enumerate(self._active):
@@ -142,7 +132,7 @@ class DenseKernel:
         self._Q, self._R = Q[:, :count], R[:count]
         self.changes += 1
 
-    def _correct(self, xi: Array, missed: Array) -> Array:
+    def _correct(self, xi: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Move the multipliers until the active rows are at their bounds; rows whose multiplier ends leave."""
         while len(missed):
             along = -solve_triangular(self._R, missed, trans="T")
@@ -156,7 +146,7 @@ class DenseKernel:
             self._drop(blocking, rest)
         return xi
 
-    def _enter(self, row: int, y: float, xi: Array) -> Array | None:
+    def _enter(self, row: int, y: float, xi: np.ndarray) -> np.ndarray | None:
         """Bring a violated row to its bound and return xi, or None if the active rows prevent that."""
         flag = int(self._flag[row])
         side = flag or (1 if y > self.upper[row] else -1)
@@ -197,7 +187,7 @@ class DenseKernel:
         return xi
 
 
-def _append_column(R: NDArray[np.floating], column: Array, corner: float) -> Array:
+def _append_column(R: NDArray[np.floating], column: np.ndarray, corner: float) -> np.ndarray:
     """Return [[R, column], [0, corner]]."""
     larger = np.zeros((len(R) + 1, len(R) + 1))
     larger[:-1, :-1], larger[:-1, -1], larger[-1, -1] = R, column, corner

@@ -20,12 +20,15 @@ lambda makes the slope at the centre small (least squares), or is zero. Boxes ar
 order, or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
 steps are all those with levels within the limit. A train with fewer switches is one of them: two opposite steps at the
 same angle do nothing, nor does a step at pi/2.
+
+The local search over angles is sequential quadratic programming.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -38,6 +41,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
 STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
+COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
+AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +186,39 @@ class AngleBound:
         mixed = -2 * both * np.where(both > 0, low + widest, np.maximum(low - widest, 0.0))
         alone = np.diagonal(both, axis1=1, axis2=2) * (np.pi - 4 * a - 4 * r)
         return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
+
+
+def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
+    """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails."""
+    from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
+
+    low, high = bound.low, bound.high
+    order = np.diff(np.eye(len(angles)), axis=0)
+
+    def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
+        return bound.amplitudes(steps, angles)[derivative][rows]
+
+    constraints: list[LinearConstraint | NonlinearConstraint] = []
+    limited = np.isfinite(low) | np.isfinite(high)
+    for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
+        if len(rows):
+            values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
+            constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
+    if len(order):
+        constraints.append(LinearConstraint(order, 0.0, np.inf))
+    optimum = minimize(
+        partial(bound.relative_cost, steps),
+        angles,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, QUARTER)] * len(angles),
+        constraints=constraints,
+        options={"ftol": COST_ROUNDING, "maxiter": 200},
+    )
+    at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
+    values, _ = bound.amplitudes(steps, at)
+    violation = float(np.maximum(low - values, values - high).max(initial=0.0))
+    return None if violation > AMPLITUDE_VIOLATION else (at, bound.size * bound.relative_cost(steps, at)[0])
 
 
 def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
