@@ -16,7 +16,6 @@ from typing import ClassVar, Self
 import numpy as np
 import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, SpectrumForm, sparse_rows
@@ -149,7 +148,7 @@ class SpectrumMap(OutputMap):
         return float(5 * np.log2(self.points) + 10)
 
     def values(self, x: Array, u: Array) -> Array:
-        spectrum = fft.rfft(self.window * self.output(x, u)[: self.samples], n=self.points)[self.bins]
+        spectrum = np.fft.rfft(self.window * self.output(x, u)[: self.samples], n=self.points)[self.bins]
         return self.grouped(np.stack([spectrum.real, spectrum.imag], axis=1))
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
@@ -313,7 +312,7 @@ class SpectrogramMap(AffineMap):
         return len(self.starts) * rows, len(self.starts) * entries
 
     def values(self, x: Array, u: Array) -> Array:
-        spectra = fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
+        spectra = np.fft.rfft(self._frames(self.spectrum.output(x, u)), n=self.spectrum.points, axis=1)
         turned = spectra[:, self.spectrum.bins] * self._turns.astype(spectra.dtype)
         pairs = np.stack([turned.real, turned.imag], axis=-1)
         pairs[:, self.spectrum.real, 1] = 0.0  # exactly, without the rounding error of a factor 1
