@@ -339,7 +339,7 @@ def test_a_solver_can_be_copied_and_shared():
 
 
 def test_without_a_compiler_numpy_computes_the_step(no_compiler):
-    with no_compiler("control step in C could not be compiled"):
+    with no_compiler("kernel.c could not be compiled"):
         _, solver = solver_of(LOOPS["low pass"]())
     assert isinstance(solver.kernel, DenseKernel)
 
