@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_270,
-    "code lines": 42_844,
-    "code lines, linear part": 21_516,
+    "shipped lines": 46_276,
+    "code lines": 42_850,
+    "code lines, linear part": 21_522,
     "code lines, hybrid": 8_677,
     SHARE_SAID: 19.5,  # at least
     "files": 314,

@@ -14,6 +14,7 @@ import lin_freq_ocp as lfo
 SLOW = (
     *(f"scipy.{part}" for part in "special optimize interpolate integrate io ndimage signal stats".split()),
     *("matplotlib", "cvxpy", "control", "pandas", "casadi"),
+    "lin_freq_ocp.methods.structured.solver",
     *(f"lin_freq_ocp.{floor}.hybrid" for floor in ("transform", "program", "methods", "certificate", "solving")),
 )
 COMMAND_LINE = ("click", "rich", "jinja2")
