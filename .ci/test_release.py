@@ -3,6 +3,7 @@
 Run by .ci/run: python -m pytest .ci/test_release.py
 """
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -41,6 +42,14 @@ def test_the_recipe_builds_the_same_package(recipe):
     assert recipe["source"]["url"].endswith(f"dist/lin_freq_ocp-{PROJECT['version']}.tar.gz")
     assert recipe["build"]["entry_points"] == [f"{name} = {to}" for name, to in PROJECT["scripts"].items()]
     assert (recipe["about"]["summary"], recipe["about"]["license"]) == (PROJECT["description"], PROJECT["license"])
+
+
+def test_extras_that_messages_name_exist():
+    calls = (
+        re.findall(r'missing_extra\(.*"(\w+)"\)', path.read_text()) for path in Path(lfo.__file__).parent.rglob("*.py")
+    )
+    named = {name for found in calls for name in found}
+    assert "compiler" in named <= PROJECT["optional-dependencies"].keys()
 
 
 def test_there_is_one_version():

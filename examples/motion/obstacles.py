@@ -12,6 +12,7 @@ both.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.patches import Circle
 
 import lin_freq_ocp as lfo
 
@@ -58,7 +59,7 @@ print(f"maximum principle: {comparison.constrained.certificate.pmp}")
 
 figure, axes = plt.subplots(figsize=(7, 4))
 for centre, radius in zip(CENTRES, RADII, strict=True):
-    axes.add_patch(plt.Circle(centre, radius, color="0.85"))
+    axes.add_patch(Circle(centre, radius, color="0.85"))
 for name, path in (
     ("without low pass", comparison.classical.trajectory),
     ("filtered afterwards", replay.trajectory),

@@ -4,33 +4,32 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, final
+from typing import TYPE_CHECKING, TypeVar, cast, final
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import html_table, term_rows
-from lin_freq_ocp.certificate.hybrid.tree import TreeBound
 from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities_of
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
 from lin_freq_ocp.files.summary import result_summary, save_json
 from lin_freq_ocp.methods.fitted_multipliers import Uniqueness, uniqueness
-from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.enclosure import LONGEST_CHECK, Enclosure, require_checker
-from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.transform.hybrid.forms import linear_along
 
 if TYPE_CHECKING:
     from control import TimeResponseData
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from lin_freq_ocp.certificate.hybrid.tree import TreeBound
+    from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
     from lin_freq_ocp.proof.proof import Proof
+    from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
 
 
 Face = TypeVar("Face")
@@ -84,18 +83,20 @@ class Result(Outcome):
     @property
     def tree(self) -> ModeTree | None:
         """Return the nodes of a search over modes, with the multipliers that prove its leaves."""
-        evidence = tree_of(self)
+        evidence = cast("TreeEvidence | None", self.evidence)  # isinstance would load the methods for modes
         return None if evidence is None else evidence.tree
 
     @property
     def tree_bound(self) -> TreeBound | None:
         """Return the lower bound that the judge computed from the tree."""
-        evidence = tree_of(self)
+        evidence = cast("TreeEvidence | None", self.evidence)
         return None if evidence is None else evidence.bound
 
     @property
     def uniqueness(self) -> Uniqueness:
         """Return whether the multipliers are unique; SolveError if the solve ended without a trajectory."""
+        from lin_freq_ocp.transform.hybrid.forms import linear_along  # it loads what has modes
+
         trajectory = self._require_trajectory()
         return uniqueness(linear_along(self.problem, trajectory), trajectory)
 

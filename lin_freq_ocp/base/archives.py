@@ -9,6 +9,8 @@ from typing import Any
 
 from lin_freq_ocp.base.errors import ProblemError
 
+FileValue = Any  # a value of a TOML, JSON, .npz or .mat file: of unknown type until it is checked
+
 MOST_ENTRIES = 10_000  # files in an archive
 MOST_BYTES = 2**34  # unpacked size of an archive: 16 GiB, more than any answer of this package
 # Above 256 MiB, a compression of more than 1 to 100 is refused; zeros reach 1 to 1000.
@@ -27,13 +29,13 @@ def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None
         raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
-def mat_variables(field: str, content: bytes, command: str) -> dict[str, Any]:
+def mat_variables(field: str, content: bytes, command: str) -> dict[str, FileValue]:
     """Return the variables of a .mat file of version 5 or 7, by their names; ``command`` of MATLAB writes one."""
     from scipy.io import loadmat  # slow to import
 
     try:
         _require_modest_mat(field, content)
-        stream: Any = BytesIO(content)  # stubs of scipy know names of files only
+        stream: FileValue = BytesIO(content)  # stubs of scipy know names of files only
         variables = loadmat(stream, spmatrix=False)
     except ProblemError:
         raise

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -245,4 +244,4 @@ def real_signal(spectra: ComplexArray, points: int) -> Array:
     """Return sum_k Re(spectrum_k exp(2 pi i k t / N)), (..., N), N = points, of spectra (..., N//2 + 1)."""
     k = np.arange(points // 2 + 1)
     weight = np.where((k == 0) | (2 * k == points), 1.0, 0.5)
-    return fft.irfft(points * weight * spectra, n=points)
+    return np.fft.irfft(points * weight * spectra, n=points)

@@ -44,7 +44,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, first_largest, to_long_double
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -231,8 +230,10 @@ def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray,
 
 def _coefficients(values: Array, least: float) -> tuple[ComplexArray, float]:
     """Return a, (cells, TERMS), and the largest difference of |g| and |V|."""
+    from scipy.fft import next_fast_len  # slow to import
+
     N = len(values)
-    points = 2 * fft.next_fast_len(CELLS * N // 2, real=True)
+    points = 2 * next_fast_len(CELLS * N // 2, real=True)
     tau = np.arange(N) - np.longdouble(N - 1) / 2
     step = np.longdouble(np.pi) / points
     reach = float(step) * (N - 1) / 2
@@ -243,7 +244,7 @@ def _coefficients(values: Array, least: float) -> tuple[ComplexArray, float]:
         rounding = stages * float(np.sqrt((weighted**2).sum()))
         in_double = rounding * float(np.finfo(np.float64).eps) <= DOUBLE_SHARE * least
         weighted = weighted.astype(np.float64) if in_double else weighted
-        a.append(((-1j) ** j * fft.rfft(weighted, n=points)).astype(np.complex128))
+        a.append(((-1j) ** j * np.fft.rfft(weighted, n=points)).astype(np.complex128))
         error += rounding * float(np.finfo(weighted.dtype).eps)
     return np.stack(a, axis=1), error
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, split_signals, times_vectors, to_long_double
 from lin_freq_ocp.certificate.bound import (
@@ -57,9 +56,9 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     if problem.quadratic.nonconvexity() is not None and problem.control_stop.any():
         # the cost may be convex only for controls without removed bins: take the passed part of these
-        spectrum = fft.rfft(extremal.trajectory.u, axis=0)
+        spectrum = np.fft.rfft(extremal.trajectory.u, axis=0)
         spectrum[problem.control_stop] = 0.0
-        passed = Trajectory(extremal.trajectory.x, fft.irfft(spectrum, n=problem.horizon, axis=0))
+        passed = Trajectory(extremal.trajectory.x, np.fft.irfft(spectrum, n=problem.horizon, axis=0))
         extremal = extremal_at(problem, passed, extremal.multipliers)
     cost, tube = extremal.cost, problem.control_tube
     proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")

@@ -35,7 +35,6 @@ from lin_freq_ocp.files.summary import (
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
-from lin_freq_ocp.transform.hybrid.forms import linear_along
 from lin_freq_ocp.transform.starts import start_of
 
 if TYPE_CHECKING:
@@ -180,6 +179,8 @@ def certify_command(
             f"at t = {t}, the cost falls by {-descent.slope:.3g} per unit"
         )
     elif certificate.pmp == "satisfied":
+        from lin_freq_ocp.transform.hybrid.forms import linear_along  # it loads what has modes
+
         with suppress(UnsupportedError):  # too many to count quickly
             console.say(f"multipliers {uniqueness(linear_along(description, trajectory), trajectory)}")
     return status

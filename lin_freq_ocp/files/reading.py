@@ -14,18 +14,17 @@ from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import BinaryIO, NoReturn
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.archives import require_modest
+from lin_freq_ocp.base.archives import FileValue, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 
-FileValue = Any  # a value of a TOML, JSON, .npz or .mat file: of unknown type until it is checked
 FileTable = dict[str, FileValue]
 FileArray = NDArray[FileValue]  # of any type of entries
 

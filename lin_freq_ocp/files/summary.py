@@ -8,29 +8,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
-from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.verdict import Certificate
 from lin_freq_ocp.files.reading import FileTable, FileValue
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.outcome import Outcome
 
 if TYPE_CHECKING:
+    from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
+    from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
 
 SCHEMA = 2
 
 
 def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
     """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
-    search, use, multipliers, tree = tree_of(result), result.level_use, result.multipliers, None
+    use, multipliers, tree = result.level_use, result.multipliers, None
+    search = cast("TreeEvidence | None", result.evidence)  # isinstance would load the methods for modes
     if search is not None:
         tree = {"nodes": len(search.tree.nodes), "leaves": search.bound.leaves, "covers": search.bound.covers}
     extras: FileTable = {}
@@ -156,7 +157,7 @@ def _certificate(certificate: Certificate | None) -> FileTable | None:
         "global": certificate.globally_optimal,
         "conditions": _conditions(certificate.conditions),
         "descent": _direction(certificate.descent),
-        "borders": _switching_facts(facts_where_modes_meet(certificate)),
+        "borders": _switching_facts(cast("SwitchingFacts | None", certificate.borders)),
     }
 
 

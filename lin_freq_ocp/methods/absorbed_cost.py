@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import with_columns
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -52,7 +51,7 @@ class AbsorbedCost(OwnStates):
         H, inside = self.curvature.hessians, self.curvature.within
         rho_u = own.rho_u.copy()
         if self.response.closed:
-            spectrum = fft.rfft(at.u, axis=0)
+            spectrum = np.fft.rfft(at.u, axis=0)
             missing = ((H - inside) @ spectrum[:, :, None])[:, :, 0] * ~self.curvature.passed
             rho_u -= self.response.weight[:, None] * missing / self.response.record
         return replace(own, eta=eta, rho_u=rho_u, stage={**own.stage, link: on_link})

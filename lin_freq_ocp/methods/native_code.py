@@ -1,4 +1,7 @@
-"""C sources of the package, called by ctypes: compiled once per user, or as a wheel brings them, without a compiler."""
+"""C sources of the package, called by ctypes: compiled once per user, or as a wheel brings them, without a compiler.
+
+Without both, slower code computes the same, and the extra ``compiler`` is named.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,15 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 from lin_freq_ocp.base.atomic import lock_file, write_bytes
 from lin_freq_ocp.base.clock import seconds_since
-from lin_freq_ocp.base.errors import ProblemError, warn_user
+from lin_freq_ocp.base.errors import ProblemError, missing_extra, warn_user
 
 SYSTEM = f"{sys.platform}-{platform.machine().lower()}"  # the ending of the name of a library in a wheel
 # Without sums of several terms at once, the digits are those of any compiler and any processor. The other flags make
@@ -28,6 +32,7 @@ FLAGS = (*PORTABLE, "-march=native", "-fopenmp-simd", "-DLFO_SIMD")
 PROCESSOR_SECONDS = 60  # of each process of the compiler, however busy the machine; Windows knows no such limit
 SECONDS_TO_WAIT = 600.0  # seconds until a compiler is stopped that waits for something and uses no processor time
 FAILED, DAY = ".failed", 86_400.0  # ending of the record of a failure, and the seconds for which it holds
+SLOWER = "slower code computes the same"
 # Lines of /proc/cpuinfo that name a processor and its instructions: of x86, ARM, POWER and RISC-V
 PROCESSOR_LINES = ("vendor_id", "cpu family", "model", "flags", "CPU", "Features", "cpu\t", "isa")
 
@@ -36,6 +41,15 @@ def compiler() -> str | None:
     """Return the C compiler of this machine: CC, or the first one found; None without any."""
     names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
     return next((path for path in map(shutil.which, names) if path), None)
+
+
+def compile_command() -> list[str]:
+    """Return the compiler of this machine, or the one in the package ziglang; empty without any."""
+    found, package = compiler(), find_spec("ziglang")
+    if found is None and package is not None and package.origin is not None:
+        program = shutil.which(str(Path(package.origin).with_name("zig")))
+        return [] if program is None else [program, "cc"]
+    return [] if found is None else [found]
 
 
 def processor() -> str:
@@ -48,7 +62,7 @@ def processor() -> str:
 
 
 @contextmanager
-def compile_once(subject: str, lock: Path | None) -> Generator[None]:
+def compile_once(subject: str, lock: Path) -> Generator[None]:
     """Say in the terminal that something is compiled, and wait while another process compiles it.
 
     If the file cannot be locked, both compile.
@@ -56,47 +70,56 @@ def compile_once(subject: str, lock: Path | None) -> Generator[None]:
     if sys.stderr.isatty():
         print(f"lin_freq_ocp: compiling {subject}, once ...", file=sys.stderr, flush=True)
     with ExitStack() as stack:
-        if lock is not None:
-            with suppress(OSError):  # a folder may be unwritable
-                lock.parent.mkdir(parents=True, exist_ok=True)
-                stack.enter_context(lock_file(stack.enter_context(lock.open("w"))))
+        with suppress(OSError):  # it may be another user's
+            stack.enter_context(lock_file(stack.enter_context(lock.open("w"))))
         yield
 
 
 @cache
-def compiled_library(module: str, names: tuple[str, ...], purpose: str) -> ctypes.CDLL | None:
-    """Return the library of files next to a module, the last of which is compiled.
+def name_extra() -> None:
+    """Warn that there is no compiler, and name the extra that brings one: once a day, as failures are remembered."""
+    with suppress(OSError):
+        record = _library_path(f"no-compiler{FAILED}")
+        if _holds(record):
+            return
+        record.touch()
+    warn_user(str(missing_extra(f"No C compiler was found, {SLOWER}", "ziglang, which has one,", "compiler")))
+
+
+@cache
+def compiled_library(module: str, *names: str) -> ctypes.CDLL | None:
+    """Return the library of files next to a module, the first of which is compiled.
 
     Without a compiler, or if the compilation fails, it is that of the wheel; None if there is none. Then a failure is a
-    warning that names the ``purpose``, what happens instead and what to do. It is remembered for a day, or until
-    compiler, source or processor change: others get no warning.
+    warning that says what to do. It is remembered for a day, or until compiler, source or processor change: others get
+    no warning.
     """
-    found = compiler()
-    *_, source = sources = [Path(module).with_name(name) for name in names]
-    if found is None:
-        return _library_of_wheel(source)
+    source, *_ = sources = [Path(module).with_name(name) for name in names]
+    shipped, command = source.with_name(f"{source.stem}-{SYSTEM}.so"), compile_command()
+    if not command:
+        return load_library(shipped) or name_extra()
     machine = sysconfig.get_platform(), platform.node(), processor()
-    key = repr(([file.read_bytes() for file in sources], found, os.stat(found).st_mtime_ns, FLAGS, machine))
+    key = repr(([file.read_bytes() for file in sources], command, os.stat(command[0]).st_mtime_ns, FLAGS, machine))
     try:
         target = _library_path(f"{source.stem}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.so")
-        library, missing = _find_library(target)
-        if missing:
+        record, library = target.with_suffix(FAILED), load_library(target)
+        if library is None and not _holds(record):
             with compile_once(source.name, target.with_suffix(".lock")):
-                library, missing = _find_library(target)  # another process may have compiled it meanwhile
-                if missing:
-                    library = _compile_library(found, source, target)
-        return library or _library_of_wheel(source)
+                library = load_library(target)  # another process may have compiled it meanwhile
+                if library is None and not _holds(record):
+                    library = _compile_library(command, source, target, record)
+        return library or load_library(shipped)
     except OSError as error:
-        library = _library_of_wheel(source)
+        library = load_library(shipped)
         if library is None:
-            warn_user(f"{purpose}: {error}")
+            warn_user(f"{source.name} could not be compiled, {SLOWER}: {error}")
         return library
 
 
-def _library_of_wheel(source: Path) -> ctypes.CDLL | None:
-    """Return the library that the wheel brought for this system; None if there is none, or it cannot be loaded."""
+def load_library(path: Path) -> ctypes.CDLL | None:
+    """Return a library; None if it is missing or damaged."""
     try:
-        return ctypes.CDLL(str(source.with_name(f"{source.stem}-{SYSTEM}.so")))
+        return ctypes.CDLL(str(path))
     except OSError:
         return None
 
@@ -108,38 +131,34 @@ def _library_path(name: str) -> Path:
         if folder.is_absolute():  # without a home folder, "~" stays in the path
             with suppress(OSError):
                 folder.mkdir(parents=True, exist_ok=True)
-            if os.path.exists(folder / name) or os.access(folder, os.W_OK):
+            if os.access(folder / name, os.R_OK) or os.access(folder, os.W_OK):
                 return folder / name
     raise OSError(f"{user} cannot be written. Set XDG_CACHE_HOME to a folder that can be written")
 
 
-def _find_library(target: Path) -> tuple[ctypes.CDLL | None, bool]:
-    """Return a library, and whether to compile it: it is missing or damaged, and no attempt failed within a day."""
-    try:
-        return ctypes.CDLL(str(target)), False
-    except OSError:
-        record = target.with_suffix(FAILED)
-        return None, not (record.exists() and seconds_since(record.stat().st_mtime) < DAY)
+def _holds(record: Path) -> bool:
+    """Return whether the record of a failure is there, and younger than a day."""
+    return record.exists() and seconds_since(record.stat().st_mtime) < DAY
 
 
-def _compile_library(found: str, source: Path, target: Path) -> ctypes.CDLL:
-    """Compile a library, which appears when it is complete, and load it; a failure is recorded next to it.
+def _compile_library(program: Sequence[str], source: Path, target: Path, record: Path) -> ctypes.CDLL:
+    """Compile a library, which appears when it is complete, and load it; the record keeps a failure.
 
     The compiler has a group of its own: Ctrl-C ends this process, and is no failure of the compiler.
     """
     # Messages go to a file: a pipe would stay open while any process of the compiler lives
     with tempfile.TemporaryDirectory() as folder, (Path(folder) / "messages").open("wb") as messages:
         compiled = Path(folder) / target.name
-        command = [found, *FLAGS, str(source), "-o", str(compiled), "-lm"]
+        command = [*program, *FLAGS, str(source), "-o", str(compiled), "-lm"]
         if os.name == "posix":
-            command = ["sh", "-c", f'ulimit -S -t {PROCESSOR_SECONDS}; exec "$@"', "sh", *command]
+            command = ["/bin/sh", "-c", f'ulimit -S -t {PROCESSOR_SECONDS}; exec "$@"', "sh", *command]
         try:
             subprocess.run(
-                command, stdout=messages, stderr=messages, check=True, timeout=SECONDS_TO_WAIT, process_group=0
-            )
+                command, stdout=messages, stderr=messages, check=True, timeout=SECONDS_TO_WAIT, process_group=0,
+                env=os.environ | {"ZIG_GLOBAL_CACHE_DIR": str(target.with_name("zig"))},  # without a home folder, too
+            )  # fmt: skip
             write_bytes(target, compiled.read_bytes())
             return ctypes.CDLL(str(target))
         except (OSError, ProblemError, subprocess.SubprocessError) as error:
-            record = target.with_suffix(FAILED)
             record.write_text(f"{error}\n{Path(messages.name).read_text(errors='replace')}", encoding="utf-8")
             raise OSError(f"{record} says why. To try again before tomorrow, remove this file") from None

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from scipy import fft
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
@@ -158,7 +157,7 @@ class _Repair:
         """Return what the least change of controls for one row adds to each row, (rows, rows)."""
         t, j = self.controls
         passed = of_u[:, None] * self._project_bins(responses)
-        pulses = of_u * fft.irfft(~self.stop, len(self.u), axis=0)  # a later one is shifted, and comes in at the end
+        pulses = of_u * np.fft.irfft(~self.stop, len(self.u), axis=0)  # a later one is shifted, and comes in at the end
         of_controls = np.where(j[:, None] == j, pulses[(t[:, None] - t) % len(pulses), j], 0.0)
         on_x, gram = self.on_x, np.empty((self.count, self.count))
         gram[:on_x, :on_x] = responses.reshape(self.u.size, on_x).T @ passed.reshape(self.u.size, on_x)
@@ -172,9 +171,9 @@ class _Repair:
         passed = np.where(self.unmoved[..., None], 0.0, signals) if self.unmoved.any() else signals.copy()
         if self.banded.any():
             chosen = slice(None) if self.banded.all() else self.banded
-            spectra = fft.rfft(passed[:, chosen], axis=0)
+            spectra = np.fft.rfft(passed[:, chosen], axis=0)
             spectra[self.stop[:, chosen]] = 0.0
-            passed[:, chosen] = fft.irfft(spectra, len(passed), axis=0)
+            passed[:, chosen] = np.fft.irfft(spectra, len(passed), axis=0)
         return passed
 
 

@@ -16,7 +16,6 @@ from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.candidate import Attempt, Candidate, Reason, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
-from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -210,6 +209,9 @@ class Structured(_Linear):
     shorthand: ClassVar[str] = "structured"
 
     def _answers(self, trial: _Trial, request: Request) -> Iterator[Outcome | Attempt]:
+        # few problems need its modules
+        from lin_freq_ocp.methods.structured.solver import StageCache, solve_from_warm_start, solve_structured
+
         problem = trial.problem
         stage_cache = StageCache() if request.cached is None else request.cached[0].stage_cache
         guess = solve_from_warm_start(problem, stage_cache, trial.options)

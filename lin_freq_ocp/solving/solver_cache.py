@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
@@ -16,10 +18,12 @@ from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSol
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
-from lin_freq_ocp.methods.structured.solver import StageCache
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transform.reductions import Chain, Change, reduce_problem
 from lin_freq_ocp.transform.reformulations import Translation
+
+if TYPE_CHECKING:
+    from lin_freq_ocp.methods.structured.solver import StageCache
 
 KEPT_RAYS = 8  # of infeasible problems, each tried on the next initial states
 CONDENSED_SOLVES = 3
@@ -44,7 +48,6 @@ class SolverCache:
     def __init__(self, translation: Translation, programs: ProgramCache | None = None):
         self.translation, self.problem, self.origin = translation, translation.problem, translation.origin
         self.exclusions = deque[InfeasibilityCertificate](maxlen=KEPT_RAYS)
-        self.stage_cache = StageCache()
         self._reduced: Chain | None = None
         self._solver: SpectralSolver | None = None
         self._refusal: UnsupportedError | None = None
@@ -52,6 +55,13 @@ class SolverCache:
         self._condensed: CondensedSolver | None = None
         self._solves, self._refused_condensed = 0, ""
         self.programs = programs or ProgramCache()
+
+    @cached_property
+    def stage_cache(self) -> StageCache:
+        """Return the solver state of the structured method, whose modules few problems need."""
+        from lin_freq_ocp.methods.structured.solver import StageCache
+
+        return StageCache()
 
     def solve(self, problem: OptimalControlProblem, change: Change, options: SolveOptions) -> Candidate:
         """Solve the changed problem in the Fourier domain, from the last solution; UnsupportedError as from scratch.

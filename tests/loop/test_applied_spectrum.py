@@ -320,7 +320,7 @@ def test_bounds_without_a_first_plan_are_a_warning():
 
 def test_without_a_compiler_programs_plan_with_the_same_windows(no_compiler):
     noise = np.random.default_rng(0).normal(scale=[0.01, 0.1], size=(12, 2))
-    with no_compiler("control step in C could not be compiled"):
+    with no_compiler("kernel.c could not be compiled"):
         log = lfo.RecedingHorizon(drive()).run([0.3, 0.0], 12, disturbance=noise)
     assert not log.stopped
     assert set(log.statuses) == {"optimal"}

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from ctypes import CDLL
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import pytest
 
 from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 
-PURPOSE = "the answer in C could not be compiled, Python computes it"
+FAILURE = "answer.c could not be compiled, slower code computes the same"
 COMPILER = compiler()
 COMPILE = f'exec {COMPILER} "$@"'
 SOURCES = ("kernel.c", "path.c", "loops.c")
@@ -52,6 +53,13 @@ def cache(tmp_path) -> Path:
 
 
 @pytest.fixture
+def own_cache(tmp_path, monkeypatch) -> Path:
+    """Return the folder of the package for libraries, which is empty."""
+    monkeypatch.setattr(native_code, "__file__", str(tmp_path / "package" / "native_code.py"))
+    return tmp_path / "package" / "__pycache__"
+
+
+@pytest.fixture
 def load(monkeypatch, sources, cache) -> Callable[[str], CDLL | None]:
     """Return a function that loads the library as a new process does, with a cache of its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache.parent))
@@ -59,7 +67,7 @@ def load(monkeypatch, sources, cache) -> Callable[[str], CDLL | None]:
 
     def load_library(behaviour: str = COMPILE) -> CDLL | None:
         monkeypatch.setenv("BEHAVIOUR", behaviour)
-        return compiled_library.__wrapped__(str(sources / "module.py"), ("answer.h", "answer.c"), PURPOSE)
+        return compiled_library.__wrapped__(str(sources / "module.py"), "answer.c", "answer.h")
 
     return load_library
 
@@ -69,7 +77,7 @@ def fail(load, cache) -> Callable[[str], tuple[str, Path]]:
     """Return a function that fails to compile, and returns the only warning and the record of the failure."""
 
     def fail_to_compile(behaviour: str = "exit 3") -> tuple[str, Path]:
-        with pytest.warns(RuntimeWarning, match=PURPOSE) as seen:
+        with pytest.warns(RuntimeWarning, match=FAILURE) as seen:
             assert load(behaviour) is None
         (warning,), (record,) = seen, cache.glob("*.failed")
         return str(warning.message), record
@@ -144,7 +152,7 @@ def test_a_failure_is_one_line_that_says_what_to_do(behaviour, reason, fail, cac
     if "sleep" in behaviour:
         monkeypatch.setattr(native_code, "SECONDS_TO_WAIT", 0.05)
     notice, record = fail(behaviour)
-    assert notice == f"{PURPOSE}: {record} says why. To try again before tomorrow, remove this file"
+    assert notice == f"{FAILURE}: {record} says why. To try again before tomorrow, remove this file"
     assert re.search(reason, record.read_text())
     assert {path.suffix for path in cache.iterdir()} <= {".lock", ".failed", ".so"}
 
@@ -156,17 +164,47 @@ def test_a_damaged_file_is_compiled_anew(load, fail):
     assert load().answer() == 42
 
 
-def test_a_library_is_loaded_from_a_folder_that_cannot_be_written(load, sources, monkeypatch):
+@pytest.mark.parametrize("readable", [True, False])
+def test_a_library_is_loaded_from_a_folder_that_cannot_be_written(
+    readable, load, sources, cache, own_cache, monkeypatch
+):
+    """If it cannot be read either, as another user's, the package has its own."""
     load()
-    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
+    (library,) = cache.glob("*.so")
+    forbidden = {(cache, os.W_OK), *([] if readable else [(library, os.R_OK)])}
+    monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) not in forbidden)
     assert load().answer() == 42
-    assert count_runs(sources) == 1
+    assert count_runs(sources) == (1 if readable else 2)
+    assert readable != any(own_cache.glob("*.so"))
 
 
-def test_without_a_compiler_nothing_is_said_or_written(load, cache, monkeypatch):
+@pytest.fixture
+def without_compiler(monkeypatch):
     monkeypatch.setattr(native_code, "compiler", lambda: None)
-    assert load() is None
-    assert not cache.exists()
+
+
+@pytest.mark.usefixtures("without_compiler")
+def test_without_a_compiler_the_extra_is_named_once_a_day(load, cache, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ziglang", None)  # it is not installed
+    for named in (True, False, True):
+        native_code.name_extra.cache_clear()  # as in a new process
+        with pytest.warns(RuntimeWarning, match=r"'\.\[compiler\]'") if named else nullcontext():
+            assert [load(), load()] == [None, None]
+        if not named:
+            let_a_day_pass(None, cache / "no-compiler.failed", None)
+    native_code.name_extra.cache_clear()
+
+
+@pytest.mark.usefixtures("without_compiler")
+def test_the_compiler_of_the_extra_compiles(load, sources, monkeypatch):
+    package = sources / "ziglang"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    script = '#!/bin/sh\nmkdir "$ZIG_GLOBAL_CACHE_DIR" && [ "$1" = cc ] && shift && exec ' + f'{COMPILER} "$@"\n'
+    (package / "zig").write_text(script)
+    (package / "zig").chmod(0o755)
+    monkeypatch.syspath_prepend(sources)
+    assert [load().answer() for _ in range(2)] == [42, 42]
 
 
 @pytest.mark.parametrize("behaviour", [None, "exit 3"], ids=["no compiler", "one that fails"])
@@ -197,10 +235,9 @@ def no_cache(request, load, monkeypatch, tmp_path):
 
 
 @pytest.mark.usefixtures("no_cache")
-def test_without_a_cache_of_the_user_the_package_has_one(load, monkeypatch, tmp_path):
-    monkeypatch.setattr(native_code, "__file__", str(tmp_path / "package" / "native_code.py"))
+def test_without_a_cache_of_the_user_the_package_has_one(load, own_cache, tmp_path):
     assert load().answer() == 42
-    assert {path.parent for path in tmp_path.rglob("answer-*.so")} == {tmp_path / "package" / "__pycache__"}
+    assert {path.parent for path in tmp_path.rglob("answer-*.so")} == {own_cache}
 
 
 @pytest.mark.usefixtures("no_cache")

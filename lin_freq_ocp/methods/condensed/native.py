@@ -68,9 +68,8 @@ def array_lengths(parts: Sequence[tuple[str, str]], integers: Mapping[str, int])
 
 
 def library() -> ctypes.CDLL | None:
-    """Return the compiled kernel; None without a compiler, or, with a warning, if the compilation fails."""
-    purpose = "the control step in C could not be compiled, other methods compute it"
-    return compiled_library(__file__, ("kernel.h", "kernel.c"), purpose)
+    """Return the compiled kernel; None, with a warning, if there is none."""
+    return compiled_library(__file__, "kernel.c", "kernel.h")
 
 
 def data_arrays(tables: CondensedTables) -> dict[str, Array]:

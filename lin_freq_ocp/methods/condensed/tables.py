@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import fft
 from scipy.linalg import solve_discrete_are, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
@@ -113,7 +112,7 @@ class Loop:
 
     def equations(self, x: Array, u: Array, data: Array) -> Array:
         """Return the violations of the stop bands, by orthonormal rows, and of the fixed end, (equations, k)."""
-        bins, found = fft.rfft(u, axis=0) / np.sqrt(len(u) / 2), list[Array]()
+        bins, found = np.fft.rfft(u, axis=0) / np.sqrt(len(u) / 2), list[Array]()
         for j, passed in enumerate(self.lti.passed):
             stopped = np.flatnonzero(~passed)
             real = (stopped == 0) | (2 * stopped == len(u))
@@ -133,7 +132,7 @@ class Loop:
             spectrum[stopped, :, j] = multipliers[first:middle] * np.where(real, np.sqrt(2.0), 1.0)[:, None]
             spectrum[stopped[~real], :, j] += 1j * multipliers[middle:last]
             first = last
-        return fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:].T
+        return np.fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:].T
 
 
 def _recursion(M: Array, values: Array) -> Array:
@@ -258,7 +257,7 @@ class CondensedTables:
         band, on_end = loop.forces(-self.solve_equations.T @ loop.gradient(in_x, in_u))
         in_x[-1][:, loop.fixed_end] += on_end
         eta = loop.adjoint(in_x, in_u + band)
-        spectrum = fft.rfft(eta @ lti.B - in_u, axis=0)
+        spectrum = np.fft.rfft(eta @ lti.B - in_u, axis=0)
         on_rows = np.zeros((len(lti.F), *weights.shape[1:]))
         on_rows[self.families] = weights
         on_rows[:n, 0] += (eta[0] @ lti.A - in_x[0]).T

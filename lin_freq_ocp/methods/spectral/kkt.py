@@ -12,7 +12,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -67,7 +66,7 @@ class BorderedSystem:
         self.end_signals = np.zeros((len(lti.M), 0, T))
         if ends:
             self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
-            self.end_signals = fft.irfft(self.end_responses, T)
+            self.end_signals = np.fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.bordering_bin, self.spaces.bordering_vector
         counts = self.spaces.weight[k].astype(int)
@@ -120,13 +119,13 @@ class BorderedSystem:
         self.band_components = tuple(i for i, _ in parts)
         self.bands = np.vstack([*[rows for _, rows in parts], np.zeros((0, T + 1))])
         count = len(self.bands)
-        self.band_hat = fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
+        self.band_hat = np.fft.rfft(self.bands[:, :T]) if count else np.zeros((0, len(self.spaces.z)), complex)
         # decrease of y_t by a unit force on each band row, (n+m, rows, T)
         self.band_responses, self.band_rows = np.zeros((len(self.lti.M), 0, T)), np.zeros((count, self.size))
         if count:
             force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
             force[self.band_component, np.arange(count)] = self.band_hat
-            self.band_responses = fft.irfft(self.spaces.project(force), T)
+            self.band_responses = np.fft.irfft(self.spaces.project(force), T)
             signals = self._unit_signals()
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T

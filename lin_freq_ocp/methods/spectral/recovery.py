@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, seal
 from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
@@ -72,7 +71,7 @@ def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum
         through_controls = np.einsum("imk,ik->mk", lti.response.conj(), eta_hat)
     band = through_controls - gradient[n:]
     band[lti.passed] = 0.0
-    eta = fft.irfft(eta_hat, lti.horizon)
+    eta = np.fft.irfft(eta_hat, lti.horizon)
     # mu_0, mu_T of fixed ends follow from transversality: any vector is normal there
     joint, on_bands = slice(len(lti.M), None), y[len(y) - len(kkt.bands) :]
     at_start = lti.F[joint, :n].T @ on_rows[joint, 0] - lti.A.T @ eta[:, 0]

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
@@ -401,7 +400,7 @@ class WholeHorizon:
         pulses[index] = mu
         pulses = pulses[: self._inner].reshape(len(self.rows), -1)
         acting = pulses.any(1)
-        answer = (self._spaces[acting].conj() * fft.rfft(pulses[acting])[:, None]).sum(0)
+        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
         values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
+        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
         return values

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy import fft
 from scipy.linalg import schur
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
@@ -261,7 +260,7 @@ class CirculantKernels:
         self.complete = rows * rows * lti.horizon <= SMALL_TABLE
         if self.complete:
             NF = self.of_rows(np.arange(rows))
-            kernels = fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
+            kernels = np.fft.irfft((NF[:, None] * NF[None].conj()).sum(2), lti.horizon)
             self.table = (kernels + kernels[:, :, -np.arange(lti.horizon)].swapaxes(0, 1)) / 2
         else:
             self.table = np.empty((rows, rows, lti.horizon))
@@ -298,7 +297,7 @@ class CirculantKernels:
         for f, g in map(sorted, pairs):
             if not self.known[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
-                self.table[f, g] = fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
+                self.table[f, g] = np.fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
                 if f == g:
                     self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
                     self.table[f, f] /= 2

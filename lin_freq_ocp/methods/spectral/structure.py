@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
@@ -90,8 +89,8 @@ def data_of(structure: Structure, lti: Lti) -> Data:
     start, end = lti.ends
     jump: ComplexArray = spaces.z * (start - end)[:, None]
     if lti.offset is not None:
-        jump += fft.rfft(lti.offset)
-    linear = None if lti.linear is None else fft.rfft(lti.linear)
+        jump += np.fft.rfft(lti.offset)
+    linear = None if lti.linear is None else np.fft.rfft(lti.linear)
     base = spaces.particular(jump[:, None])[:, 0]
     h = kkt.gradient(lti.M @ base + (0 if linear is None else linear))
     h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
@@ -120,7 +119,7 @@ def signals(
     if len(working) or multipliers.any():
         spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
     kkt.add(theta[:, None], spectrum[:, None])
-    y, last = fft.irfft(spectrum, lti.horizon), lti.end.copy()
+    y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
     if lti.periodic:
         last[:] = y[: lti.state_dim, 0]
     last[kkt.free_end] = theta[kkt.at_end]
@@ -140,7 +139,7 @@ def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingS
     used: Mask = np.asarray(force.any(1))
     spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
     if used.any():
-        spectrum[used] = fft.rfft(force if used.all() else force[used])
+        spectrum[used] = np.fft.rfft(force if used.all() else force[used])
     if len(kkt.bands):
         on_bands = multipliers[-len(kkt.bands) :]
         for i in kkt.band_components:

@@ -20,7 +20,6 @@ from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 
@@ -214,7 +213,7 @@ class SpectrumRows:
     def forward(self, signals: Array) -> Array:
         """Return the values of the rows, (count, k)."""
         signal = self.window[:, None] * np.einsum("c,tck->tk", self.coefficients, signals[: len(self.window)])
-        spectrum = fft.rfft(signal, n=self.points, axis=0)[self.bins] * self.scale[:, None]
+        spectrum = np.fft.rfft(signal, n=self.points, axis=0)[self.bins] * self.scale[:, None]
         pairs = np.empty((2 * len(self.bins), signals.shape[2]))
         pairs[0::2], pairs[1::2] = spectrum.real, spectrum.imag
         return pairs[self.kept]
@@ -227,7 +226,7 @@ class SpectrumRows:
         factor = self.scale * np.where(real, self.points, self.points / 2)
         spectrum = np.zeros((self.points // 2 + 1, weights.shape[1]), dtype=complex)
         spectrum[self.bins] = (pairs[0::2] + 1j * pairs[1::2]) * factor[:, None]
-        signal = fft.irfft(spectrum, n=self.points, axis=0)[: len(self.window)] * self.window[:, None]
+        signal = np.fft.irfft(spectrum, n=self.points, axis=0)[: len(self.window)] * self.window[:, None]
         self._add_signal(signal, signals)
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:

@@ -15,7 +15,6 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import (
     Array,
@@ -266,7 +265,7 @@ class FrequencyResponse(StateEquations):
         """Return the map from all controls to all outputs."""
         if self._cached_response is None or self._cached_response.horizon != horizon:
             N = self.record(horizon)
-            base = fft.irfft(self.offset, n=N, axis=0)
+            base = np.fft.irfft(self.offset, n=N, axis=0)
             if self.disturbance is not None:
                 base[: len(self.disturbance)] += self.disturbance
             assign(self, _cached_response=Response(self.G, base[np.arange(horizon + 1) % N], horizon, N))

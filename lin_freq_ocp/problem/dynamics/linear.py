@@ -161,7 +161,7 @@ class LinearDynamics(StateEquations):
             missing = "d" if d is None else "disturbance"
             raise ProblemError(f"dynamics.{missing}", "nothing", "both disturbance=E, (n, k), and d=, its values")
         if disturbance is None:
-            return cls._sampled(ContinuousPlant(Ac, Bc, drift), step, state_names, control_names)
+            return cls._sample_plant(ContinuousPlant(Ac, Bc, drift), step, state_names, control_names)
         E, values = real_array("dynamics.disturbance", disturbance), real_array("dynamics.d", d)
         if E.ndim != 2 or len(E) != n or E.shape[1] == 0:
             raise ProblemError("dynamics.disturbance", f"shape {E.shape}", f"shape ({n}, k): E of dx/dt = ... + E d")
@@ -170,13 +170,13 @@ class LinearDynamics(StateEquations):
         if values.ndim not in (1, 2) or values.shape[-1] != k:
             raise ProblemError("dynamics.d", f"shape {values.shape}", f"shape (T, {k}), one row per time, or ({k},)")
         if values.ndim == 1:
-            return cls._sampled(ContinuousPlant(Ac, Bc, drift + E @ values), step, state_names, control_names)
+            return cls._sample_plant(ContinuousPlant(Ac, Bc, drift + E @ values), step, state_names, control_names)
         plain, acting, known = ContinuousPlant(Ac, np.hstack([Bc, E]), drift).sampled(step)
         controls, inputs = np.split(acting, [Bc.shape[1]], axis=1)
         return cls(plain, controls, known + values @ inputs.T, step, state_names, control_names)
 
     @classmethod
-    def _sampled(
+    def _sample_plant(
         cls, plant: ContinuousPlant, step: float, state_names: Sequence[str] | None, control_names: Sequence[str] | None
     ) -> LinearDynamics:
         """Return a continuous plant sampled, which keeps the plant."""

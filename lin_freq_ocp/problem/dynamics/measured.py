@@ -6,11 +6,10 @@ import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from lin_freq_ocp.base.archives import mat_variables
+from lin_freq_ocp.base.archives import FileValue, mat_variables
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
 
@@ -155,7 +154,9 @@ def plant_in_mat(path: Path) -> tuple[Array, Array, float, tuple[str, ...], tupl
     """Return A, B, the sampling time (0: continuous), and names of states and controls, if given, of a .mat file."""
     variables = mat_variables(str(path), _content(path, "a readable .mat file"), SAVE)
     tables = {"": variables} | {f"{name}.": _structure(value) for name, value in variables.items()}
-    found = {name: known for name, known in ((name, _known(table)) for name, table in tables.items()) if "b" in known}
+    found = {
+        name: known for name, known in ((name, _plant_fields(table)) for name, table in tables.items()) if "b" in known
+    }
     if len(found) != 1:
         several = f"the plants {', '.join(name.rstrip('.') or 'A, B' for name in found)}"
         got = several if found else f"the variables {', '.join(variables) or 'none'}"
@@ -191,18 +192,18 @@ def _content(path: Path, expected: str) -> bytes:
         raise ProblemError(str(path), f"{error}", expected) from None
 
 
-def _structure(value: Any) -> dict[str, Any]:
+def _structure(value: FileValue) -> dict[str, FileValue]:
     """Return the fields of a structure as scipy reads it; none of other variables."""
     names = getattr(getattr(value, "dtype", None), "names", None)
     return {} if not names or value.size != 1 else {name: value[name].item() for name in names}
 
 
-def _known(table: dict[str, Any]) -> dict[str, Any]:
+def _plant_fields(table: dict[str, FileValue]) -> dict[str, FileValue]:
     """Return the fields of a plant in lower case: A of today's objects is a in older ones."""
     return {name.lower(): value for name, value in table.items() if name.lower() in NUMBERS.keys() | TEXTS}
 
 
-def _labels(names: Any, units: Any) -> tuple[str, ...]:
+def _labels(names: FileValue, units: FileValue) -> tuple[str, ...]:
     """Return the texts of a cell array with their units; none if one is empty."""
     texts, brackets = _texts(names), _texts(units)
     if not texts or not all(texts):
@@ -211,7 +212,7 @@ def _labels(names: Any, units: Any) -> tuple[str, ...]:
     return tuple(f"{text} [{unit}]" if unit else text for text, unit in zip(texts, brackets, strict=True))
 
 
-def _texts(cells: Any) -> list[str]:
+def _texts(cells: FileValue) -> list[str]:
     """Return the texts of a cell array as scipy reads it, or of an array of text."""
     cells = np.ravel(np.zeros(0) if cells is None else cells)
     return ["".join(map(str, np.ravel(one))).strip() for one in cells] if cells.dtype.kind in "OU" else []

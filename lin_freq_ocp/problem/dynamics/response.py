@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, to_long_double
 
@@ -41,8 +40,8 @@ class Response:
 
     def linear(self, u: Array) -> Array:
         """Return the outputs (T+1, p) of controls (T, m), without ``base``."""
-        spectrum = fft.rfft(u, n=self.record, axis=0)
-        y = fft.irfft(_apply_response(self._in_precision(u.dtype), spectrum), n=self.record, axis=0)
+        spectrum = np.fft.rfft(u, n=self.record, axis=0)
+        y = np.fft.irfft(_apply_response(self._in_precision(u.dtype), spectrum), n=self.record, axis=0)
         return y[np.arange(self.horizon + 1) % self.record]
 
     def pull_back(self, weights: Array) -> Array:
@@ -50,13 +49,13 @@ class Response:
         G = np.swapaxes(self._in_precision(weights.dtype), 1, 2).conj()
         if self.closed:  # x_T repeats x_0
             weights = np.concatenate([weights[:1] + weights[-1:], weights[1:-1]])
-        spectrum = fft.rfft(weights, n=self.record, axis=0)
-        return fft.irfft(_apply_response(G, spectrum), n=self.record, axis=0)[: self.horizon]
+        spectrum = np.fft.rfft(weights, n=self.record, axis=0)
+        return np.fft.irfft(_apply_response(G, spectrum), n=self.record, axis=0)[: self.horizon]
 
     @cached_property
     def matrix(self) -> Array:
         """The matrix of ``linear``, ((T+1) p, T m)."""
-        impulse = fft.irfft(self.G, n=self.record, axis=0)
+        impulse = np.fft.irfft(self.G, n=self.record, axis=0)
         t, s = np.arange(self.horizon + 1)[:, None], np.arange(self.horizon)
         (_, p, m), T = self.G.shape, self.horizon
         return impulse[(t - s) % self.record].transpose(0, 2, 1, 3).reshape((T + 1) * p, T * m)

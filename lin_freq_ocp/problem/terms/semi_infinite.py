@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, brief, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
@@ -183,8 +182,10 @@ class MagnitudeMask(SemiInfiniteConstraint):
 
     def samples(self, signal: Array) -> Iterator[tuple[Curve, Array, Array]]:
         """Yield the intervals, with their ends and the points of a zero-padded FFT, which has the period 2 pi."""
-        points = fft.next_fast_len(FINENESS * len(signal), real=True)
-        step, spectrum, limits = 2 * np.pi / points, np.abs(fft.rfft(signal, n=points)), self.limits
+        from scipy.fft import next_fast_len  # slow to import
+
+        points = next_fast_len(FINENESS * len(signal), real=True)
+        step, spectrum, limits = 2 * np.pi / points, np.abs(np.fft.rfft(signal, n=points)), self.limits
         for low, high, *levels in zip(limits.low, limits.high, limits.at_low, limits.at_high, strict=True):
             k = np.arange(int(low / step), int(high / step) + 2)
             k = k[(step * k > low) & (step * k < high)]

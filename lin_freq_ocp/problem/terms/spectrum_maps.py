@@ -15,7 +15,6 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, real_signal, to_long_double
 from lin_freq_ocp.problem.terms.maps import OutputMap, Shapes, SpectrumForm
@@ -93,7 +92,7 @@ class SpectrumMap(OutputMap):
         return float(5 * np.log2(self.points) + 10) + (2 if self.starts.any() else 0)
 
     def values(self, x: Array, u: Array) -> Array:
-        spectra = fft.rfft(self._frames(self.output(x, u), self.past), n=self.points, axis=1)[:, self.bins]
+        spectra = np.fft.rfft(self._frames(self.output(x, u), self.past), n=self.points, axis=1)[:, self.bins]
         turned = spectra * self._turns.astype(spectra.dtype)
         pairs = np.stack([turned.real, turned.imag], axis=-1)
         pairs[:, self.real, 1] = 0.0  # exactly, without the rounding error of a factor 1

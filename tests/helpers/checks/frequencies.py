@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import cvxpy as cp
 import numpy as np
-from scipy import fft
 from scipy.optimize import minimize_scalar
 from scipy.signal.windows import chebwin
 
@@ -214,7 +213,7 @@ def peak_errors(seed: int) -> tuple[float, float]:
     if seed % 2:
         samples = chebwin(N, max(depth, 45)) * np.cos(rng.uniform(0.1, 0.5) * np.arange(N))
     low = rng.uniform(0.8, 2.0)
-    limit = np.abs(fft.rfft(samples, 8 * N)).max() * 10 ** (-depth / 20)
+    limit = np.abs(np.fft.rfft(samples, 8 * N)).max() * 10 ** (-depth / 20)
     limits = limits_on([(low, np.pi)], np.zeros(1), np.array([limit]))
     peak, exact = certified_peak(samples, limits), samples.astype(np.longdouble)
     attained = magnitude(exact, peak.frequency) / limit
@@ -226,7 +225,7 @@ def searched(samples: np.ndarray, low: float) -> float:
     """Return the largest |V(w)| of w >= low: a search around the best parabolas through points of an FFT."""
     points = 16 * len(samples)
     grid = 2 * np.pi * np.arange(points // 2 + 1) / points
-    values = np.abs(fft.rfft(samples, points)) ** 2
+    values = np.abs(np.fft.rfft(samples, points)) ** 2
     k = np.flatnonzero((grid >= low) & (grid < np.pi))[1:-1]
     k = k[(values[k] >= values[k - 1]) & (values[k] >= values[k + 1])]
     bend = np.maximum(2 * values[k] - values[k - 1] - values[k + 1], np.finfo(float).tiny)

@@ -335,7 +335,7 @@ def test_a_solver_can_be_copied_and_shared():
 
 def test_without_a_compiler_the_method_refuses_and_a_loop_goes_on(no_compiler):
     problem, starts = LOOPS["low pass"](), states(LOOPS["low pass"](), 3, seed=1)
-    with no_compiler("control step in C could not be compiled"):
+    with no_compiler("kernel.c could not be compiled"):
         with pytest.raises(lfo.errors.UnsupportedError, match="needs a C compiler"):
             solver_of(problem)
         controller = lfo.RecedingHorizon(problem)

@@ -108,7 +108,7 @@ def test_an_array_that_is_not_contiguous_is_refused(both):
 
 
 def test_without_a_compiler_numpy_computes_the_loops(no_compiler):
-    with no_compiler("loops over stages in C could not be compiled"):
+    with no_compiler("loops.c could not be compiled"):
         assert isinstance(loops(), BandedLoops)
 
 

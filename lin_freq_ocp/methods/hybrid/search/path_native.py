@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -27,11 +26,9 @@ class Path(ctypes.Structure):
     _fields_ = [(name, ctypes.c_int) for name in INTEGERS] + [(name, ctypes.c_void_p) for name in ARRAYS]
 
 
-@cache
 def path_library() -> ctypes.CDLL | None:
-    """Return the compiled code; None without a compiler, or, with a warning, if the compilation fails."""
-    purpose = "the mode search in C could not be compiled, Clarabel solves its nodes"
-    found = compiled_library(__file__, ("path.c",), purpose)
+    """Return the compiled code; None, with a warning, if there is none."""
+    found = compiled_library(__file__, "path.c")
     if found is not None:
         found.lfo_path_run.argtypes = [ctypes.c_void_p] * 5 + [ctypes.c_double] * 4
     return found

@@ -50,9 +50,8 @@ KINDS = {"p": ctypes.POINTER(FactoredStages), "s": ctypes.c_ssize_t, "R": Reals,
 
 
 def loops_library() -> ctypes.CDLL | None:
-    """Return the compiled loops; None without a compiler, or, with a warning, if the compilation fails."""
-    purpose = "the loops over stages in C could not be compiled, NumPy and LAPACK compute them"
-    return compiled_library(__file__, ("loops.c",), purpose)
+    """Return the compiled loops; None, with a warning, if there are none."""
+    return compiled_library(__file__, "loops.c")
 
 
 class CompiledRegulator(Regulator):

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from scipy import fft
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
 from lin_freq_ocp.methods.structured.kkt.recursions import Loops, break_times
@@ -283,13 +282,13 @@ class Coefficients:
     @staticmethod
     def _transform(signals: Array) -> Array:
         """Return the DFT of signals (m, T), Re and Im in turn."""
-        return fft.rfft(signals, axis=1).view(np.float64)
+        return np.fft.rfft(signals, axis=1).view(np.float64)
 
     def _signals(self, chosen: Indices, values: Array) -> Array:
         """Return the signals (m, T) of some coefficients (m, chosen)."""
         pairs = np.zeros((len(values), len(self._scale)))
         pairs[:, chosen] = values / self._scale[chosen]
-        return fft.irfft(pairs.view(np.complex128), n=self.horizon, axis=1)
+        return np.fft.irfft(pairs.view(np.complex128), n=self.horizon, axis=1)
 
 
 class NullSpace:
