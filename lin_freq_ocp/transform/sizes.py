@@ -59,7 +59,8 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
-    n, influence, (shift, unknown) = problem.state_dim, Influence.of(problem), _minima_of_cost(problem)
+    n, influence = problem.state_dim, Influence.of(problem)
+    shift, unknown = _slope_of_cost(problem, influence)
     ends = np.maximum(_sizes_of_ends(problem), shift)
     excess = _sizes_of_rows(problem, lambda penalty, at: penalty.excess(at), curved=True)
     stated = influence.without_rounding(np.where(unknown, 0.0, ends), excess, problem.level_sizes > 0)
@@ -83,33 +84,31 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     return np.concatenate([np.maximum(ends, references[0]), np.maximum(references[1], problem.level_sizes)])
 
 
-def _minima_of_cost(problem: OptimalControlProblem) -> tuple[Array, Mask]:
-    """Return how far slopes take a component, within its bounds, and which curvature does not stop, (n+m,) each.
+def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tuple[Array, Mask]:
+    """Return how far slopes take a component, and which curvature does not stop, (n+m,) each.
 
-    Those of the quadratic cost are taken at the references, those of formulas at the origin.
+    Those of the quadratic cost are taken at the references, those of formulas at the origin. Bounds, and what bounded
+    controls cause, end all ways.
     """
-    cost, n, T, k = problem.quadratic, problem.state_dim, problem.horizon, problem.state_dim + problem.control_dim
-    steep = np.hstack([np.abs(cost.q).reshape(-1, n).max(0), np.abs(cost.r).reshape(-1, k - n).max(0)])
-    bent = np.diagonal(cost.stage_hessians(), axis1=1, axis2=2).max(0)
-    parts, unknown, (stage, terminal) = [(steep, bent)], np.zeros(k, dtype=bool), problem.cost.formulas
-    if terminal is not None:
-        parts.append((np.pad(np.abs(cost.p), (0, k - n)), np.pad(np.diagonal(cost.P), (0, k - n))))
-    for i, (formula, times) in enumerate(((stage, np.arange(T)), (terminal, np.array([T])))):
-        if formula is None:
-            continue
-        used = np.zeros(k, dtype=bool)
-        used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True
-        if [*kinks([formula], MAXIMUM, MINIMUM)]:
-            unknown |= used
-            continue
-        at = jets_of([formula], np.zeros((len(times), k)), times=times)
-        slope = parts[i][0] + np.abs(at.slopes[:, 0]).max(0)
-        curvature = parts[i][1] + np.diagonal(at.curvatures[:, 0], axis1=1, axis2=2).min(0)
-        parts[i] = np.nan_to_num(slope), curvature
-        unknown |= used & ~((curvature > 0) & np.isfinite(slope))
-    shift = np.max([np.divide(steep, bent, out=np.zeros(k), where=bent > 0) for steep, bent in parts], axis=0)
-    tubes = problem.state_boxes, problem.control_tube
-    return np.minimum(shift, np.hstack([np.maximum(-t.lower, t.upper).max(0) for t in tubes])), unknown
+    cost, T, size = problem.quadratic, problem.horizon, problem.state_dim + problem.control_dim
+    steep = np.hstack([np.abs(part).reshape(-1, part.shape[-1]).max(0) for part in (cost.q, cost.r)])
+    bent, used = np.diagonal(cost.stage_hessians(), axis1=1, axis2=2).max(0), np.zeros(size, dtype=bool)
+    for formula, times in zip(problem.cost.formulas, (np.arange(T), np.array([T])), strict=True):
+        if formula is not None:
+            used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True
+            if [*kinks([formula], MAXIMUM, MINIMUM)]:
+                bent = np.where(used, -np.inf, bent)
+                continue
+            at = jets_of([formula], np.zeros((len(times), size)), times=times)
+            steep = steep + np.abs(at.slopes[:, 0]).max(0)
+            bent = bent + np.diagonal(at.curvatures[:, 0], axis1=1, axis2=2).min(0)
+    stopped = (bent > 0) & np.isfinite(steep)
+    shift = np.divide(steep, bent, out=np.zeros(size), where=stopped)
+    bounds = np.hstack([np.maximum(-t.lower, t.upper).max(0) for t in (problem.state_boxes, problem.control_tube)])
+    if np.isfinite(bounds[problem.state_dim :]).all():
+        reach = _complete_sizes(np.where(np.isfinite(bounds), bounds, 0.0), influence.implied)
+        bounds = np.where(reach > 0, np.minimum(bounds, reach), bounds)
+    return np.minimum(shift, bounds), used & ~stopped
 
 
 def _sizes_of_bounds(problem: OptimalControlProblem, influence: Influence, stated: Array) -> Array:
