@@ -192,33 +192,27 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
     resting = at.max(0) <= rounding
 
-    def steep_at(size: Array) -> Array:
-        slopes = stack_signals(*problem.quadratic.gradient_magnitudes(*_steady(size, len(x), T)))
-        return eta_C * (slopes if slopes_at is None else slopes + slopes_at(size))
-
-    size = np.concatenate([x, u])
+    size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
+    steep = stack_signals(*problem.quadratic.gradient_magnitudes(*steady))
+    steep = eta_C * (steep if slopes_at is None else steep + slopes_at(size))
     # what rounding of the states does to rows, and to the slopes of the cost, is no residual
-    coarse = np.concatenate([np.maximum(x, rounding / (SCALE_FLOOR * CONDITION_TOLERANCE)), u])
-    steep, steady = steep_at(size), _steady(coarse, len(x), T)
-    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*steady).max(0, initial=0.0) for priced in extremal.terms)
+    coarse = np.maximum(x, rounding / (SCALE_FLOOR * CONDITION_TOLERANCE))
+    blurred = np.broadcast_to(coarse, (T + 1, len(x))), steady[1]
+    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*blurred).max(0, initial=0.0) for priced in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
-        steady = _steady(size, len(x), T)
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
         costs = np.concatenate([(steep * size).ravel(), *priced])
         costs, stage = np.sort(costs[costs > 0]), 0.0
         if len(costs):  # their median
             stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
         level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
-    if (coarse > size).any():
-        steep = np.maximum(steep, steep_at(coarse))
+    if (coarse > x).any():
+        lost = stack_signals(*problem.quadratic.gradient_magnitudes(*blurred))
+        lost = lost if slopes_at is None else lost + slopes_at(np.concatenate([coarse, u]))
+        steep = np.maximum(steep, eta_C * lost)
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
-    return Floors(SCALE_FLOOR * coarse, level, steep, terms, np.where(resting, 0.0, rounding))
-
-
-def _steady(size: Array, states: int, horizon: int) -> tuple[Array, Array]:
-    """Return states (T+1, n) and controls (T, m) with the same values (n + m,) at all times."""
-    x, u = np.split(size, [states])
-    return np.broadcast_to(x, (horizon + 1, states)), np.broadcast_to(u, (horizon, len(u)))
+    least = SCALE_FLOOR * np.concatenate([coarse, u])
+    return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))

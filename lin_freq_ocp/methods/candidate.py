@@ -22,6 +22,20 @@ SOLVED_TOLERANCE = 1e-6  # relative residuals up to which a method's "solved" is
 
 
 @dataclass(frozen=True)
+class Progress:
+    """The progress of a search, which long solves report.
+
+    Attributes
+    ----------
+    cost, lower_bound : float
+        Of the best trajectory found, and of all; infinite as long as there is none.
+    """
+
+    cost: float
+    lower_bound: float
+
+
+@dataclass(frozen=True)
 class SolveOptions:
     """The options of a method for linear dynamics.
 

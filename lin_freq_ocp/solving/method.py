@@ -10,8 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.clock import seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.candidate import Attempt, Reason
-from lin_freq_ocp.methods.progress import Progress
+from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache, SolverCache

@@ -24,7 +24,7 @@ from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
-from lin_freq_ocp.methods.progress import Progress
+from lin_freq_ocp.methods.candidate import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.solving.families import DEFAULT_OPTIONS, Options, choose_method, saved_options

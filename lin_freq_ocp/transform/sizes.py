@@ -78,10 +78,11 @@ def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
 def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     """Return the largest of the ends, levels and references, (n+m,)."""
     cost = problem.quadratic
-    pairs = zip(cost.weighs, (cost.x_ref, cost.u_ref), strict=True)
-    references = [np.abs(np.where(by, reference, 0.0)).reshape(-1, len(by)).max(0) for by, reference in pairs]
+    of_x, of_u = cost.weighs
+    states = np.abs(np.where(of_x, cost.x_ref, 0.0)).reshape(-1, len(of_x)).max(0)
+    controls = np.abs(np.where(of_u, cost.u_ref, 0.0)).reshape(-1, len(of_u)).max(0)
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
-    return np.concatenate([np.maximum(ends, references[0]), np.maximum(references[1], problem.level_sizes)])
+    return np.concatenate([np.maximum(ends, states), np.maximum(controls, problem.level_sizes)])
 
 
 def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tuple[Array, Mask]:
@@ -90,8 +91,8 @@ def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tupl
     Those of the quadratic cost are taken at the references, those of formulas at the origin. Bounds, and what bounded
     controls cause, end all ways.
     """
-    cost, T, size = problem.quadratic, problem.horizon, problem.state_dim + problem.control_dim
-    steep = np.hstack([np.abs(part).reshape(-1, part.shape[-1]).max(0) for part in (cost.q, cost.r)])
+    cost, T, n, size = problem.quadratic, problem.horizon, problem.state_dim, problem.state_dim + problem.control_dim
+    steep = np.hstack([np.abs(cost.q).reshape(-1, n).max(0), np.abs(cost.r).reshape(-1, size - n).max(0)])
     bent, used = np.diagonal(cost.stage_hessians(), axis1=1, axis2=2).max(0), np.zeros(size, dtype=bool)
     for formula, times in zip(problem.cost.formulas, (np.arange(T), np.array([T])), strict=True):
         if formula is not None:
@@ -104,8 +105,11 @@ def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tupl
             bent = bent + np.diagonal(at.curvatures[:, 0], axis1=1, axis2=2).min(0)
     stopped = (bent > 0) & np.isfinite(steep)
     shift = np.divide(steep, bent, out=np.zeros(size), where=stopped)
-    bounds = np.hstack([np.maximum(-t.lower, t.upper).max(0) for t in (problem.state_boxes, problem.control_tube)])
-    if np.isfinite(bounds[problem.state_dim :]).all():
+    states, controls = problem.state_boxes, problem.control_tube
+    bounds = np.hstack(
+        [np.maximum(-states.lower, states.upper).max(0), np.maximum(-controls.lower, controls.upper).max(0)]
+    )
+    if np.isfinite(bounds[n:]).all():
         reach = _complete_sizes(np.where(np.isfinite(bounds), bounds, 0.0), influence.implied)
         bounds = np.where(reach > 0, np.minimum(bounds, reach), bounds)
     return np.minimum(shift, bounds), used & ~stopped

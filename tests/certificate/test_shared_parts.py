@@ -231,7 +231,7 @@ def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
 
     monkeypatch.setattr(PiecewiseSmoothDynamics, "jets_at", wrong)
     with use_clock(Clock(1.0)):
-        assert not wrongly_optimal(lfo.solve(problem, throw=False, time_limit=1000.0), cost)
+        assert not wrongly_optimal(lfo.solve(problem, throw=False, time_limit=200.0), cost)
 
 
 def test_a_missed_step_is_seen_without_the_measures_of_reports(monkeypatch):

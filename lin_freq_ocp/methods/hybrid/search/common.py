@@ -10,8 +10,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices, Mask
 from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.methods.candidate import Progress
 from lin_freq_ocp.methods.hybrid.search.node import NodeSolution, solve_by_clarabel, solve_path_relaxation
-from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeNode, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation

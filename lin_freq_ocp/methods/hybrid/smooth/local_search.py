@@ -19,10 +19,9 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.methods.candidate import Attempt, Reason
+from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
 from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
-from lin_freq_ocp.methods.progress import Progress
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
