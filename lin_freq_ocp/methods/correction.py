@@ -127,8 +127,7 @@ class _Deviations:
     def correct(self, z: Array, y: Array) -> Correction | None:
         """Return the correction of a point, whose duals tell the active rows; None if they determine none."""
         linear, scaling, problem = self.linear, self.scaling, self.linear.problem
-        solution = solve_active(self.program, z, y)
-        if solution is None:
+        if (solution := solve_active(self.program, z, y)) is None:
             return None
         z, y, system = solution
         duals = scaling.dual(y)

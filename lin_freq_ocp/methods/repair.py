@@ -95,7 +95,8 @@ class _Repair:
             self.residual += self.response.states(u) - x
         self.states, self.controls = np.nonzero(self.held_states), np.nonzero(self.held & self.banded)
         rows = list(islice(_coupled_rows(problem, x, u), int(MOST_ROW_ENTRIES / (x.size + u.size)) + 1))
-        self.of_x, self.of_u = (np.reshape([row[k] for row in rows], (-1, *y.shape)) for k, y in enumerate((x, u)))
+        self.of_x = np.array([row[0] for row in rows]).reshape(-1, *x.shape)
+        self.of_u = np.array([row[1] for row in rows]).reshape(-1, *u.shape)
         self.starts = len(self.breaks) * n
         self.values = self.starts + len(self.states[0])
         self.wanted = np.append(np.zeros(self.values), [row[2] for row in rows])

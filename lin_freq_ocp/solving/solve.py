@@ -4,8 +4,8 @@ Masks at every frequency are semi-infinite constraints, solved by exchange: the 
 finitely many frequencies. Each round adds the local maxima of |V| above the limit, and drops the frequencies without a
 multiplier and those next to an added one. For a residual vibration, a frequency is a point (natural frequency, damping
 ratio) of a box. The problem with finitely many constraints is a relaxation: its infeasibility proofs and bounds hold
-for the problem itself, and its trajectory is judged at every frequency. Rounds are not proven; if the answer is not, the
-last one is solved once more with a proof.
+for the problem itself, and its trajectory is judged at every frequency. If that proves nothing, the last round is
+solved once more, with a proof.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
