@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_169,
-    "code lines": 42_743,
-    "code lines, linear part": 21_579,
-    "code lines, hybrid": 8_515,
+    "shipped lines": 46_328,
+    "code lines": 42_902,
+    "code lines, linear part": 21_578,
+    "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
     "folders": 42,
@@ -63,10 +63,10 @@ LIMITS: dict[str, float] = {
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 11.8,
+    "functions used once [%]": 11.9,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
-    "calls of a solve": 758,
+    "calls of a solve": 755,
     "modules that tests import": 47,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

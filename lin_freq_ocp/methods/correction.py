@@ -78,8 +78,7 @@ def corrections(
     optimal deviations, which one more solve finds. UnsupportedError if the program does not fit into memory, or would
     take too long.
     """
-    needed = dense_rows(problem).factorisation_seconds
-    if needed > LONGEST_FACTOR:
+    if (needed := dense_rows(problem).factorisation_seconds) > LONGEST_FACTOR:
         raise UnsupportedError(f"a correction needs about {needed:.2g} s for one factorisation.")
     problem = at_frequencies(problem, multipliers.frequencies)
     trajectory = _within_bounds(problem, trajectory.x, trajectory.u)
@@ -102,10 +101,15 @@ def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Traj
     cost = problem.quadratic
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
     u = np.where(priced, cost.u_ref, near.u)
-    first = np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0])
-    follows = problem.response is not None  # x_0 also follows from the controls
+    return simulate_from(problem, u, np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0]))
+
+
+def simulate_from(problem: OptimalControlProblem, u: Array, start: Array) -> Trajectory | None:
+    """Return the trajectory of controls from the allowed state nearest to ``start``; None if it diverges."""
+    # x_0 of a response follows from the controls, too
+    first = None if problem.response is not None else problem.state_tube.at(0).project(start)
     try:
-        return simulate(problem, u, None if follows else problem.state_tube.at(0).project(first))
+        return simulate(problem, u, first)
     except NumericalError:
         return None
 
@@ -123,8 +127,7 @@ class _Deviations:
     def correct(self, z: Array, y: Array) -> Correction | None:
         """Return the correction of a point, whose duals tell the active rows; None if they determine none."""
         linear, scaling, problem = self.linear, self.scaling, self.linear.problem
-        solution = solve_active(self.program, z, y)
-        if solution is None:
+        if (solution := solve_active(self.program, z, y)) is None:
             return None
         z, y, system = solution
         duals = scaling.dual(y)
@@ -185,10 +188,9 @@ def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajec
 def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
-    reach = np.ptp(x, axis=0)
+    responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)
     if problem.response is None:
         steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)
-        responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)
         for t in range(steps):
             A, B, _ = problem.linear.at(t)
             responses = np.hstack([A @ responses, B * of_u])

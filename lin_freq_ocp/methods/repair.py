@@ -1,155 +1,163 @@
 """A trajectory near a given one that satisfies every constraint, by the least change of the controls.
 
-Values of states and controls at a bound are held, and stopped bins are zero. Residuals of the dynamics move the states;
-held states and stopped bins of states are the rows of a small dense system for the change of the controls. Nothing is
-minimised but that change, and no multiplier is used: the cost of the repaired trajectory is that of a feasible one.
+Values of states and controls at a bound are held, stopped bins are zero, and hard terms at their limits do not exceed
+them. Residuals of the dynamics move the states; held states, stopped bins of states, and terms are the rows of a small
+dense system for the change of the controls. Nothing is minimised but that change, and no multiplier is used: the cost
+of the repaired trajectory is that of a feasible one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import islice
 
 import numpy as np
 from scipy.linalg import lapack
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, times_vectors, to_long_double
+from lin_freq_ocp.methods.correction import CONTRACTION, ROW_ULPS
+from lin_freq_ocp.methods.structured.kkt.dense import LEAST_SHIFT
 from lin_freq_ocp.methods.structured.kkt.recursions import break_times, simulate, simulation_matrix
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.active_rows import EPSILON
 from lin_freq_ocp.program.program_rows import real_rows
 
 HELD_DISTANCE = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
 PIECE_GROWTH = 1e6  # of states between breaks; the square of the digits that it costs must be left
-CONTRACTION = 0.1  # part of the residuals that a repair may leave
-MOST_ROW_ENTRIES = 1e7  # of the rows as signals
+MOST_ROW_ENTRIES = 1e7  # of the rows as signals, and of the slopes of a term
 
 
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
     """Return the repaired trajectory, whose states and controls are within their bounds exactly; None without one.
 
-    Also None where a repair needs more than controls: for a frequency response, and for constraints of other kinds
-    that the repaired trajectory violates.
+    None, too, if the repaired trajectory violates a term by more than ROW_ULPS rounding errors of its values. A
+    semi-infinite constraint is exceeded between its points; the judge finds by how much.
     """
     states, controls = problem.state_tube, problem.control_tube
-    if problem.response is not None:
-        return None
     repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
-    size = (problem.horizon + 1) * (problem.state_dim + problem.control_dim)
-    change = repair.solve() if repair.count * (repair.count + size) <= MOST_ROW_ENTRIES else None
+    entries = repair.count**2 + repair.on_x * (repair.x.size + repair.u.size)
+    change = repair.solve() if entries <= MOST_ROW_ENTRIES else None
     if change is None:
         return None
     moved = repair.x + change[0], repair.u + change[1]
     x, u = states.project(moved[0]), controls.project(moved[1])
-    pairs = (x != moved[0], repair.held_states), (u != moved[1], repair.held)
-    if any((beyond & ~held).any() for beyond, held in pairs):
-        return None
+    beyond = ((x != moved[0]) & ~repair.held_states).any() or ((u != moved[1]) & ~repair.held).any()
+    hard = (term for term in problem.terms if term.hard and term.semi_infinite is None)
+    exceeded = (term.violation(x, u) > ROW_ULPS * EPSILON * term.map.sizes(x, u) for term in hard)
+    return None if beyond or any(map(np.any, exceeded)) else Trajectory(seal(x), seal(u))
+
+
+def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterator[tuple[Array, Array, float]]:
+    """Yield gradients on x and u, and the wanted change, of stopped bins of states, and of hard terms at their limits.
+
+    The gradient of a term is that of its excess.
+    """
+    for j, stop in enumerate(problem.state_stop.T):
+        for wave in real_rows(problem.state_samples, stop) if stop.any() else ():
+            of_x = np.zeros_like(x)
+            of_x[: len(wave), j] = wave
+            yield of_x, np.zeros_like(u), -float(of_x[:, j] @ x[:, j])
     for term in problem.terms:
-        if term.hard and (term.semi_infinite is not None or term.penalty.violation(term.map.values(x, u)).any()):
-            return None
-    return Trajectory(seal(x), seal(u))
+        values, penalty = term.map.values(x, u), term.penalty
+        excess, dim = penalty.excess(values), values.shape[1]
+        active = np.argwhere(np.isinf(penalty.weights) & (excess >= -HELD_DISTANCE * np.abs(values).max(initial=0.0)))
+        if len(active) and dim * values.size <= MOST_ROW_ENTRIES:
+            slopes = [penalty.excess_slope(values, np.broadcast_to(unit, values.shape), 0.0) for unit in np.eye(dim)]
+            for group, k in active:
+                weights = np.zeros_like(values)
+                weights[group] = [slope[group, k] for slope in slopes]
+                yield *term.map.pull_back(weights, (x.shape, u.shape)), -max(float(excess[group, k]), 0.0)
 
 
 class _Repair:
     """The rows that a change of the controls keeps or corrects, and the projection of changes onto passed bins.
 
-    Rows on states are the end of a piece minus the start of the next at ``breaks``, where a simulation would otherwise
-    grow beyond all digits, then held states, then stopped bins. Held controls with stopped bins are rows, too; other
-    held controls do not change.
+    The first rows are the end of a piece minus the start of the next at ``breaks``, where a simulation would otherwise
+    grow beyond all digits, then held states, then the coupled rows. Held controls with stopped bins are rows, too;
+    other held controls do not change. The outputs of a frequency response have no breaks.
     """
 
     def __init__(self, problem: OptimalControlProblem, x: Array, u: Array):
-        self.problem, self.x, self.u, self.stop = problem, x, u, problem.control_stop
+        self.x, self.u, self.stop, (T, n) = x, u, problem.control_stop, (len(u), x.shape[1])
         self.held_states, self.held = _at_bounds(problem.state_tube, x), _at_bounds(problem.control_tube, u)
-        self.banded, n = self.stop.any(0), x.shape[1]
-        self.unmoved = self.held & ~self.banded
-        t, i = np.nonzero(self.held_states[1:])  # x_0 does not change
-        self.states, self.controls = (t + 1, i), np.nonzero(self.held & self.banded)
-        self.bins = [
-            (j, real_rows(problem.state_samples, stop)) for j, stop in enumerate(problem.state_stop.T) if stop.any()
-        ]
-        self.A, self.breaks, self.matrix = _pieces(problem.linear, problem.horizon)
+        self.held_states[0] = False  # no row holds x_0: it does not change, or is x_T
+        self.banded, self.response = self.stop.any(0), problem.response
+        self.unmoved, self.residual = self.held & ~self.banded, np.zeros_like(x)
+        if self.response is None:
+            (self.A, self.breaks, self.matrix), self.B = _pieces(problem.linear, T), problem.linear.B
+            self.residual[1:] = problem.linear.successors(to_long_double(x), to_long_double(u)) - x[1:]
+        else:
+            self.A, self.B, self.breaks = np.zeros((1, n, n)), np.zeros((n, u.shape[1])), np.arange(0)
+            self.residual += self.response.states(u) - x
+        self.states, self.controls = np.nonzero(self.held_states), np.nonzero(self.held & self.banded)
+        rows = list(islice(_coupled_rows(problem, x, u), int(MOST_ROW_ENTRIES / (x.size + u.size)) + 1))
+        self.of_x = np.array([row[0] for row in rows]).reshape(-1, *x.shape)
+        self.of_u = np.array([row[1] for row in rows]).reshape(-1, *u.shape)
         self.starts = len(self.breaks) * n
-        self.on_x = self.starts + len(self.states[0]) + sum(len(rows) for _, rows in self.bins)
-        self.count = self.on_x + len(self.controls[0])
+        self.values = self.starts + len(self.states[0])
+        self.wanted = np.append(np.zeros(self.values), [row[2] for row in rows])
+        self.on_x, self.count = len(self.wanted), len(self.wanted) + len(self.controls[0])
 
     def solve(self) -> tuple[Array, Array] | None:
         """Return the changes of states and controls; None if rows contradict each other, or growth hides them."""
-        x, u, held, removed = self.x, self.u, self.controls, np.zeros_like(self.u)
-        if self.banded.any():
-            removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
-        moved = self.problem.linear.successors(to_long_double(x), to_long_double(u))
-        residual = (moved - x[1:]).astype(np.float64)
-        dx, values = self._simulate(residual, removed, np.zeros(self.starts))
+        x, u, held = self.x, self.u, self.controls
+        removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
+        dx, values = self._simulate(removed, np.zeros(self.starts))
         if not self.count:
             return dx, removed
-        wanted = np.zeros(self.on_x)
-        for rows, (j, waves) in zip(self._bin_rows(), self.bins, strict=True):
-            wanted[rows] = -waves @ x[: waves.shape[1], j]
-        missed = np.append(wanted - values, -removed[held])
+        missed = np.append(self.wanted - values, -removed[held])
         responses, of_starts = self._responses()
         of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in (np.abs(signal).max(0) for signal in (x, u)))
         starts = np.tile(of_x, len(self.breaks))[:, None] * of_starts
         gram = self._gram(responses, of_u)
         gram[: self.on_x, : self.on_x] += of_starts.T @ starts
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
-        lower, info = lapack.dpotrf(gram * scale * scale[:, None], lower=1)
+        # coupled rows may depend on others, such as atoms around a peak, and x_T - x_0 of a periodic response is zero
+        shift = np.repeat([0.0, LEAST_SHIFT, 0.0], [self.values, len(self.of_x), len(held[0])])
+        lower, info = lapack.dpotrf(gram * scale * scale[:, None] + np.diag(shift), lower=1)
         if info:
             return None
         weights = scale * lapack.dpotrs(lower, scale * missed, lower=1)[0]
         along = responses @ weights[: self.on_x]
         along[held] += weights[self.on_x :]
         du = removed + of_u * self._project_bins(along[..., None])[..., 0]
-        dx, values = self._simulate(residual, du, starts @ weights[: self.on_x])
-        left = np.append(wanted - values, -du[held])
+        dx, values = self._simulate(du, starts @ weights[: self.on_x])
+        left = np.append(self.wanted - values, -du[held])
         return (dx, du) if np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed) else None
 
-    def _simulate(self, residual: Array, du: Array, starts: Array) -> tuple[Array, Array]:
+    def _simulate(self, du: Array, starts: Array) -> tuple[Array, Array]:
         """Return the changes of states, with these starts at breaks, and the values of the rows on states."""
-        right, breaks = np.zeros_like(self.x), self.breaks
-        right[1:] = residual + times_vectors(self.problem.linear.B, du)
+        right, breaks = self.residual.copy(), self.breaks
+        right[1:] += times_vectors(self.B, du)
         ends = right[breaks]
         right[breaks] = starts.reshape(ends.shape)
-        dx = simulate(self.matrix, right, False)
+        dx = simulate(self.matrix, right, False) if self.response is None else right + self.response.linear(du)
         ends += times_vectors(self.A[breaks - 1], dx[breaks - 1]) - dx[breaks]
-        of_bins = (waves @ dx[: waves.shape[1], j] for j, waves in self.bins)
-        return dx, np.concatenate([ends.ravel(), dx[self.states], *of_bins])
-
-    def _bin_rows(self) -> Iterator[slice]:
-        """Yield the places of the rows of stopped bins, component by component."""
-        first = self.starts + len(self.states[0])
-        for _, waves in self.bins:
-            yield slice(first, first + len(waves))
-            first += len(waves)
+        coupled = np.tensordot(self.of_x, dx) + np.tensordot(self.of_u, du)
+        return dx, np.concatenate([ends.ravel(), dx[self.states], coupled])
 
     def _responses(self) -> tuple[Array, Array]:
-        """Return the responses of the rows on states to controls, (T, m, rows), and to starts, (starts, rows).
-
-        A row on a value depends on its own piece only: one column of a simulation backwards serves a row of each piece.
-        """
-        breaks, B, (t, i), values = self.breaks, self.problem.linear.B, self.states, self.starts + len(self.states[0])
-        (T, m), n, every = self.u.shape, self.x.shape[1], np.full(self.on_x - values, -1)
-        ends = np.repeat(breaks, n) - 1
-        piece = np.concatenate([np.searchsorted(breaks, ends, "right"), np.searchsorted(breaks, t, "right"), every])
-        column = np.tril(piece[:, None] == piece, -1).sum(1)
-        column[values:] += column[:values].max(initial=-1) + 1
-        right = np.zeros((T + 1, n, int(column.max(initial=-1)) + 1))
-        right[ends, :, column[: self.starts]] = self.A[breaks - 1].reshape(-1, n)
-        right[t, i, column[self.starts : values]] = 1.0
-        for rows, (j, waves) in zip(self._bin_rows(), self.bins, strict=True):
-            right[: waves.shape[1], j, column[rows]] = waves.T
-        costates = simulate(self.matrix, right, True) if right.size else right  # LAPACK takes no empty arrays
-
-        def of_rows(of_columns: Array, pieces: Indices) -> Array:
-            return of_columns[..., column] * ((pieces[:, None] == piece) | (piece < 0))[:, None]
-
-        through = np.einsum("ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
-        responses = of_rows(through, np.searchsorted(breaks, np.arange(T), "right"))
+        """Return the responses of the rows on states to controls, (T, m, rows), and to starts, (starts, rows)."""
+        breaks, B, (T, m), n = self.breaks, self.B, self.u.shape, self.x.shape[1]
+        ends, right = np.repeat(breaks, n) - 1, np.zeros((T + 1, n, self.on_x))
+        right[ends, :, np.arange(self.starts)] = self.A[breaks - 1].reshape(-1, n)
+        right[(*self.states, np.arange(self.starts, self.values))] = 1.0
+        right[..., self.values :] = np.moveaxis(self.of_x, 0, -1)
+        if self.response is None:
+            costates = simulate(self.matrix, right, True) if right.size else right  # LAPACK takes no empty arrays
+            responses = np.einsum("ij,tik->tjk" if B.ndim == 2 else "tij,tik->tjk", B, costates[1:])
+        else:
+            costates, responses = right, np.zeros((T, m, self.on_x))
+            for k in range(self.on_x):
+                responses[..., k] = self.response.pull_back(right[..., k])
         responses[ends] = 0.0  # these controls change the end of their piece alone
         responses[ends, :, np.arange(self.starts)] = np.broadcast_to(B, (T, n, m))[breaks - 1].reshape(-1, m)
-        of_starts = of_rows(costates[breaks], np.arange(1, len(breaks) + 1)).reshape(self.starts, self.on_x)
+        responses[..., self.values :] += np.moveaxis(self.of_u, 0, -1)
+        of_starts = costates[breaks].reshape(self.starts, self.on_x)
         of_starts[:, : self.starts] -= np.eye(self.starts)
         return responses, of_starts
 
@@ -170,10 +178,9 @@ class _Repair:
         """Return signals (T, m, k) without stopped bins, and without changes of other held controls."""
         passed = np.where(self.unmoved[..., None], 0.0, signals) if self.unmoved.any() else signals.copy()
         if self.banded.any():
-            chosen = slice(None) if self.banded.all() else self.banded
-            spectra = np.fft.rfft(passed[:, chosen], axis=0)
-            spectra[self.stop[:, chosen]] = 0.0
-            passed[:, chosen] = np.fft.irfft(spectra, len(passed), axis=0)
+            spectra = np.fft.rfft(passed[:, self.banded], axis=0)
+            spectra[self.stop[:, self.banded]] = 0.0
+            passed[:, self.banded] = np.fft.irfft(spectra, len(passed), axis=0)
         return passed
 
 

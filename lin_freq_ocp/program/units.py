@@ -175,7 +175,7 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
 def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
     """Return magnitudes (T+1, n) and (T, m) of z, floored at the smallest change that affects others."""
     problem, (x, u) = linear.problem, linear.split_signals(np.abs(z))
-    if problem.form.response(problem.horizon) is not None:  # no state follows from the one before
+    if problem.response is not None:  # no state follows from the one before
         return x, u
     A, B = (np.abs(matrix) for matrix in (problem.linear.A, problem.linear.B))
     part, x, u = UNNOTICED / problem.horizon, x.copy(), u.copy()

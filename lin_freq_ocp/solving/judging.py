@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.rays import Direction, prove_infeasible, unbounded_direction
@@ -15,14 +16,14 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERAN
 from lin_freq_ocp.certificate.verdict import Certificate, judge
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.convex.polish import recession_directions
-from lin_freq_ocp.methods.correction import Correction, corrections, trajectory_at_rest
+from lin_freq_ocp.methods.correction import Correction, corrections, simulate_from, trajectory_at_rest
 from lin_freq_ocp.methods.repair import repair_trajectory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.level_rows import few_between_levels
 from lin_freq_ocp.transform.reductions import Reduced
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.reformulations import at_frequencies
 
 LARGEST_TOLERANCE = 1e-2  # to which a tolerance of solve loosens the judge's; a larger one would mean nothing
 
@@ -83,7 +84,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     An optimum is proven by a bound, and by the cost of a trajectory that satisfies every constraint. The repaired
     trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
     multipliers may be wrong, as those of a solver are that takes a small residual for rounding. The last trajectory
-    that may be proven is that at rest. If none is, the point is judged as it is, and is no optimum.
+    that may be proven is that at rest. If none is, the point is judged as it is, and is no optimum. Where a correction
+    says nothing, the point itself comes before that at rest, whose multipliers are zero.
     """
     trajectory, multipliers = candidate.trajectory, candidate.multipliers
     assert trajectory is not None
@@ -91,7 +93,7 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     if problem.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
         return Judged(trajectory, multipliers, judge(problem, trajectory, multipliers, allowed))
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
-        repaired = repair_trajectory(problem, trajectory)
+        repaired = repair_trajectory(at_frequencies(problem, multipliers.frequencies), trajectory)
     if repaired is not None:
         certificate = judge(problem, repaired, multipliers, allowed)
         if certificate.proven_within(allowed):
@@ -99,8 +101,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     claims = candidate.status in (Status.OPTIMAL, Status.NUMERICAL_ERROR)
     if claims:  # a point at a limit of time keeps its controls, which obey the bands
         trajectory = Trajectory(trajectory.x, problem.control_tube.project(trajectory.u))
-    own = None if claims else judge(problem, trajectory, multipliers, allowed)
-    if own is not None and not own.proven_within(allowed):
+    own = judge(problem, trajectory, multipliers, allowed)
+    if not claims and not own.proven_within(allowed):
         return Judged(trajectory, multipliers, own)
     # atoms of masks at every frequency come in pairs, whose rows are nearly the same: a failure says nothing there
     known = any(term.semi_infinite is not None for term in problem.terms)
@@ -110,14 +112,13 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
         proof, known = None, True
     if proof is not None:
         return proof
-    resting = trajectory_at_rest(problem, trajectory) if claims else None
+    own = own if known else replace(own, worth_of_residuals=np.inf)
+    resting = trajectory_at_rest(problem, trajectory) if claims and not own.proven_within(allowed) else None
     if resting is not None:
-        rest = Candidate(Status.LIMIT, resting, zero_multipliers(problem, 1.0))
-        proof = judge_nearest(problem, rest, allowed)
+        proof = judge_nearest(problem, Candidate(Status.LIMIT, resting, zero_multipliers(problem, 1.0)), allowed)
         if proof.certificate.proven_within(allowed):
             return proof
-    own = own or judge(problem, trajectory, multipliers, allowed)
-    return Judged(trajectory, multipliers, own if known else replace(own, worth_of_residuals=np.inf))
+    return Judged(trajectory, multipliers, own)
 
 
 def correct_point(
@@ -129,8 +130,7 @@ def correct_point(
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = corrections(problem, trajectory, multipliers)
-        judged = (_judge_correction(problem, multipliers, one, allowed) for one in found)
-        return next((proof for proof in judged if proof is not None), None)
+        return next(filter(None, (_judge_correction(problem, multipliers, one, allowed) for one in found)), None)
 
 
 def _judge_correction(
@@ -142,17 +142,12 @@ def _judge_correction(
     """
     if not np.isfinite(correction.price):
         return None
-    judged = list[Judged]()
-    for multipliers in (correction.multipliers, former):
+    for rounded, multipliers in product((False, True), (correction.multipliers, former)):
+        rounding = correction.data_rounding if rounded else 0.0
         certificate = judge(problem, correction.trajectory, multipliers, allowed)
-        certificate = replace(certificate, worth_of_residuals=correction.price)
-        judged.append(Judged(correction.trajectory, multipliers, certificate))
+        certificate = replace(certificate, worth_of_residuals=correction.price, data_rounding=rounding)
         if certificate.proven_within(allowed):
-            return judged[-1]
-    for point in judged:
-        certificate = replace(point.certificate, data_rounding=correction.data_rounding)
-        if certificate.proven_within(allowed):
-            return point._replace(certificate=certificate)
+            return Judged(correction.trajectory, multipliers, certificate)
     return None
 
 
@@ -249,11 +244,9 @@ def verified_direction(problem: OptimalControlProblem, along: Trajectory) -> Dir
 
 def _feasible_point(problem: OptimalControlProblem) -> Judged | None:
     """Return the trajectory of the controls and the initial state nearest to zero, if it satisfies all constraints."""
-    rest = np.zeros((problem.horizon, problem.control_dim)), np.zeros(problem.state_dim)
-    start = None if problem.form.response(problem.horizon) is not None else problem.initial_box.project(rest[1])
-    try:
-        trajectory = simulate(problem, problem.control_tube.project(rest[0]), start)
-    except NumericalError:
+    nearest = problem.control_tube.project(np.zeros((problem.horizon, problem.control_dim)))
+    trajectory = simulate_from(problem, nearest, np.zeros(problem.state_dim))
+    if trajectory is None:
         return None
     multipliers = zero_multipliers(problem, 1.0)
     certificate = judge(problem, trajectory, multipliers)

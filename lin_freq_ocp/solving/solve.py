@@ -4,7 +4,8 @@ Masks at every frequency are semi-infinite constraints, solved by exchange: the 
 finitely many frequencies. Each round adds the local maxima of |V| above the limit, and drops the frequencies without a
 multiplier and those next to an added one. For a residual vibration, a frequency is a point (natural frequency, damping
 ratio) of a box. The problem with finitely many constraints is a relaxation: its infeasibility proofs and bounds hold
-for the problem itself, and its trajectory is judged at every frequency.
+for the problem itself, and its trajectory is judged at every frequency. If that proves nothing, the last round is
+solved once more, with a proof.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
@@ -24,7 +25,7 @@ from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
-from lin_freq_ocp.methods.candidate import Progress
+from lin_freq_ocp.methods.candidate import Progress, Reason
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
 from lin_freq_ocp.solving.families import DEFAULT_OPTIONS, Options, choose_method, saved_options
@@ -148,6 +149,13 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
     frequencies = {term.name: term.map.locations for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
+
+    def judge_round(item: _Round) -> Outcome:
+        outcome, interrupted = replace(item.outcome, seconds=seconds), rounds[-1].outcome.interrupted
+        candidate = item.reduced.recover(candidate_of(outcome))
+        answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
+        return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
+
     for _ in range(ROUNDS):
         reduced = sampled_masks(problem, frequencies)
         outcome = method.solve(reduced.problem, relaxed.with_end(end))
@@ -166,8 +174,10 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
         rounds.append(_Round(reduced, outcome, largest))
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
-        if converged and outcome.certificate is None and request.proof:  # once more, with a proof
-            relaxed = request
+        if converged and outcome.certificate is None and request.proof:
+            if not problem.mode_names and (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
+                return answer
+            relaxed = request  # once more, with a proof
             continue
         if converged or outcome.status == Status.LIMIT or outcome.interrupted:
             break
@@ -181,11 +191,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             frequencies[term.name] = joined if len(joined) else known
     solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
     best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
-    outcome = replace(best.outcome, seconds=seconds)
     if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
-        shortfall = f"at the frequencies of {plural(len(masks), 'mask')} only"
-        return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
-    candidate = best.reduced.recover(candidate_of(outcome))
-    answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
-    interrupted = rounds[-1].outcome.interrupted
-    return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
+        shortfall, outcome = f"at the frequencies of {plural(len(masks), 'mask')} only", best.outcome
+        return recover_outcome(best.reduced, replace(outcome, seconds=seconds), CONDITION_TOLERANCE, shortfall)
+    return judge_round(best)

@@ -6,6 +6,7 @@ import pytest
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods import repair_trajectory
 from lin_freq_ocp.methods.structured import break_times
+from lin_freq_ocp.transform import sampled_masks
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
 
@@ -44,6 +45,36 @@ def test_every_constraint_holds(band, end):
     repaired = repair_trajectory(problem, other)
     holds(problem, repaired)
     assert np.abs(repaired.u - optimal.u).max() < 1e-5
+
+
+@pytest.mark.parametrize("points", [None, [1.0, 1.0 + 1e-12, np.pi]])
+def test_a_mask_at_its_limit_is_kept(points):
+    """Atoms around a peak are rows that depend on each other."""
+    w = 2 * np.pi * np.arange(5, 21) / 40 if points is None else np.array(points)
+    mask = lfo.MagnitudeBound(0.15, band=lfo.low_pass(w[0] - 1e-9), every_frequency=points is not None)
+    problem = lfo.OptimalControlProblem(
+        DYNAMICS, 40, lfo.QuadraticCost(R=1.0), None, None, [0.0, 0.0], [0.6, 0.0], control_spectrum=mask
+    )
+    if points is not None:
+        problem = sampled_masks(problem, {term.name: w for term in problem.terms}).problem
+    optimal = lfo.solve(problem).trajectory
+    other = lfo.Trajectory(optimal.x, (1 + 2e-7) * optimal.u)
+    repaired = repair_trajectory(problem, other)
+    holds(problem, repaired)
+    before, after = (np.abs(np.exp(-1j * np.outer(w, np.arange(40))) @ one.u).max() for one in (other, repaired))
+    assert before > 0.15 + 1e-10
+    assert after <= 0.15 + 1e-13
+    assert np.abs(repaired.u - optimal.u).max() < 1e-5
+
+
+def test_outputs_of_a_frequency_response_follow_from_the_controls():
+    problem = lfo.library.wave_energy(force=2000.0)
+    optimal, other = spoiled(problem, 1e-6)
+    repaired, response = repair_trajectory(problem, other), problem.form.response(problem.horizon)
+    assert np.abs(repaired.x - response.states(repaired.u)).max() <= 1e-14 * np.abs(repaired.x).max()
+    assert np.abs(repaired.u).max() <= 2000.0
+    assert np.abs(np.fft.rfft(repaired.u, axis=0)[problem.control_stop]).max() < 1e-8
+    assert np.abs(repaired.u - optimal.u).max() < 1e-4
 
 
 def test_growth_over_the_horizon_is_cut_into_pieces():
