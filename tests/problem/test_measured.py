@@ -156,3 +156,15 @@ def test_a_file_that_is_no_mat_file_is_named(tmp_path):
     (tmp_path / "plant.mat").write_bytes(b"no plant")
     with pytest.raises(ProblemError, match=r"expected a .mat file of version 5 or 7\. In MATLAB: s = struct"):
         lfo.LinearDynamics.from_mat(tmp_path / "plant.mat")
+
+
+def test_a_problem_file_has_known_inputs_of_a_continuous_model(tmp_path):
+    text = "schema = 2\nhorizon = 3\ncost.R = 1.0\n[dynamics]\nA = [[0.0]]\nB = [[1.0]]\nsampling_time = 0.5\n"
+    inputs = "disturbance = [[2.0]]\nd = [[1.0], [0.0], [-1.0]]\n"
+    (tmp_path / "a.toml").write_text(f"{text}continuous = true\n{inputs}")
+    assert lfo.read_problem(tmp_path / "a.toml").dynamics.offset.tolist() == [[1.0], [0.0], [-1.0]]
+    (tmp_path / "b.toml").write_text(f"{text}{inputs}")
+    with pytest.raises(
+        ProblemError, match=r"dynamics.disturbance: got values; expected none without continuous = true"
+    ):
+        lfo.read_problem(tmp_path / "b.toml")
