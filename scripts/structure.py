@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_328,
-    "code lines": 42_902,
-    "code lines, linear part": 21_578,
+    "shipped lines": 46_325,
+    "code lines": 42_899,
+    "code lines, linear part": 21_575,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
@@ -66,7 +66,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 11.9,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
-    "calls of a solve": 755,
+    "calls of a solve": 754,
     "modules that tests import": 47,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows a question mark
-    atexit.register(gc.freeze)  # Python ends without collecting what is left, which takes a tenth of a second
+    atexit.register(gc.freeze)  # without it, Python collects garbage for a tenth of a second before it ends
     silent = False
     try:
         silent = let_commands_decide()

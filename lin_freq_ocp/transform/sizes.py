@@ -60,7 +60,7 @@ def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
 def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
     """Return ``stated_sizes`` without a change of the origin, and which states have a size of their own, (n,)."""
     n, influence = problem.state_dim, Influence.of(problem)
-    shift, unknown = _slope_of_cost(problem, influence)
+    shift, unknown = _slope_of_cost(problem)
     ends = np.maximum(_sizes_of_ends(problem), shift)
     excess = _sizes_of_rows(problem, lambda penalty, at: penalty.excess(at), curved=True)
     stated = influence.without_rounding(np.where(unknown, 0.0, ends), excess, problem.level_sizes > 0)
@@ -85,11 +85,10 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     return np.concatenate([np.maximum(ends, states), np.maximum(controls, problem.level_sizes)])
 
 
-def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tuple[Array, Mask]:
-    """Return how far slopes take a component, and which curvature does not stop, (n+m,) each.
+def _slope_of_cost(problem: OptimalControlProblem) -> tuple[Array, Mask]:
+    """Return how far slopes take a component within its bounds, and which no curvature stops, (n+m,) each.
 
-    Those of the quadratic cost are taken at the references, those of formulas at the origin. Bounds, and what bounded
-    controls cause, end all ways.
+    Slopes and curvatures of the quadratic cost are taken at the references, those of formulas at the origin.
     """
     cost, T, n, size = problem.quadratic, problem.horizon, problem.state_dim, problem.state_dim + problem.control_dim
     steep = np.hstack([np.abs(cost.q).reshape(-1, n).max(0), np.abs(cost.r).reshape(-1, size - n).max(0)])
@@ -109,9 +108,6 @@ def _slope_of_cost(problem: OptimalControlProblem, influence: Influence) -> tupl
     bounds = np.hstack(
         [np.maximum(-states.lower, states.upper).max(0), np.maximum(-controls.lower, controls.upper).max(0)]
     )
-    if np.isfinite(bounds[n:]).all():
-        reach = _complete_sizes(np.where(np.isfinite(bounds), bounds, 0.0), influence.implied)
-        bounds = np.where(reach > 0, np.minimum(bounds, reach), bounds)
     return np.minimum(shift, bounds), used & ~stopped
 
 

@@ -30,7 +30,7 @@ TO_RADIANS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 WITHOUT_HEADER = (FREQUENCY, "hz"), (REAL, ""), (IMAGINARY, "")
 FORMS = "'frequency [Hz],re,im' or 'frequency [Hz],magnitude [dB],phase [deg]'"
 PHASES = 7.0, 720.0  # largest values of a column that may be a phase in degrees
-POLAR = "A third column between 7 and 720 may be a phase in degrees: state what the columns are in the first line."
+POLAR = "A third column between 7 and 720 may be a phase in degrees: say in the first line what the columns are."
 
 
 def read_response(path: Path) -> Array:
