@@ -115,8 +115,9 @@ def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
         piqp = import_module("piqp")
         solve = piqp.SparseSolver()
         solve.settings.eps_abs, solve.settings.eps_rel = 1e-8, 1e-9
-        A, G = sp.csc_array(program.A[equal]), sp.csc_array(program.A[~equal])
-        solve.setup(program.P, program.q, A, upper[equal], G, lower[~equal], upper[~equal])
+        # its binding names sparse matrices, and refuses arrays in some orders of imports
+        P, A, G = (sp.csc_matrix(part) for part in (program.P, program.A[equal], program.A[~equal]))
+        solve.setup(P, program.q, A, upper[equal], G, lower[~equal], upper[~equal])
     else:
         solve = osqp.OSQP()
         options = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
