@@ -115,7 +115,7 @@ def sparse(problem: lfo.OptimalControlProblem, solver: str) -> Step:
         piqp = import_module("piqp")
         solve = piqp.SparseSolver()
         solve.settings.eps_abs, solve.settings.eps_rel = 1e-8, 1e-9
-        # its binding names sparse matrices, and refuses arrays in some orders of imports
+        # its binding makes sparse matrices of arrays, which the tests refuse of our code
         P, A, G = (sp.csc_matrix(part) for part in (program.P, program.A[equal], program.A[~equal]))
         solve.setup(P, program.q, A, upper[equal], G, lower[~equal], upper[~equal])
     else:
