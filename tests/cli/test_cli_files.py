@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
@@ -189,6 +190,8 @@ def test_the_trajectory_as_json():
 def test_the_commands_of_the_first_pages_run(tmp_path, monkeypatch):
     """All but the slow ones and the one that runs until Ctrl-C, in their order: each ends with its proof."""
     monkeypatch.chdir(tmp_path)
+    savemat("axis.mat", {"A": [[0.0, 1.0], [0.0, 0.0]], "B": [[0.0], [1.0]], "Ts": 0.0})
+    Path("frf.csv").write_text("frequency [Hz],re,im\n1,0.5,0\n10,0.1,-0.3\n")
     root = Path(__file__).parents[2]
     first = (root / "README.md").read_text(encoding="utf-8").split("## From the command line")[1]
     second = (root / "docs" / "command_line.md").read_text(encoding="utf-8")
