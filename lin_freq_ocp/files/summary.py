@@ -65,6 +65,7 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
             "modes": None if result.sequence is None else result.sequence.tolist(),
             "tree": tree,
             "message": result.message or None,
+            "remarks": result.remarks,
             "attempts": [asdict(attempt) | {"reason": str(attempt.reason)} for attempt in result.attempts],
             **extras,
             **({"trajectory": _trajectory(result)} if with_trajectory else {}),

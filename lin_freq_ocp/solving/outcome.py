@@ -273,6 +273,11 @@ class Outcome:
         )
 
     @property
+    def remarks(self) -> list[str]:
+        """Return what in the problem limits nothing, or everything, and which references lie outside their bounds."""
+        return problem_remarks(self.problem)
+
+    @property
     def solver(self) -> str:
         """Return the method, with its backend if it has one."""
         return self.method if self.backend is None else f"{self.method}, {self.backend}"
@@ -283,7 +288,7 @@ class Outcome:
         return None if self.trajectory is None else self.trajectory.u
 
     def __str__(self) -> str:
-        words = [text for text in (self.message, *problem_remarks(self.problem)) if text]
+        words = [text for text in (self.message, *self.remarks) if text]
         lines = [f"status    {self.status}" + (f": {'; '.join(words)}" if words else "")]
         lines += [] if self.certificate is None else [str(self.certificate)]
         lines += [] if self.evidence is None else [str(self.evidence)]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.files import result_summary
 
 NYQUIST = lfo.low_pass(np.pi)
 WITHOUT_LIMIT = lfo.MagnitudeBound(np.inf, bins=[1])
@@ -67,6 +68,8 @@ def test_the_status_says_what_limits_nothing_and_which_references_lie_outside(ca
     (line,) = [line for line in str(result).splitlines() if line.startswith("status")]
     assert words in line
     assert (line == "status    optimal") == (not words)
+    remarks = "; ".join(result_summary(result)["remarks"])
+    assert (words in remarks, bool(words)) == (True, bool(remarks))
 
 
 def test_a_warning_names_the_line_of_the_user_whatever_lies_between():
