@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.api.generate import certify_log, generate
     from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
+    from lin_freq_ocp.api.shaper import shaper
     from lin_freq_ocp.api.solve import solve
     from lin_freq_ocp.costs import QuadraticCost
     from lin_freq_ocp.dynamics import (
@@ -70,7 +71,8 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 # fmt: off
 _names, _import_name = lazy_exports(__name__, {
     "api.batch": "Solver solve_many sweep", "api.compare": "compare", "api.generate": "certify_log generate",
-    "api.minimum_time": "minimum_time", "api.receding_horizon": "RecedingHorizon", "api.solve": "solve",
+    "api.minimum_time": "minimum_time", "api.receding_horizon": "RecedingHorizon", "api.shaper": "shaper",
+    "api.solve": "solve",
     "costs": "QuadraticCost",
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain", "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
@@ -91,8 +93,8 @@ __all__ = [
     "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
     "certify_log", "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response",
     "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time",
-    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "signals", "simulate", "solve",
-    "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
+    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "shaper", "signals", "simulate",
+    "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
 ]
 # fmt: on
 

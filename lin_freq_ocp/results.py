@@ -6,6 +6,7 @@ from lin_freq_ocp.api.minimum_time import MinimumTime
 from lin_freq_ocp.api.receding_horizon import ClosedLoop
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
+from lin_freq_ocp.api.shaper import Shaper
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, BoundPeak
 from lin_freq_ocp.certificate.sensitivities import Sensitivities
@@ -23,6 +24,6 @@ from lin_freq_ocp.solving.outcome import Cure, Explanation
 __all__ = [
     "Attempt", "BetweenSamples", "BoundPeak", "Certificate", "CertifiedLog", "ClosedLoop", "Comparison", "Cure",
     "Enclosure", "Explanation", "GeneratedController", "MinimumTime", "Multipliers", "Reading", "Reason", "Result",
-    "SavedRun", "SavedSolution", "Sensitivities", "Solutions", "Status", "Sweep", "Trajectory",
+    "SavedRun", "SavedSolution", "Sensitivities", "Shaper", "Solutions", "Status", "Sweep", "Trajectory",
 ]
 # fmt: on

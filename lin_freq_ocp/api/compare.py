@@ -80,7 +80,8 @@ def compare(
         The problem with its frequency constraints.
     filters : sequence of str, optional
         Some of "brickwall", "butterworth", "zero_phase", "moving_average", "clipped". For a bound on the residual
-        vibration of controls, the input shapers "ZV", "ZVD", "EI". Default: all that apply.
+        vibration of controls, the input shapers "ZV", "ZVD", "EI", "MZV",
+        "2HUMP_EI", "3HUMP_EI". Default: all filters that apply, and the first three shapers.
     backend : str
         As for ``solve``.
     time_limit : float, optional

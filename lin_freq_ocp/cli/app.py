@@ -33,6 +33,7 @@ COMMANDS = {
     "compare": "solve",
     "sweep": "sweep",
     "minimum-time": "sweep",
+    "shaper": "shaper",
     "explore": "explore",
     "certify": "solve",
     "rerun": "solve",

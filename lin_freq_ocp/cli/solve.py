@@ -207,7 +207,9 @@ def rerun_command(file: str, as_json: bool) -> int:
 @console.problem_argument
 @console.settings_option
 @click.option(
-    "--filters", help="Some of brickwall,butterworth,zero_phase,moving_average,clipped,ZV,ZVD,EI; default: all."
+    "--filters",
+    help="Some of brickwall,butterworth,zero_phase,moving_average,clipped, and ZV,ZVD,EI (default: all of these), "
+    "MZV,2HUMP_EI,3HUMP_EI.",
 )
 @click.option("--out", "folder", type=click.Path(path_type=Path), help="Write an HTML report into this folder.")
 @console.backend_option

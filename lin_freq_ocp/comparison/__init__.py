@@ -5,8 +5,9 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "compare": "SEARCH_SECONDS compare_methods", "filters": "FILTERS apply_filter filter_limits filter_stop",
-    "moves": "INSENSITIVITY LONGEST_PROFILE SHAPERS TRIED boxes_of impulse_text impulses remember_zero shape_controls "
-    "shortest_moves vibration why_not_shaped",
+    "moves": "LONGEST_PROFILE TRIED boxes_of impulse_text impulses remember_zero shape_controls shortest_moves "
+    "vibration why_not_shaped",
+    "shapers": "COMPARED INSENSITIVITY SHAPERS Impulses Modes bands_of eigenvalues_of known_shaper",
     "trajectories": "NO_MODE ProblemSignal controls_of measured_solution mode_sequence",
 })
 # fmt: on

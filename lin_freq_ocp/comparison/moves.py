@@ -7,19 +7,6 @@ problem. The vibration over each box of modes is bounded with proof, for all mov
 The impulses of a shaper for several modes are those for each mode, convolved. If states remember controls, as a rate
 limit adds them, the profiles start after a control of zero and end with one: then the shaped control, an average of
 shifted profiles, changes no faster than these.
-
-Impulses are half a period of damped vibration apart, pi / (w sqrt(1 - zeta^2)), over which a vibration decays by the
-factor K = exp(-zeta pi / sqrt(1 - zeta^2)). Their amplitudes, divided by their sum, are
-
-    ZV   1, K                zero vibration at (w, zeta);
-    ZVD  1, 2 K, K^2         and its derivative by w is zero: ZV convolved with itself;
-    EI   (1 + V)/4, (1 - V)/2 K, (1 + V)/4 K^2    V of the vibration there, and zero on both sides of w.
-
-The formula of EI is exact without damping, and the usual first approximation with it. Each impulse is at the sample
-nearest to its time.
-
-References: Singer and Seering, Journal of Dynamic Systems, Measurement, and Control 112, 1990 (ZV, ZVD). Singhose,
-Command Generation for Flexible Systems, PhD thesis, MIT 1997 (EI, and shapers for several modes by convolution).
 """
 
 from __future__ import annotations
@@ -36,6 +23,7 @@ from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.batch.minimum_time import Search, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.certificate.peaks import Peak, proven_peak
 from lin_freq_ocp.certificate.tolerances import PEAK_TOLERANCE
+from lin_freq_ocp.comparison.shapers import known_shaper
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, replay_control
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
@@ -44,8 +32,6 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import replace_bounds
 from lin_freq_ocp.transform.reformulations import semi_infinite_terms
-
-INSENSITIVITY = 0.05  # V of EI: the customary 5 %
 
 FREQUENCIES, DAMPINGS = 401, 9  # at which the vibration is shown, and over which its largest value is taken
 WIDTHS_OUTSIDE = 1.5  # widths of the box that are shown on each of its sides
@@ -216,29 +202,14 @@ def boxes_of(problem: OptimalControlProblem) -> tuple[VibrationLimit, ...]:
     return tuple(box for term, box in terms if term.kind.of == "controls")
 
 
-# The amplitudes of each shaper, divided by K^0, K^1, ..., up to a common factor.
-SHAPERS: dict[str, Sequence[float]] = {
-    "ZV": (1.0, 1.0),
-    "ZVD": (1.0, 2.0, 1.0),
-    "EI": ((1 + INSENSITIVITY) / 4, (1 - INSENSITIVITY) / 2, (1 + INSENSITIVITY) / 4),
-}
-
-
 def impulses(name: str, boxes: Sequence[VibrationLimit]) -> Array:
     """Return the impulses of a shaper on the samples, (length,), whose sum is one.
 
     They are those for the centre of each box, convolved; equal boxes, as of several controls, count once.
     """
-    weights, factors = np.ones(1), np.array(SHAPERS[name])
+    weights = np.ones(1)
     for frequency, damping in dict.fromkeys(tuple((box.low + box.high) / 2) for box in boxes):
-        root = float(np.sqrt(1 - damping**2))
-        K = float(np.exp(-np.pi * damping / root))
-        amplitudes = factors * K ** np.arange(len(factors))
-        half_period = 1 / (2 * frequency * root * boxes[0].sampling_time)
-        at = np.rint(half_period * np.arange(len(amplitudes))).astype(int)
-        of_mode = np.zeros(at[-1] + 1)
-        np.add.at(of_mode, at, amplitudes / amplitudes.sum())
-        weights = np.convolve(weights, of_mode)
+        weights = np.convolve(weights, known_shaper(name, frequency, damping).samples(boxes[0].sampling_time))
     return weights
 
 
