@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ALLOWANCE = 4e-3  # of the limit: how much impulses between two samples may add; the grid's step follows
 FINE = 1e4  # times that are told apart, in a period of the highest frequency
-FIRST, LONGEST = 2.2, 70.4  # periods of the lowest frequency: durations that are tried first, and at most
+FIRST, LONGEST = 1.2, 76.8  # periods of the lowest frequency: durations that are tried first, and at most
 NEAR = 8  # samples below the least horizon, where that of impulses at any times is looked for
 
 

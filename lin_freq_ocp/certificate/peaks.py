@@ -317,8 +317,8 @@ def _cells_on_edge(
     (start, end), W = edge, 2 * np.pi * float(box.high[0]) * box.duration
     R = float(np.log1p(CIRCLE_GROWTH / W))
     length = abs(end - start)
-    across = end.imag != start.imag
-    count = max(int(np.ceil(length / min(2 * INNER * R, CHORD if across else np.inf))), 1)
+    curved = end.imag != start.imag and not box.map.relative  # the limit, which sin(phi) multiplies
+    count = max(int(np.ceil(length / min(2 * INNER * R, CHORD if curved else np.inf))), 1)
     share = (np.arange(count) + 0.5) / count
     step = (end - start) / (2 * count)
     radius = abs(step) or INNER * R
@@ -345,12 +345,15 @@ def _evaluate_vibration(values: Array, points: ComplexArray, sampling_time: floa
     """Return Q of samples at points y, flattened; computed in extended precision, then rounded."""
     y, N = points.reshape(-1, 1).astype(np.clongdouble), len(values)
     sh = np.exp(y) * np.longdouble(sampling_time)
-    B = int(np.ceil(np.sqrt(N)))
-    A = -(-N // B)
-    powers = np.zeros(A * B, dtype=values.dtype)
-    powers[:N] = values[::-1]
-    inner = _powers(np.exp(sh), B) @ powers.reshape(A, B).T
-    total = (_powers(np.exp(sh * B), A) * inner).sum(axis=1)
+    B, at = int(np.ceil(np.sqrt(N))), np.flatnonzero(values)
+    if len(at) <= B:  # impulses
+        total = np.exp(sh * (N - 1 - at)) @ values[at]
+    else:
+        A = -(-N // B)
+        powers = np.zeros(A * B, dtype=values.dtype)
+        powers[:N] = values[::-1]
+        inner = _powers(np.exp(sh), B) @ powers.reshape(A, B).T
+        total = (_powers(np.exp(sh * B), A) * inner).sum(axis=1)
     return (total if relative else np.expm1(sh[:, 0]) * total).astype(np.complex128)
 
 

@@ -40,6 +40,7 @@ from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMa
 
 INSENSITIVITY = 0.05  # v of EI and its humps: the customary 5 %
 SHAPERS = ("ZV", "MZV", "ZVD", "EI", "2HUMP_EI", "3HUMP_EI")
+LONGEST_KNOWN = 2.0  # periods: the duration of 3HUMP_EI
 COMPARED = ("ZV", "ZVD", "EI")  # where no names are given
 
 PER_BIN = 64  # modes on an edge for each bin of the impulses' spectrum, at which |V| is limited while impulses move
@@ -49,8 +50,8 @@ LEAST_RADIUS = 1e-9  # of the duration: where the search ends
 FIRST_RADIUS = 0.1  # of the mean distance of impulses
 WATCHED = 0.5  # of the limit: modes that vibrate less are left out of a linear program
 REPAIRS = 20  # times that the limit at modes falls, at most; two or three reach the limit
+SLACK = 1e-4  # of a limit, by which impulses that linear programs bring below it exceed it at most
 REPAIRED = 1e-6  # of the limit, by which it falls more than it is exceeded
-FAR = 1.05  # times the limit: these impulses cannot keep it
 TRIED = 400  # frequencies over all bands at which a shaper of the literature is tried
 MARGIN = 0.05  # of its edges by which a measured band is widened
 PRICE = (
@@ -72,7 +73,8 @@ class Impulses:
 
     def response(self, s: ComplexArray) -> ComplexArray:
         """Return V at eigenvalues (k,), (k,)."""
-        return np.exp(np.multiply.outer(s, self.duration - self.times)) @ self.amplitudes
+        waves: ComplexArray = np.exp(np.multiply.outer(s, self.duration - self.times))
+        return waves @ self.amplitudes.astype(complex)
 
     def samples(self, step: float) -> Array:
         """Return the impulses as samples, (length,), each at the sample nearest to its time."""
@@ -99,7 +101,7 @@ def known_shaper(name: str, frequency: float, damping: float, insensitivity: flo
         first, second = (1 + 3 * v + 2 * np.sqrt(2 * (v**2 + v))) / 16, (1 - v) / 4
         factors = [first, second, 1 - 2 * (first + second), second, first]
     root = float(np.sqrt(1 - damping**2))
-    times = apart / (frequency * root) * np.arange(len(factors))
+    times = np.arange(len(factors), dtype=np.float64) * (apart / (frequency * root))
     amplitudes = np.array(factors) * np.exp(-2 * np.pi * frequency * damping * times)
     return Impulses(amplitudes / amplitudes.sum(), times)
 
@@ -186,7 +188,7 @@ def shorten(impulses: Impulses, s: ComplexArray, limit: float) -> Impulses:
 
     best, least = impulses, merit(impulses)
     for _ in range(ROUNDS):
-        step = _linear_step(best, s, limit, radius, PRICE * impulses.duration)
+        step = _linear_step(best, s, limit, radius)
         if step is not None:
             A, T = best.amplitudes + step[:n], best.times + step[n:]
             moved = Impulses(A / A.sum(), T - T[0])
@@ -199,10 +201,10 @@ def shorten(impulses: Impulses, s: ComplexArray, limit: float) -> Impulses:
     return best
 
 
-def _linear_step(at: Impulses, s: ComplexArray, limit: float, radius: float, price: float) -> Array | None:
+def _linear_step(at: Impulses, s: ComplexArray, limit: float, radius: float) -> Array | None:
     """Return the changes of amplitudes and times, (2 n,), that lower the duration most where |V| is linear.
 
-    The unknowns are the changes of amplitudes and times, and the excess of the vibration over the limit.
+    The unknowns are the changes of amplitudes, of times in durations, and the excess of the vibration in limits.
     """
     from scipy.optimize import linprog  # slow to import
 
@@ -212,22 +214,22 @@ def _linear_step(at: Impulses, s: ComplexArray, limit: float, radius: float, pri
     size = np.abs(V)
     watched = size > WATCHED * limit
     waves, V, size, s = waves[watched], V[watched], size[watched], s[watched]
-    turn = (V.conj() / size)[:, None]
+    turn, s = (V.conj() / (size * limit))[:, None], s * at.duration
     by_amplitude, by_time = (turn * waves).real, (-turn * s[:, None] * waves * A).real
     by_time[:, -1] += (turn[:, 0] * s * V).real  # T_n - T_i grows for all i
     order = np.hstack([np.zeros((n - 1, n)), np.eye(n - 1, n) - np.eye(n - 1, n, 1), np.zeros((n - 1, 1))])
-    below = np.hstack([by_amplitude, by_time, np.full((len(s), 1), -limit)])
-    lower = np.concatenate([np.maximum(-A, -radius), [0.0], np.full(n - 1, -radius * at.duration), [0.0]])
-    upper = np.concatenate([np.full(n, radius), [0.0], np.full(n - 1, radius * at.duration), [np.inf]])
+    below = np.hstack([by_amplitude, by_time, np.full((len(s), 1), -1.0)])
+    lower = np.concatenate([np.maximum(-A, -radius), [0.0], np.full(n - 1, -radius), [0.0]])
+    upper = np.concatenate([np.full(n, radius), [0.0], np.full(n - 1, radius), [np.inf]])
     answer = linprog(
-        np.concatenate([np.zeros(2 * n - 1), [1.0, price]]),
+        np.concatenate([np.zeros(2 * n - 1), [1.0, PRICE]]),
         np.vstack([below, order]),
-        np.concatenate([limit - size, np.diff(T)]),
+        np.concatenate([1.0 - size / limit, np.diff(T) / at.duration]),
         np.concatenate([np.ones(n), np.zeros(n + 1)])[None],
         [0.0],
-        np.column_stack([lower, upper]),
+        list(zip(lower.tolist(), upper.tolist(), strict=True)),
     )
-    return answer.x[: 2 * n] if answer.status == 0 else None
+    return None if answer.x is None else answer.x[: 2 * n] * np.repeat([1.0, at.duration], n)
 
 
 def few_impulses(samples: Array, modes: Modes, limit: float, most: int, steps: tuple[float, float]) -> Impulses:
@@ -243,7 +245,7 @@ def few_impulses(samples: Array, modes: Modes, limit: float, most: int, steps: t
     step, fine = steps
     groups = clusters(samples)
     found, keeps = _repaired(joined(samples, groups, step), modes, limit, fine)
-    while not keeps and len(groups) < min(most, len(np.concatenate(groups))):  # an impulse cannot be what a cluster is
+    while not keeps and len(groups) < np.count_nonzero(samples > NEGLIGIBLE):  # an impulse cannot be what a cluster is
         groups = with_widest_split(samples, groups)
         found, keeps = _repaired(joined(samples, groups, step), modes, limit, fine)
     reached = f"{len(found.times)} do." if keeps else ""
@@ -270,8 +272,8 @@ def _repaired(start: Impulses, modes: Modes, limit: float, step: float) -> tuple
         largest = float(np.abs(found.response(s)).max())
         if largest <= limit:
             largest = modes.proven_vibration(found, step)  # takes longer
-        if largest <= limit or largest > FAR * limit:
-            break
+        if largest <= limit or float(np.abs(start.response(s)).max()) > (1 + SLACK) * at_modes:
+            break  # in the second case, no impulses near these keep the limit
         at_modes *= limit / largest * (1 - REPAIRED)
     return found, largest <= limit
 
@@ -282,10 +284,11 @@ def shortest_known(name: str, modes: Modes, limit: float) -> tuple[float, Impuls
     The vibration is that of modes on the edges of the boxes.
     """
     found, (low, high) = list[tuple[float, Impulses]](), modes.damping
+    s = modes.eigenvalues(LONGEST_KNOWN / modes.bands[0][0])
     for damping in sorted({low, (low + high) / 2, high}):
         for frequency in np.linspace(modes.bands[-1][1], modes.bands[0][0], TRIED).tolist():
             tried = known_shaper(name, frequency, damping, limit)
-            if np.abs(tried.response(modes.eigenvalues(tried.duration))).max() <= limit:
+            if np.abs(tried.response(s)).max() <= limit:
                 found.append((frequency, tried))
                 break
     return min(found, key=lambda one: one[1].duration, default=None)

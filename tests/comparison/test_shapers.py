@@ -29,7 +29,7 @@ def test_impulses_are_positive_and_sum_to_one(name, damping):
     given = impulses(name, [box_of(damping)])
     assert given.sum() == pytest.approx(1.0)
     assert (given >= 0).all()
-    assert len(given) == {"ZV": 51, "ZVD": 101, "EI": 101}[name]
+    assert len(given) == {"ZV": 51, "MZV": 76, "ZVD": 101, "EI": 101, "2HUMP_EI": 151, "3HUMP_EI": 201}[name]
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1])

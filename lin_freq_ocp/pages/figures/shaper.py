@@ -22,7 +22,7 @@ def shaper_figure(impulses: Impulses, modes: Modes, limit: float) -> Figure:
     frequencies = np.linspace(0.0, BEYOND * modes.bands[-1][1], FREQUENCIES)
     for k, (low, high) in enumerate(modes.bands):
         ax.axvspan(low, high, color=look.BAND, linewidth=0, zorder=0)
-        ax.hlines(100 * limit, low, high, color=look.BOUND, linewidth=2.0, zorder=4, label=None if k else "limit")
+        ax.hlines(100 * limit, low, high, color=look.BOUND, linewidth=2.0, zorder=4, label="" if k else "limit")
     least, largest = modes.damping
     for damping, color in zip(dict.fromkeys((least, (least + largest) / 2, largest)), look.COMPONENTS, strict=False):
         values = 100 * np.abs(impulses.response(eigenvalues_of(frequencies, np.full(FREQUENCIES, damping))))
