@@ -202,7 +202,7 @@ def _least_by_delta(
     problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
-    result = solve_judged(_elastic_problem(problem, limit, rows), Options("convex", time_limit=time_limit), proof=False)
+    result = solve_judged(_elastic_problem(problem, limit, rows), Options(time_limit=time_limit), proof=False)
     if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
         return None
     n, of_x = problem.state_dim, stated_sizes(problem)[0]

@@ -61,6 +61,7 @@ SOLVE = {
     "modes": ([int], None),
     "tree": ({"nodes": int, "leaves": int, "covers": bool}, None),
     "message": (str, None),
+    "remarks": [str],
     "attempts": [{"method": str, "status": (str, None), "reason": str, "message": str}],
 }
 MEASURES = {
