@@ -24,6 +24,7 @@ from lin_freq_ocp.loop.step_problem import (
     ControlLimits,
     checked_penalties,
     complete_reference,
+    data_per_time,
     depends_on_past,
     excess,
     first_known_states,
@@ -75,8 +76,8 @@ class Controller:
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
-        if limits_of_plans(problem):
-            warn_user(limits_of_plans(problem), ClosedLoopWarning)
+        for warning in filter(None, (limits_of_plans(problem), data_per_time(problem))):
+            warn_user(warning, ClosedLoopWarning)
         self._problem = free_first_state(problem)
         plans_by_kernel = method in ("auto", "spectral")
         method = family_of(problem).in_loop if method == "auto" else method

@@ -224,3 +224,23 @@ def test_a_loop_at_its_set_point_stays_optimal():
         controller.step(state)
         assert controller.log.steps[-1].status == "optimal"
         assert controller.log.steps[-1].gap < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"cost": lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=np.arange(6.0)[:, None])}, "cost.x_ref"),
+        ({"cost": lfo.QuadraticCost(R=1.0, r=np.arange(5.0)[:, None])}, "cost.r"),
+        ({"state_set": lfo.Box(np.full((6, 1), -9.0), np.arange(6.0)[:, None])}, "state_set"),
+        ({"control_set": lfo.Box(-1, np.arange(1, 6.0)[:, None])}, "control_set"),
+        ({"dynamics": lfo.LinearDynamics([[1.0]], [[1.0]], np.arange(5.0)[:, None])}, "dynamics.offset"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_loop_warns_of_data_that_begin_anew_at_every_step(fields, field):
+    plain = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 5, lfo.QuadraticCost(R=1.0), initial_state=[0.0]
+    )
+    lfo.RecedingHorizon(plain)
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match=f"^{field}: given per time; every step of a loop plans with"):
+        lfo.RecedingHorizon(replace(plain, **fields))
