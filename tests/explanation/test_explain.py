@@ -247,9 +247,12 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
 
 
 def test_the_error_names_the_least_change():
-    with pytest.raises(
-        lfo.errors.InfeasibleError, match=r"Smallest change that restores feasibility: .*\[-0\.7, 0\.7\] -> \[-1"
-    ) as caught, use_clock(Clock()):
+    with (
+        pytest.raises(
+            lfo.errors.InfeasibleError, match=r"Smallest change that restores feasibility: .*\[-0\.7, 0\.7\] -> \[-1"
+        ) as caught,
+        use_clock(Clock()),
+    ):
         lfo.solve(carriage())
     assert caught.value.result.explanation.irreducible
 

@@ -402,3 +402,17 @@ def test_an_excess_of_a_loop_is_in_the_unit_of_the_limit():
     moved = translation_of(soft)
     plan = lfo.Trajectory(np.zeros((N + 1, 1)), WANTED[:, None] + 0.3)
     assert excess(moved, plan) == {"mask on i [A]": pytest.approx(0.2 + 0.9)}
+
+
+def test_a_comparison_states_each_limit_where_limits_differ_in_a_band():
+    """The averaged current is nearest to the limit of another bin than the classical one."""
+    bound = Mask(amplitude=[[200.0, 1.2], [400.0, 0.1]], band=lfo.spectrum.notch(centre_hz=300, width_hz=200))
+    comparison = lfo.compare(problem(bound), filters=["moving_average"])
+    (row,) = {group.title: group for group in comparison_rows(comparison).groups}["Limited spectra"].rows
+    readings = [line.limited_spectra[row.label][0] for line in comparison.trajectories]
+    assert len({reading.limit for reading in readings}) == 2
+    assert row.unit == "A"
+    for cell, reading in zip(row.cells, readings, strict=True):
+        value, limit = map(float, cell.text.split(" of "))
+        assert (value, limit) == pytest.approx((reading.value, reading.limit), rel=1e-3)
+        assert cell.passed == (value <= limit * (1 + 1e-3))

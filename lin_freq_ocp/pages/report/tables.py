@@ -141,15 +141,17 @@ def _violation_group(
 
 
 def _reading_group(columns: Columns) -> Group:
-    """Return a row for each limited harmonic, bin or band, with its limit."""
+    """Return a row for each limited harmonic, bin or band: its limit, or one beside each value if they differ."""
     read = [{} if line is None else line.limited_spectra for line in columns]
     rows = list[Row]()
     for label, (reading, _) in max(read, key=len, default={}).items():
         cells = [TableCell(NOTHING if line is None else NOT_MEANINGFUL) for line in columns]
+        same = len({found[label][0].limit for found in read if label in found}) == 1
         for k, found in enumerate(read):
             if label in found:
-                cells[k] = TableCell(align(found[label][0].value), found[label][1])
-        unit = f"{reading.unit}, limit {align(reading.limit)}".lstrip(", ")
+                of, passed = found[label]
+                cells[k] = TableCell(align(of.value) + ("" if same else f" of {align(of.limit)}"), passed)
+        unit = f"{reading.unit}, limit {align(reading.limit)}".lstrip(", ") if same else reading.unit
         rows.append(Row(label, unit, tuple(cells)))
     return Group("Limited spectra", tuple(rows))
 
