@@ -103,8 +103,8 @@ class AngleBound:
             steps = steps[within]
             if len(steps) > MOST_PATTERNS:
                 raise UnsupportedError(
-                    f"no bound over angles: got more than {MOST_PATTERNS:,} orders of {d} steps up and down; expected a "
-                    "shorter horizon, or fewer levels."
+                    f"no bound over angles: got more than {MOST_PATTERNS:,} orders of {d} steps up and down; expected "
+                    "a shorter horizon, or fewer levels."
                 )
         least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), dynamics.orders, strict=True)
         trivial = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self._offset))
