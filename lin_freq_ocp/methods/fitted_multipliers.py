@@ -91,7 +91,7 @@ def fitted_duals(program: Program, z: Array, rounding: Array, near: float = ACTI
     gradient = program.P @ z + program.q
     unit_of_cost = min(float(np.abs(gradient).max(initial=0.0)), 1.0) or 1.0  # solvers also have absolute tolerances
     gradient = gradient / unit_of_cost
-    blurred = np.abs(program.P) @ np.pad(rounding, (0, variables - len(rounding))) / unit_of_cost
+    blurred = abs(program.P) @ np.pad(rounding, (0, variables - len(rounding))) / unit_of_cost
     worth = 1 + blurred / (ACTIVE * (np.abs(gradient).max(initial=0.0) or 1.0))
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
     unit = sp.eye_array(count, format="csr")

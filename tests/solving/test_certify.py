@@ -70,5 +70,5 @@ def test_controls_alone_of_an_answer_near_its_set_point_are_right_and_others_wro
     result = lfo.solve(problem, pairs.quick_method(problem), throw=False)
     assert lfo.certify(problem, result).pmp == "satisfied"
     assert lfo.certify(problem, result.trajectory.u).pmp == "satisfied"
-    if away >= 1e-12:  # else 0.1 % of the states is rounding
+    if away >= 1e-10:  # else 0.1 % of the states is about their rounding
         assert {lfo.certify(problem, part * result.trajectory.u).pmp for part in (0.999, 1.001)} == {"violated"}

@@ -415,7 +415,7 @@ def test_memory_is_bounded_and_the_bounds_so_far_hold(monkeypatch, megabytes):
     tracemalloc.start()
     try:
         with use_clock(Clock(1.0)):
-            levels = value_bounds(problem, multipliers_of(problem), np.inf, 1e-9, deadline=1000.0)
+            levels = value_bounds(problem, multipliers_of(problem), np.inf, 1e-9, deadline=100.0)
             bounds = [level.value for level in levels]
         _, peak = tracemalloc.get_traced_memory()
     finally:

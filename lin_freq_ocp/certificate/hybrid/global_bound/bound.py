@@ -47,7 +47,9 @@ FINEST_CELL = 1e-12  # width over the largest state at which a cell is not halve
 
 MAX_STATES = 3  # the number of cells grows with this power: four states would need hours
 MAX_LATTICE = 4_000_000  # entries of a lattice: the image of a box may meet all of them, at 100 bytes each
-LEVEL_BYTES = 256 * 2**20  # of lattices and of boxes to be bounded on a level: a search takes six times as much
+LEVEL_BYTES = (
+    256 * 2**20
+)  # of lattices and boxes of a level to begin with: bisected and halved, they take some times as much
 FIRST_CELLS = {1: 50, 2: 8, 3: 4}  # cells of each state on the first level, by the number of states
 FIRST_BOXES = 16  # boxes of the controls of a cell on the first level; the root of it for each of two
 CUTOFF_MARGIN = 5e-2  # part of the cost by which the first estimate of the cost-to-come may be too large
