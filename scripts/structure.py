@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_325,
-    "code lines": 42_899,
-    "code lines, linear part": 21_575,
-    "code lines, hybrid": 8_675,
+    "shipped lines": 46_398,
+    "code lines": 42_972,
+    "code lines, linear part": 21_592,
+    "code lines, hybrid": 8_731,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
     "folders": 42,

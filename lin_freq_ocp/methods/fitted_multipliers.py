@@ -8,7 +8,8 @@ At a fixed point z of the program, with g = P z + q and N the normal cone of the
 
 s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
 is proportional to the gap -<y, A z - lower> of the cone, as the direction of a solver's point is wrong by the root of
-its gap.
+its gap. Rounding of z in the user's coordinates, by up to e, changes g by up to |P| e: near a set point that is more
+than ACTIVE of g. Such entries of s are worth less: they are divided by 1 + |P| e / (ACTIVE max |g|).
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ from lin_freq_ocp.methods.convex.polish import consecutive
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, backend
-from lin_freq_ocp.program.program import Program, rows_of
+from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.program import Program, Scaling, rows_of
 from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; solvers stop near 1e-8
 GAP_PRICE = 1e-3  # of the gap of a cone, relative to squares of residuals: a gap is the square of an error in direction
 NONTRIVIAL = 1e-6  # largest entry of abnormal multipliers that are zero; otherwise the linear program makes it 1
+STATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a state in the user's coordinates, as the judge has it
 DEPENDENT = 1e-10  # relative singular value of the normalised active gradients that is zero
 MOST_GRADIENTS = 2000  # more take more than a few seconds
 
@@ -62,26 +65,46 @@ class _NormalCone:
 def fit_multipliers(problem: OptimalControlProblem, trajectory: Trajectory, near: float = ACTIVE) -> Fit:
     """Return normal multipliers (eta_C = 1) that fit best; bounds within ``near`` (scaled to order 1) are active."""
     linear, scaling, program = scaled_program(problem)
-    y, s = fitted_duals(program, scaling.scaled_primal(linear.point(trajectory)), near)
+    y, s = fitted_duals(program, *rounded_point(linear, scaling, trajectory, problem.origin), near)
     return Fit(linear.multipliers(scaling.dual(y), 1.0), linear.direction(scaling.primal(-s)))
 
 
-def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Array, Array]:
-    """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and s, or raise NumericalError."""
+def rounded_point(
+    linear: LinearProgram, scaling: Scaling, trajectory: Trajectory, origin: Array | None
+) -> tuple[Array, Array]:
+    """Return the point of a trajectory in the scaled program, and its rounding as the user counts states."""
+    z, given = scaling.scaled_primal(linear.point(trajectory)), np.abs(trajectory.x)
+    given = given if origin is None else given + np.abs(origin)
+    rounding = np.zeros(len(z))
+    rounding[: given.size] = STATE_ROUNDING * np.tile(given.max(axis=0), len(given))
+    return z, scaling.scaled_primal(rounding)
+
+
+def fitted_duals(program: Program, z: Array, rounding: Array, near: float = ACTIVE) -> tuple[Array, Array]:
+    """Return y (rows,) in the normal cone at z with the least s = P z + q + A'y, and its gradient in z.
+
+    ``rounding`` is that of the first entries of z; the others have none. NumericalError if no y could be computed.
+    """
     cone = _normal_cone(program, z, near)
-    # least squares in (w, s), with rows s - A'y = g and the conditions on w
+    # least squares in (w, s / worth), with rows s - A'y = g and the conditions on w
     variables, count = program.A.shape[1], len(cone.lower)
     gradient = program.P @ z + program.q
     unit_of_cost = min(float(np.abs(gradient).max(initial=0.0)), 1.0) or 1.0  # solvers also have absolute tolerances
     gradient = gradient / unit_of_cost
+    blurred = abs(program.P) @ np.pad(rounding, (0, variables - len(rounding))) / unit_of_cost
+    worth = 1 + blurred / (ACTIVE * (np.abs(gradient).max(initial=0.0) or 1.0))
     bounded = np.flatnonzero(np.isfinite(cone.lower) | np.isfinite(cone.upper))
-    identity, unit = sp.eye_array(variables), sp.eye_array(count, format="csr")
+    unit = sp.eye_array(count, format="csr")
     fitting = Program(
-        P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), identity])),
+        P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), sp.eye_array(variables)])),
         q=np.concatenate([cone.prices, np.zeros(variables)]),
         A=sp.csc_array(
             sp.block_array(
-                [[-(program.A.T @ cone.basis), identity], [unit[bounded], None], [-unit[cone.in_polars], None]]
+                [
+                    [-(program.A.T @ cone.basis), sp.diags_array(worth)],
+                    [unit[bounded], None],
+                    [-unit[cone.in_polars], None],
+                ]
             )
         ),
         lower=np.concatenate([gradient, cone.lower[bounded], np.zeros(len(cone.in_polars))]),
@@ -92,7 +115,7 @@ def fitted_duals(program: Program, z: Array, near: float = ACTIVE) -> tuple[Arra
     if solution.z is None:
         raise NumericalError(f"No multipliers fit the trajectory ({solution.message}); pass multipliers=.")
     w, s = np.split(solution.z, [len(cone.lower)])
-    return unit_of_cost * (cone.basis @ w), unit_of_cost * s
+    return unit_of_cost * (cone.basis @ w), unit_of_cost * s / worth
 
 
 def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory) -> Multipliers | None:
@@ -155,27 +178,28 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     """
     linear, scaling, program = scaled_program(problem)
     cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
-    active = np.flatnonzero((cone.lower < 0) | (cone.upper > 0))
-    if len(active) > MOST_GRADIENTS:
-        got = f"{len(active)} active gradients; their rank is computed for up to {MOST_GRADIENTS}"
-        raise UnsupportedError(f"uniqueness: got {got}.")
-    gradients = (program.A.T @ cone.basis[:, active]).toarray()
+    active = len(cone.lower)
+    if active > MOST_GRADIENTS:
+        raise UnsupportedError(
+            f"uniqueness: got {active} active gradients; their rank is computed for up to {MOST_GRADIENTS}."
+        )
+    gradients = (program.A.T @ cone.basis).toarray()
     norms = np.linalg.norm(gradients, axis=0)
     with one_blas_thread:
         values = np.linalg.svd(gradients / np.where(norms > 0, norms, 1.0), compute_uv=False)
-    return Uniqueness(len(active), int((values > DEPENDENT * values.max(initial=0.0)).sum()))
+    return Uniqueness(active, int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
 
 def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False) -> _NormalCone:
-    """Return the normal cone at z; rows that are violated count as active.
+    """Return the normal cone at z; equations, and rows that are violated, count as active.
 
     With ``at_edges``, a second-order cone at whose edge z lies has the multiples of one normal, else its whole polar.
     """
-    slack = program.A @ z - program.lower
-    alone = np.flatnonzero(program.alone)
-    Az = (program.A @ z)[alone]
-    lower = np.where(Az <= program.lower[alone] + near, -np.inf, 0.0)
-    upper = np.where(Az >= program.upper[alone] - near, np.inf, 0.0)
+    Az, low, high = program.A @ z, program.lower, program.upper
+    equation = program.equality  # has both signs, however far rounding of states near a set point is from it
+    from_below, from_above = equation | (Az <= low + near), equation | (Az >= high - near)
+    alone = np.flatnonzero(program.alone & (from_below | from_above))  # all others are zero, exactly
+    slack, lower, upper = Az - low, np.where(from_below[alone], -np.inf, 0.0), np.where(from_above[alone], np.inf, 0.0)
     columns = [sp.csc_array((np.ones(len(alone)), (alone, np.arange(len(alone)))), shape=(len(slack), len(alone)))]
     polars, prices = list[slice](), np.zeros(len(alone))
     for cone in program.cones:
@@ -184,13 +208,13 @@ def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False
         if s[0] - tail > near:
             continue
         if at_edges and tail > near:
-            block, low, price = np.append(-1.0, s[1:] / tail)[:, None], 0.0, np.zeros(1)
+            block, least, price = np.append(-1.0, s[1:] / tail)[:, None], 0.0, np.zeros(1)
         else:
-            block, low, price = np.eye(len(s)), -np.inf, -GAP_PRICE * s
+            block, least, price = np.eye(len(s)), -np.inf, -GAP_PRICE * s
             polars.append(slice(count, count + len(s)))
         prices = np.append(prices, price)
         row, column = np.nonzero(np.ones_like(block))
         columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=(len(slack), block.shape[1])))
-        lower = np.append(lower, np.full(block.shape[1], low))
+        lower = np.append(lower, np.full(block.shape[1], least))
         upper = np.append(upper, np.full(block.shape[1], np.inf))
     return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(polars), prices)

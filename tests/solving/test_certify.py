@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks import pairs
 from helpers.checks.alone import any_problem
 from lin_freq_ocp.certificate import Condition
 
@@ -57,3 +58,17 @@ def test_multipliers_of_an_answer_without_a_proof_are_those_of_the_trajectory_to
     problem = any_problem(10)
     result = lfo.solve(problem, "structured")
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
+
+
+@pytest.mark.parametrize(
+    "features", [("path constraint",), ("path constraint", "joint rows"), ("path constraint", "low pass")]
+)
+@pytest.mark.parametrize("away", [1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8])
+def test_controls_alone_of_an_answer_near_its_set_point_are_right_and_others_wrong(features, away):
+    """Doubles near 0.6 are 1e-16 apart: the states are rounded by up to a tenth of themselves, the controls are not."""
+    problem = replace(pairs.problem_of(*features), initial_state=lfo.sets.Point([0.6 + away, 0.0]))
+    result = lfo.solve(problem, pairs.quick_method(problem), throw=False)
+    assert lfo.certify(problem, result).pmp == "satisfied"
+    assert lfo.certify(problem, result.trajectory.u).pmp == "satisfied"
+    if away >= 1e-10:  # else 0.1 % of the states is about their rounding
+        assert {lfo.certify(problem, part * result.trajectory.u).pmp for part in (0.999, 1.001)} == {"violated"}

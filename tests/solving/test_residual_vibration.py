@@ -72,6 +72,25 @@ def test_methods_find_the_same(solved, method):
 
 
 @turn(2)
+@pytest.mark.parametrize("method", ["auto", "convex", "structured"])
+@pytest.mark.parametrize(("horizon", "status"), [(10, "infeasible"), (30, "optimal")])
+def test_a_zero_cost_asks_for_a_shaper_only(method, horizon, status):
+    shaper = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]], sampling_time=H),
+        horizon,
+        lfo.QuadraticCost(),
+        lfo.Box(0, 1),
+        initial_state=[0.0],
+        terminal_state=[1.0],
+        control_spectrum=lfo.ResidualVibration((0.9, 1.1), (0.0, 0.1), 0.05, relative=True),
+    )
+    result = lfo.solve(shaper, method, throw=False)
+    assert result.status == status
+    if status == "optimal":
+        assert result.cost == result.lower_bound == 0.0
+        assert lfo.certify(shaper, result.trajectory).pmp == "satisfied"
+
+
 def test_single_modes_cost_less(solved):
     """The constraint at one mode is a relaxation."""
     modes = [(f, d) for f in (0.9, 1.1) for d in (0.0, 0.1)]

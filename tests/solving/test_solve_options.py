@@ -43,8 +43,8 @@ TAKEN = {
     ("piecewise-affine", "miqp"): {"backend", "tolerance", "gap", "node_limit"},
     ("piecewise-smooth", "auto"): {"tolerance", "gap", "start", "global_bound"},
     ("piecewise-smooth", "nonsmooth"): {"start"},
-    ("pulse-train", "auto"): {"tolerance", "gap"},
-    ("pulse-train", "angles"): {"tolerance", "gap"},
+    ("pulse-train", "auto"): {"tolerance", "gap", "start"},
+    ("pulse-train", "angles"): {"tolerance", "gap", "start"},
     ("pulse-train", "nonsmooth"): {"start"},
 }
 

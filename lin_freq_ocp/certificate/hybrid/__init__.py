@@ -9,8 +9,8 @@ from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "clarke": "Flip SwitchingFacts modes_along",
-    "global_bound.bound": "terminal_minorants value_bounds", "global_bound.step": "OutOfTimeError taylor_bounds",
+    "clarke": "Flip SwitchingFacts modes_along", "global_bound.step": "OutOfTimeError taylor_bounds",
+    "global_bound.bound": "LEVEL_BYTES terminal_minorants value_bounds",
     "global_bound.lattice": "CostToGo Lattice Minima QuadraticForm", "smooth": "kinks nearest_in_ball",
     "tree": "IntervalReach TreeBound tree_bound",
 })

@@ -19,27 +19,31 @@ and on a box with centre c and half widths r, by Taylor's formula,
 lambda makes the slope at the centre small (least squares), or is zero. Boxes are left out where their angles are not in
 order, or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
 steps are all those with levels within the limit. A train with fewer switches is one of them: two opposite steps at the
-same angle do nothing, nor does a step at pi/2.
+same angle do nothing, nor does a step at pi/2. No bound is below that of Parseval's equation, J = sum_k (b_k/k)^2 + e_0
+over all odd k: the least squares of the amplitudes that have bounds, and nothing of the others.
 
 The local search over angles is sequential quadratic programming.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from fractions import Fraction
 from functools import partial
-from itertools import product
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
+MOST_PATTERNS = 100_000  # of steps: of more, MOST_BOXES is reached while boxes are still wide
+BATCH = 20_000  # boxes bounded between two looks at the clock: some hundredths of a second
 STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
 COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
 AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
@@ -54,9 +58,23 @@ class AngleBoxes:
     radius: Array
     bound: Array
 
-    def take(self, kept: Indices) -> AngleBoxes:
+    def take(self, kept: Indices | Mask) -> AngleBoxes:
         """Return some of the boxes."""
         return AngleBoxes(self.steps[kept], self.centre[kept], self.radius[kept], self.bound[kept])
+
+    @staticmethod
+    def joined(parts: Sequence[AngleBoxes]) -> AngleBoxes:
+        """Return the boxes of all parts."""
+        names = [field.name for field in fields(AngleBoxes)]
+        return AngleBoxes(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def halved(self) -> AngleBoxes:
+        """Return both halves of every box along its longest side."""
+        rows, side, radius = np.arange(len(self.bound)), self.radius.argmax(axis=1), self.radius.copy()
+        radius[rows, side] /= 2
+        shift = np.zeros_like(radius)
+        shift[rows, side] = radius[rows, side]
+        return AngleBoxes.joined([replace(self, centre=self.centre + s * shift, radius=radius) for s in (-1.0, 1.0)])
 
 
 class AngleBound:
@@ -76,14 +94,23 @@ class AngleBound:
         self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         # all patterns of steps whose levels stay within their bounds
-        steps = np.array(list(product((dynamics.step, -dynamics.step), repeat=d))).reshape(2**d, d)
-        levels, limits = steps.cumsum(axis=1), problem.state_boxes
-        slack = ROUNDING * np.abs(levels).max(axis=1, initial=1.0, keepdims=True)
-        within = (levels >= limits.lower[0, LEVEL] - slack) & (levels <= limits.upper[0, LEVEL] + slack)
-        steps = steps[within.all(axis=1)]
+        steps, limits = np.zeros((1, 0)), problem.state_boxes
+        for _ in range(d):
+            steps = np.vstack([np.column_stack([steps, np.full(len(steps), s * dynamics.step)]) for s in (1.0, -1.0)])
+            levels = steps.sum(axis=1)
+            slack = ROUNDING * np.abs(steps).sum(axis=1)
+            within = (levels >= limits.lower[0, LEVEL] - slack) & (levels <= limits.upper[0, LEVEL] + slack)
+            steps = steps[within]
+            if len(steps) > MOST_PATTERNS:
+                raise UnsupportedError(
+                    f"no bound over angles: got more than {MOST_PATTERNS:,} orders of {d} steps up and down; expected "
+                    "a shorter horizon, or fewer levels."
+                )
+        least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), dynamics.orders, strict=True)
+        trivial = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self._offset))
+        whole = self._price * np.nextafter(float(trivial), -np.inf)
         middle = np.full(steps.shape, QUARTER / 2)
-        whole = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), -np.inf))
-        self.boxes = self._bound_boxes(whole)
+        self.boxes = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), whole))
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
 
     def relative_cost(self, steps: Array, angles: Array) -> tuple[float, Array]:
@@ -115,23 +142,19 @@ class AngleBound:
                 seen.add(key)
                 yield self.boxes.steps[i], np.maximum.accumulate(self.boxes.centre[i])
 
-    def halve(self, cutoff: float) -> bool:
-        """Halve every box with a bound below the cutoff along its longest side; False where there are too many."""
-        boxes = self.boxes
-        open_ = boxes.bound < cutoff
-        self.done = min(self.done, float(boxes.bound[~open_].min(initial=np.inf)))
-        boxes = boxes.take(np.flatnonzero(open_))
-        if 2 * len(boxes.bound) > MOST_BOXES:
-            self.boxes = boxes
+    def halve(self, cutoff: float, end: float = np.inf) -> bool:
+        """Halve every box with a bound below the cutoff along its longest side; False where there are too many.
+
+        Boxes whose turn comes after ``end``, by ``clock.now``, stay whole.
+        """
+        open_ = self.boxes.bound < cutoff
+        self.done = min(self.done, float(self.boxes.bound[~open_].min(initial=np.inf)))
+        self.boxes = self.boxes.take(open_)
+        count = len(self.boxes.bound)
+        if 2 * count > MOST_BOXES:
             return False
-        rows, side = np.arange(len(boxes.bound)), boxes.radius.argmax(axis=1)
-        radius = boxes.radius.copy()
-        radius[rows, side] /= 2
-        shift = np.zeros_like(radius)
-        shift[rows, side] = radius[rows, side]
-        halves = [AngleBoxes(boxes.steps, boxes.centre + sign * shift, radius, boxes.bound) for sign in (-1.0, 1.0)]
-        parts = zip(*((half.steps, half.centre, half.radius, half.bound) for half in halves), strict=True)
-        self.boxes = self._bound_boxes(AngleBoxes(*(np.concatenate(part) for part in parts)))
+        batches = [self.boxes.take(rows) for rows in np.array_split(np.arange(count), count // BATCH + 1)]
+        self.boxes = AngleBoxes.joined([one if now() > end else self._bound_boxes(one.halved()) for one in batches])
         return True
 
     def _bound_boxes(self, boxes: AngleBoxes) -> AngleBoxes:

@@ -14,7 +14,7 @@ from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.angles import AngleBound, local_angles
 from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
-from lin_freq_ocp.problem.hybrid.pulse_train import CURRENT, QUARTER, PulseTrain
+from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
@@ -22,6 +22,7 @@ from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.simulation import simulate
 
 GAP = 1e-6  # default of the relative gap to prove
+SEARCH_SHARE = 0.95  # of the time, after which the best train is refined and judged
 LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
 EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles contains a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
@@ -46,7 +47,7 @@ class Angles:
     gap: float = GAP
 
     shorthand: ClassVar[str] = "angles"
-    takes_start: ClassVar[bool] = False
+    takes_start: ClassVar[bool] = True
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Halve boxes until the bound reaches the cost of the best local optimum, and judge that."""
@@ -73,22 +74,34 @@ class _TrainSearch:
 
     def run(self) -> str:
         """Return why the search stopped early, or an empty string."""
-        end = self._started + self._request.time_limit
+        self._begin()
+        end = self._started + SEARCH_SHARE * self._request.time_limit
         while self._bound.value < self._cutoff:
-            if now() > end:
-                return f"time limit of {self._request.time_limit:g} s"
-            if not self._bound.halve(self._cutoff):
+            if now() <= end and not self._bound.halve(self._cutoff, end):
                 return "too many boxes of angles"
             if self._bound.widest < LOCAL_WIDTH:  # search near the best box of each pattern, once on this scale
                 for steps, angles in self._bound.best():
                     key = steps.tobytes(), np.round(angles / LOCAL_WIDTH).tobytes()
-                    if key in self._tried:
-                        continue
-                    self._tried.add(key)
-                    local = local_angles(self._bound, steps, angles)
-                    if local is not None and local[1] < self._cost:
-                        self._best, self._cost = (steps, local[0]), local[1]
+                    if now() <= end and key not in self._tried:
+                        self._tried.add(key)
+                        self._look_near(steps, angles)
+            if now() > end:
+                return f"time limit of {self._request.time_limit:g} s"
         return ""
+
+    def _begin(self) -> None:
+        """Look near the start, if there is one: near its angles, or of a mode sequence, near equal dwells."""
+        start, count = self._request.start, self._problem.horizon - 1
+        if start is not None:
+            steps = np.where(start.sequence[:count] == 0, self._dynamics.step, -self._dynamics.step)
+            equal = QUARTER * np.arange(1, count + 1) / (count + 1)
+            self._look_near(steps, equal if start.trajectory is None else start.trajectory.x[1:-1, ANGLE])
+
+    def _look_near(self, steps: Array, angles: Array) -> None:
+        """Keep the local optimum near these angles if it is the best so far."""
+        local = local_angles(self._bound, steps, angles)
+        if local is not None and local[1] < self._cost:
+            self._best, self._cost = (steps, local[0]), local[1]
 
     @property
     def _cutoff(self) -> float:
@@ -107,8 +120,10 @@ class _TrainSearch:
             first[CURRENT] = -(steps * (QUARTER - angles)).sum()
             train = simulate(problem, np.column_stack([dwell, np.sign(every) / 2]), first)
             local = LocalOptimum((every < 0).astype(np.intp), train, zero_multipliers(problem, 1.0), self._cost, 0.0)
-            judged = refine_optimum(problem, local).with_bound(Bound(self._bound.value, RIGOROUS, sets=ANGLES))
+            judged = refine_optimum(problem, local, self._started + self._request.time_limit)
+            judged = judged.with_bound(Bound(self._bound.value, RIGOROUS, sets=ANGLES))
             status = judged.certificate.status_within(self._gap)
+            status = Status.LIMIT if status == Status.NUMERICAL_ERROR and message else status
         else:
             excluded = not message and self._bound.value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)

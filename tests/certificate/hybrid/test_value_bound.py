@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from itertools import product
 
@@ -29,6 +30,7 @@ from lin_freq_ocp.formulas import interval_jets, jets_of, multiply, outward
 from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
 
 ROUNDING = 1e-9
+BATCH_MEGABYTES = 20  # of what is bounded at once
 
 # --- enclosures -------------------------------------------------------------------------------------------------------
 
@@ -403,6 +405,44 @@ def test_unreachable_ends_have_an_infinite_bound():
 def test_what_cannot_be_bounded_is_refused(problem, words):
     with pytest.raises(UnsupportedError, match=words):
         next(value_bounds(problem, multipliers_of(problem), 20.0, 1e-2))
+
+
+@pytest.mark.parametrize("megabytes", [0.5, 1.0])
+def test_memory_is_bounded_and_the_bounds_so_far_hold(monkeypatch, megabytes):
+    """No cost is known, so that all boxes stay: the search ends by itself, long before its deadline."""
+    problem, optimum = BUCK(4), 22.36493035150289
+    substitute(monkeypatch, "certificate.hybrid.LEVEL_BYTES", int(megabytes * 2**20))
+    tracemalloc.start()
+    try:
+        with use_clock(Clock(1.0)):
+            levels = value_bounds(problem, multipliers_of(problem), np.inf, 1e-9, deadline=100.0)
+            bounds = [level.value for level in levels]
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert bounds == sorted(bounds)
+    assert 20 <= bounds[-1] <= optimum
+    assert peak <= (6 * megabytes + BATCH_MEGABYTES) * 2**20
+
+
+def test_a_first_level_that_does_not_fit_is_refused(monkeypatch):
+    substitute(monkeypatch, "certificate.hybrid.LEVEL_BYTES", 2**17)
+    with pytest.raises(UnsupportedError, match="20 steps do not fit into memory"):
+        next(value_bounds(BUCK(20), multipliers_of(BUCK(20)), 20.0, 1e-2))
+
+
+def test_many_controls_have_few_samples():
+    """A grid over all controls would have 2^24 points."""
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [0.5 * abs(x[0]) + sum(u)], 1, 24),
+        2,
+        lfo.QuadraticCost(Q=1.0, R=0.1, P=1.0),
+        control_set=lfo.Box(-1, 1),
+        initial_state=[1.0],
+    )
+    resting = lfo.simulate(problem, np.zeros((2, 24)))
+    bound = next(value_bounds(problem, multipliers_of(problem), np.inf, 1e-2)).value
+    assert -10 <= bound <= problem.value(resting.x, resting.u)
 
 
 def test_solve_proves_that_an_end_is_out_of_reach():

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from helpers.seeds import seeds
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.hybrid import AngleBound, AngleBoxes
 
@@ -84,6 +86,41 @@ def test_no_train_of_a_box_is_cheaper_than_its_bound(seed):
         )
     assert (boxes.bound <= least).all()
     assert np.median(least - boxes.bound) < 0.2
+
+
+@pytest.mark.parametrize("low", [0.9, 0.5, -1.0])
+def test_no_bound_is_below_the_squares_of_the_amplitudes_that_are_asked_for(low):
+    """The cost is (b_1^2 - M^2) + (b_3 / 3)^2 + ..; with d = 5 boxes are wide for long."""
+    given = pattern(20).terminal_state
+    lower, upper = given.lower.copy(), given.upper.copy()
+    lower[4], lower[5], upper[5] = low, -2.0, -0.06
+    problem = pattern(20, terminal_state=lfo.Box(lower, upper))
+    bound, least = AngleBound(problem, problem.dynamics), max(low, 0.0) ** 2 + 0.02**2 - M**2
+    for _ in range(3):
+        assert bound.value == pytest.approx(least, abs=1e-15)
+        bound.halve(np.inf)
+
+
+def test_boxes_whose_turn_comes_after_the_end_stay_whole_and_every_train_remains_in_one():
+    rng, bound = np.random.default_rng(0), loose(12)
+    for _ in range(14):
+        bound.boxes = bound.boxes.halved()
+    with use_clock(Clock(1.0)):
+        bound.halve(np.inf, end=1.0)
+    boxes = bound.boxes
+    assert np.ptp(np.log2(boxes.radius.prod(axis=1))) == pytest.approx(1.0)  # both halves, and whole ones
+    for angles in np.sort(rng.uniform(0, np.pi / 2, (100, 3)), axis=1):
+        inside = (np.abs(boxes.centre - angles) <= boxes.radius + 1e-12).all(axis=1)
+        patterns = {tuple(row) for row in boxes.steps[inside]}
+        assert len(patterns) == len({tuple(row) for row in boxes.steps})
+        costs = [bound.size * bound.relative_cost(s, angles)[0] for s in boxes.steps[inside]]
+        assert (boxes.bound[inside] <= costs).all()
+
+
+def test_orders_of_steps_that_do_not_fit_into_memory_are_refused():
+    problem = pattern(4 * 40)
+    with pytest.raises(UnsupportedError, match="more than 100,000 orders of 40 steps"):
+        AngleBound(problem, problem.dynamics)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
 from lin_freq_ocp import Trajectory
+from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import ProblemError
 
 
@@ -68,6 +70,46 @@ def test_a_time_limit_keeps_what_was_found():
     result = lfo.solve(lfo.library.pulse_pattern(kind="opp", switches=16), time_limit=1e-9, throw=False)
     assert result.status == "limit"
     assert "time limit" in result.message
+
+
+@pytest.mark.parametrize("limit", [10.0, 60.0])
+def test_a_search_over_five_angles_ends_in_time_with_the_trivial_bound(limit):
+    """Every look at the clock takes a second: each batch of boxes, and each step of Newton's method, looks at it."""
+    problem, clock = lfo.library.pulse_pattern(kind="opp", switches=20), Clock(1.0)
+    start = lfo.solve(lfo.library.pulse_pattern(kind="opp", switches=8)).trajectory.x[1:-1, 0]
+    # a train of eight switches: three more steps at the end
+    dwells = np.diff(np.concatenate([[0.0], start, [np.pi / 2], [np.pi / 2] * 3]))
+    x, u = np.zeros((7, 6)), np.stack([dwells, [1, 1, -1, 1, -1, 1]], axis=1)
+    x[1:, 0] = dwells.cumsum()
+    with use_clock(clock):
+        result = lfo.solve(problem, time_limit=limit, start=Trajectory(x, u), throw=False)
+    assert clock.seconds <= limit + 20  # the judge looks some twenty times
+    assert result.status in ("limit", "locally_optimal")
+    assert f"time limit of {limit:g} s" in result.message
+    assert result.certificate.feasible
+    assert -1e-16 <= result.lower_bound <= result.cost
+
+
+@pytest.mark.parametrize("switches", [8, 12])
+@pytest.mark.parametrize("modes_only", [False, True])
+def test_a_start_is_where_the_search_begins(switches, modes_only):
+    problem = lfo.library.pulse_pattern(kind="opp", switches=switches)
+    best = lfo.solve(problem).trajectory
+    start = (best.u[:, 1] < 0).astype(int) if modes_only else best
+    with use_clock(Clock(1.0)):  # no time for boxes
+        result = lfo.solve(problem, start=start, time_limit=1.0, throw=False)
+    assert result.certificate.feasible
+    assert result.cost == pytest.approx(problem.value(best.x, best.u), rel=1e-6)
+    assert lfo.solve(problem, start=start).status == "optimal"
+
+
+@pytest.mark.parametrize(("modulation", "switches"), [(0.3, 12), (0.9, 8), (1.0, 12)])
+def test_an_optimum_is_certified_with_its_multipliers_and_without(modulation, switches):
+    problem = lfo.library.pulse_pattern(kind="opp", modulation=modulation, switches=switches)
+    result = lfo.solve(problem, gap=1e-4)
+    assert result.status == "optimal"
+    assert lfo.certify(problem, result).pmp == "satisfied"
+    assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
 
 
 def test_files_hold_the_train(tmp_path):

@@ -46,7 +46,10 @@ Progress = Callable[[float], None] | None  # told the share of a level that is d
 FINEST_CELL = 1e-12  # width over the largest state at which a cell is not halved: it consists of rounding errors
 
 MAX_STATES = 3  # the number of cells grows with this power: four states would need hours
-MAX_LATTICE = 4_000_000  # entries of a lattice that fit into memory
+MAX_LATTICE = 4_000_000  # entries of a lattice: the image of a box may meet all of them, at 100 bytes each
+LEVEL_BYTES = (
+    256 * 2**20
+)  # of lattices and boxes of a level to begin with: bisected and halved, they take some times as much
 FIRST_CELLS = {1: 50, 2: 8, 3: 4}  # cells of each state on the first level, by the number of states
 FIRST_BOXES = 16  # boxes of the controls of a cell on the first level; the root of it for each of two
 CUTOFF_MARGIN = 5e-2  # part of the cost by which the first estimate of the cost-to-come may be too large
@@ -72,12 +75,13 @@ def value_bounds(
     progress: Callable[[int, float], None] | None = None,
     scale: float | None = None,
 ) -> Iterator[ValueBound]:
-    """Yield bounds, each as close as the last or closer, until one is cost - gap.
+    """Yield bounds, each as close as the last or closer, until one is cost - gap, or the next level takes LEVEL_BYTES.
 
     Of the multipliers, eta is not used. The cost is that of a trajectory, inf if none is known: D is a bound for any
     value, but never more than cost - gap / 2. ``scale`` is S, for the loss expected of the first level. ``progress`` is
     called with the number of the level and how much of it is done, from 0 to 1. OutOfTimeError is raised at the
-    deadline, by ``clock.now``; UnsupportedError for more than three states or unbounded components.
+    deadline, by ``clock.now``; UnsupportedError for more than three states, for unbounded components, or if the first
+    level takes LEVEL_BYTES.
     """
     costs, T = stage_costs(problem, multipliers), problem.horizon
     scale = scale or max(abs(cost), gap)
@@ -91,10 +95,11 @@ def value_bounds(
         done = _backward_pass(stages, level, tolerance, deadline, partial(progress, count) if progress else None)
         values = np.concatenate([np.abs(time.value.values[np.isfinite(time.value.values)]) for time in done])
         slack = ROUNDING * T * (costs.size + float(values.max(initial=0.0)))
-        level = _next_level(done, cutoff)
+        path, level = _cheapest_path(done), _next_level(done, cutoff)
         least = cutoff if level == [] else min(float(done[0].value.least.min(initial=np.inf)), cutoff)
         best = max(best, least + costs.constant - slack)
-        yield ValueBound(best, *_cheapest_path(done))
+        del done, values
+        yield ValueBound(best, *path)
         if best >= cost - gap or least == np.inf:
             return
 
@@ -140,6 +145,7 @@ def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task
     """Return the tasks of the first level: in every cell and mode, a grid of boxes of the controls."""
     problem, m, lattices = stages.problem, stages.problem.control_dim, _lattices(stages)
     each, modes = max(1, round(FIRST_BOXES ** (1 / m))), len(piecewise_smooth(problem).modes)
+    room = LEVEL_BYTES
     tasks: list[_Task] = []
     for time, (lattice, to_come) in enumerate(zip(lattices, costs_to_come(stages, lattices), strict=True)):
         t, x = min(time, problem.horizon - 1), lattice.centres
@@ -155,6 +161,11 @@ def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task
             np.tile(radius, (modes, 1)),
             problem.state_dim,
         )
+        room -= boxes.bytes
+        if room < 0:
+            raise UnsupportedError(
+                f"no global bound: {problem.horizon} steps do not fit into memory; shorten the horizon."
+            )
         target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
         tasks.append(_Task(lattice, boxes, target))
     return tasks
@@ -186,7 +197,7 @@ def _lattices(stages: PricedProblem) -> list[Lattice]:
 def _backward_pass(
     stages: PricedProblem, level: list[_Task], tolerance: float, deadline: float, progress: Progress
 ) -> list[_Done]:
-    """Return V_t and boxes for all times."""
+    """Return V_t and boxes for all times; the level is used up."""
     # of the terminal cost, the tangents at the centres: below it, as it is convex
     x, P = level[-1].lattice.centres, stages.costs.terminal_hessian
     linear, everywhere = stages.costs.terminal_linear, np.full(x.shape, np.inf)
@@ -199,12 +210,14 @@ def _backward_pass(
     last = CostToGo(level[-1].lattice, values[:, None], slopes[:, None], -everywhere, everywhere)
     none = level[-1].boxes.take(np.zeros(0, dtype=np.intp))
     done = [_Done(last, none, np.zeros(0), np.zeros(len(last.values)))]
-    for t in range(stages.problem.horizon - 1, -1, -1):
-        task, after = level[t], done[-1]
+    level.pop()
+    T = len(level)
+    for t in range(T - 1, -1, -1):
+        task, after = level.pop(), done[-1]
         step = BackwardStep(stages, t, task.lattice, after.value, deadline)
         slopes, reached = step.slopes(task.boxes)
         target = np.minimum(reached - tolerance, task.target[:, None] + task.lattice.variation(slopes))
-        value, boxes = step.values(task.boxes, slopes, target, task.cutoff(slopes), tolerance)
+        value, boxes = step.values(task.boxes, slopes, target, task.cutoff(slopes), tolerance, LEVEL_BYTES // T)
         to_go = np.full(len(boxes.cell), np.inf)
         for box, cell in met_cells(boxes, after.value):
             np.minimum.at(to_go, box, after.to_go_of_cells[cell])
@@ -213,7 +226,7 @@ def _backward_pass(
         np.minimum.at(of_cells, boxes.cell, to_go)
         done.append(_Done(value, boxes, to_go, of_cells))
         if progress is not None:
-            progress(1 - t / stages.problem.horizon)
+            progress(1 - t / T)
     return done[::-1]
 
 
@@ -251,7 +264,7 @@ def _cheapest_path(done: list[_Done]) -> tuple[Trajectory, Indices] | tuple[None
 
 def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
     """Return the halves of cells that a trajectory below the cutoff may go through; [] if none, None if too many."""
-    to_come = done[0].value.least
+    to_come, room = done[0].value.least, float(LEVEL_BYTES)
     tasks: list[_Task] = []
     for t, (now, following) in enumerate(zip(done, [*done[1:], None], strict=True)):
         boxes = now.boxes.take(to_come[now.boxes.cell] + now.to_go < cutoff)
@@ -262,7 +275,9 @@ def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
         if not alive.any():
             return []
         lattice, parents = now.value.lattice.halved(alive)
-        if lattice.shape.prod() > MAX_LATTICE:
+        entries, halves = lattice.shape.prod(), 1 << _spans_cell(boxes, now.value.lattice).sum(axis=1)
+        room -= entries * lattice.cells.itemsize + halves.sum() / max(len(halves), 1) * boxes.bytes
+        if room < 0 or entries > MAX_LATTICE:
             return None
         halves, target = _halve_cells(boxes, now.value.lattice, lattice, alive), np.full(len(parents), np.inf)
         if t == 0:
@@ -277,12 +292,17 @@ def _next_level(done: list[_Done], cutoff: float) -> list[_Task] | None:
     return tasks
 
 
+def _spans_cell(boxes: Boxes, lattice: Lattice) -> Mask:
+    """Whether boxes are as wide as their cells along each state in which these are halved, (boxes, n)."""
+    return (boxes.radius[:, : len(lattice.width)] > lattice.width / 3) & (lattice.split > 1)
+
+
 def _halve_cells(boxes: Boxes, coarse: Lattice, fine: Lattice, alive: Mask) -> Boxes:
     """Return the parts of boxes in each half of their cells."""
     n, split = len(coarse.width), coarse.split
     corners = index_tuples(split)
     rank = np.cumsum(alive) - 1
-    whole = (boxes.radius[:, :n] > coarse.width / 3) & (split > 1)
+    whole = _spans_cell(boxes, coarse)
     side = boxes.centre[:, :n] > coarse.centres[boxes.cell]
     parts: list[Boxes] = []
     for i, corner in enumerate(corners):

@@ -17,6 +17,7 @@ from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 ARRIVAL_SAMPLES = 256  # controls at which the cost-to-come is estimated
 SLOPE_SAMPLES = 128  # controls at which slopes are estimated
 ZOOM_SAMPLES = 25  # controls around the best sample, each time closer
+MAX_SAMPLES = 400_000  # that are looked at together: some hundred megabytes
 ZOOMS, ZOOMS_TO_END = 2, 5  # refinements; more where a state is met exactly, until its distance is negligible
 ARRIVAL_SPREAD = 5  # cells around a sample that count as reached, plus a fortieth of all cells
 FIXED_PRICE = 20.0  # multiple of the stage cost per change of a state, for the distance to a fixed state
@@ -35,7 +36,7 @@ def costs_to_come(stages: PricedProblem, lattices: list[Lattice]) -> list[Array]
     to_come[0][:] = 0.0
     for t, (lattice, after) in enumerate(pairwise(lattices)):
         lower, upper = stages.lower[t], stages.upper[t]
-        points = _unit_grid(ARRIVAL_SAMPLES * (1 if len(lattice.cells) > 1 else ARRIVAL_SPREAD), len(lower))
+        points, _ = _unit_grid(ARRIVAL_SAMPLES * (1 if len(lattice.cells) > 1 else ARRIVAL_SPREAD), len(lower))
         x, u = lattice.centres, lower + (points + 1) / 2 * (upper - lower)
         pairs = np.hstack([np.repeat(x, len(u), axis=0), np.tile(u, (len(x), 1))])
         total = np.repeat(to_come[t], len(u)) + stages.whole_cost(t, pairs)
@@ -60,10 +61,12 @@ def holds(mode: SmoothMode, pairs: Array, time: int) -> Mask:
     return inside
 
 
-def _unit_grid(points: int, m: int) -> Array:
-    """Return a grid of about ``points`` points over [-1, 1]^m, (points, m)."""
-    each = max(2, round(points ** (1 / m)))
-    return np.linspace(-1, 1, each)[index_tuples(np.full(m, each))]
+def _unit_grid(points: int, m: int) -> tuple[Array, float]:
+    """Return a grid of about ``points`` points over [-1, 1]^m, (points, m), a cross for large m, and its spacing."""
+    each = round(points ** (1 / m))
+    if each < 2:
+        return np.vstack([np.zeros(m), np.eye(m), -np.eye(m)]), 1.0
+    return np.linspace(-1, 1, each)[index_tuples(np.full(m, each))], 2 / (each - 1)
 
 
 def free_slopes(gradient: Array, J: Array, weights: Array) -> Array:
@@ -98,7 +101,9 @@ class Samples:
 
     def _sampled_at(self, x: Array) -> tuple[Array, Array]:
         """Return the least cost-to-go of samples from states, and its slopes, (states,) and (states, n)."""
-        best, at, chosen, spacing = self._best(x)
+        batches = np.array_split(np.arange(len(x)), len(x) * len(self._points[0]) // MAX_SAMPLES + 1)
+        found = zip(*(self._best(x[rows], self.lower[rows], self.upper[rows]) for rows in batches), strict=True)
+        best, at, chosen, spacing = (np.concatenate(parts) for parts in found)
         problem, costs, after = self.stages.problem, self.stages.costs, self.after
         n, free = problem.state_dim, np.full((len(x), problem.state_dim), np.inf)
         lowest = np.hstack([-free, self.stages.lower[self.t] + 1.5 * spacing])
@@ -123,20 +128,19 @@ class Samples:
         usual = MAX_SLOPE[n] * np.median(np.abs(slopes[finite]), axis=0) if finite.any() else 0.0
         return best, np.clip(slopes, -usual, usual)
 
-    def _best(self, x: Array) -> tuple[Array, Array, Indices, Array]:
+    def _best(self, x: Array, lower: Array, upper: Array) -> tuple[Array, Array, Indices, Array]:
         """Return the least of c + V(f) that samples reach, where, in which mode, and how far apart samples were."""
-        m = self.stages.problem.control_dim
-        points, zoom = _unit_grid(SLOPE_SAMPLES, m), _unit_grid(ZOOM_SAMPLES, m)
-        middle, radius = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
+        (points, share), (zoom, closer_by) = self._points, _unit_grid(ZOOM_SAMPLES, lower.shape[1])
+        middle, radius = 0.5 * (lower + upper), 0.5 * (upper - lower)
         best, at, chosen = self._best_of(x, middle[:, None] + points * radius[:, None])
-        spacing = 2 * radius / (round(len(points) ** (1 / m)) - 1)
+        spacing = share * radius
         for _ in range(ZOOMS_TO_END if (self.after.lattice.width == 0).any() else ZOOMS):
             u = at[:, None, self.stages.problem.state_dim :] + zoom * spacing[:, None]
-            better, where, mode = self._best_of(x, np.clip(u, self.lower[:, None], self.upper[:, None]))
+            better, where, mode = self._best_of(x, np.clip(u, lower[:, None], upper[:, None]))
             closer = better < best
             best, at = np.where(closer, better, best), np.where(closer[:, None], where, at)
             chosen = np.where(closer, mode, chosen)
-            spacing = 2 * spacing / (round(len(zoom) ** (1 / m)) - 1)
+            spacing = closer_by * spacing
         return best, at, chosen, spacing
 
     def _best_of(self, x: Array, u: Array) -> tuple[Array, Array, Indices]:
@@ -163,6 +167,10 @@ class Samples:
             best[better], chosen[better] = totals[better], i
             at[better] = pairs.reshape(len(x), count, -1)[better, least[better]]
         return best, at, chosen
+
+    @cached_property
+    def _points(self) -> tuple[Array, float]:
+        return _unit_grid(SLOPE_SAMPLES, self.stages.problem.control_dim)
 
     @cached_property
     def _modes(self) -> tuple[SmoothMode, ...]:

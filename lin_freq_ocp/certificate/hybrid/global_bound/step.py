@@ -21,7 +21,7 @@ BISECTIONS = 10  # bisections at one time of a level; boxes that are still weak 
 SMALL_BATCH = 2000  # boxes that are bounded in the time a round needs to start: fewer are cut into four
 BOXES_PER_CELL = 100  # boxes bounded at one time of a level, in addition to SMALL_BATCH
 MAX_SPAN = {1: 12, 2: 12, 3: 5}  # cells along a state that an image may meet to be bounded by each, by states
-MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once: some hundred megabytes
+MAX_PAIRS = 400_000  # pairs of boxes and cells bounded at once, with Hessians of 4 x 4: some hundred megabytes
 
 
 def taylor_bounds(
@@ -122,6 +122,11 @@ class Boxes:
         far = np.full((len(cell), n), np.inf)
         return cls(cell, mode, centre, radius, -far, far, np.zeros(len(cell)))
 
+    @property
+    def bytes(self) -> int:
+        """Return the memory that the boxes take."""
+        return sum(getattr(self, field.name).nbytes for field in fields(self))
+
     def take(self, chosen: Mask | Indices) -> Boxes:
         """Return some of the boxes."""
         return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
@@ -156,7 +161,7 @@ def met_cells(boxes: Boxes, after: CostToGo) -> Iterator[tuple[Indices, Indices]
     """Yield numbers of boxes with numbers of cells of t + 1 that they may lead to, in batches."""
     lattice = after.lattice
     first, final = lattice.indices(boxes.low, -1), lattice.indices(boxes.high, 1)
-    for rows in _batches(np.flatnonzero(_meets(boxes, lattice)), first, final):
+    for rows in _batches(np.flatnonzero(_meets(boxes, lattice)), first, final, MAX_PAIRS):
         yield _pairs(rows, first, final, boxes, after)
 
 
@@ -175,6 +180,7 @@ class BackwardStep:
         self._pole = after.lattice.width == 0
         self._minima = Minima(after)
         self._hessian = stages.costs.hessians[t]
+        self._most = MAX_PAIRS // max(1, self._hessian.size // 16)  # pairs at once
 
     def slopes(self, boxes: Boxes) -> tuple[Array, Array]:
         """Return slopes for the pieces of every cell, and the value at its centre that samples of its boxes allow."""
@@ -184,21 +190,22 @@ class BackwardStep:
         return Samples(self._stages, self._t, self._lattice, lower, upper, self._after).slopes()
 
     def values(
-        self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float
+        self, boxes: Boxes, slopes: Array, target: Array, cutoff: Array, tolerance: float, room: int
     ) -> tuple[CostToGo, Boxes]:
         """Return V_t with slopes (cells, pieces, n), and boxes that cover all trajectories below the cutoff.
 
         Boxes whose bound is above target (cells, pieces), or within the tolerance of the value at the centre of a box,
-        are not bisected any more; those above the cutoff (cells, pieces) are dropped.
+        are not bisected any more, nor are any beyond so many bytes of ``room``; those above the cutoff (cells,
+        pieces) are dropped.
         """
         lattice, target = self._lattice, target.copy()
         lowest = np.full(target.shape, np.inf)
         cover_parts: list[Boxes] = []
         bounds_kept: list[Array] = []
-        total, most = 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
+        total, taken, most = 0, 0, SMALL_BATCH + BOXES_PER_CELL * len(lowest)
         for round_ in range(BISECTIONS):
-            total += len(boxes.cell)
-            final = round_ == BISECTIONS - 1 or total > most
+            total, taken = total + len(boxes.cell), taken + boxes.bytes
+            final = round_ == BISECTIONS - 1 or total > most or taken + 4 * boxes.bytes > room
             boxes, bounds, reached, steep = self._bound_boxes(boxes, slopes)
             np.minimum.at(target, boxes.cell, reached - tolerance)
             looked_at = np.flatnonzero(~(bounds >= cutoff[boxes.cell]).any(axis=1))
@@ -225,10 +232,10 @@ class BackwardStep:
         bounded = [(boxes.take(np.zeros(0, dtype=np.intp)), none, none, boxes.radius[:0])]
         for i, mode in enumerate(self._modes):
             rows = np.flatnonzero(boxes.mode == i)
-            for start in range(0, len(rows), MAX_PAIRS // 8):
+            for start in range(0, len(rows), self._most // 8):
                 if now() > self._deadline:
                     raise OutOfTimeError
-                bounded.append(self._of_mode(mode, boxes.take(rows[start : start + MAX_PAIRS // 8]), slopes))
+                bounded.append(self._of_mode(mode, boxes.take(rows[start : start + self._most // 8]), slopes))
         parts, *arrays = zip(*bounded, strict=True)
         bounds, reached, steep = (np.concatenate(array) for array in arrays)
         return Boxes.joined(parts), bounds, reached, steep
@@ -264,7 +271,7 @@ class BackwardStep:
         least = self._minima.least(first, final) + low[:, self._n :].sum(axis=1)
         bounds = offset - (change * r[:, None]).sum(axis=2) + least[:, None]
         bounds[~meets] = np.inf
-        for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final):
+        for rows in _batches(np.flatnonzero(meets & (span <= MAX_SPAN[self._n])), first, final, self._most):
             pair, cell = _pairs(rows, first, final, boxes, self._after)
             closer = np.full(bounds.shape, np.inf)
             for s in range(cell_slopes.shape[1]):
@@ -331,9 +338,9 @@ class BackwardStep:
         return bounds
 
 
-def _batches(rows: Indices, first: Indices, final: Indices) -> Iterator[Indices]:
-    """Yield batches of rows with at most MAX_PAIRS pairs each."""
-    counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // MAX_PAIRS
+def _batches(rows: Indices, first: Indices, final: Indices, most: int) -> Iterator[Indices]:
+    """Yield batches of rows with some ``most`` pairs each."""
+    counts = np.cumsum((final[rows] - first[rows] + 1).prod(axis=1)) // most
     for k in np.unique(counts):
         yield rows[counts == k]
 

@@ -42,7 +42,7 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import hull_weights
-from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, uniqueness
+from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, rounded_point, uniqueness
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION, ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -194,14 +194,14 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory, arrays: M
     ``arrays`` are the modes with the sizes by which they are active.
     """
     point = _FitPoint.at(problem, trajectory, arrays)
-    found = point.multipliers(fitted_duals(*_hull_program(point))[0])
+    found = point.multipliers(fitted_duals(*_hull_program(point), point.rounding)[0])
     common = multipliers_with_weights(problem, trajectory, point.sequence, found, arrays=arrays)
     yield common
     if not point.stages:
         return
     try:
         program, pushes = _kink_program(point)
-        y, _ = fitted_duals(program, point.z)
+        y, _ = fitted_duals(program, point.z, point.rounding)
         pushed = (y[len(point.program.lower) :] @ pushes).reshape(problem.horizon, -1)
         on_kinks = multipliers_with_weights(problem, trajectory, point.sequence, point.multipliers(y), pushed, arrays)
         yield on_kinks
@@ -211,7 +211,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory, arrays: M
         for start in (on_kinks, common):
             eta = start.eta
             for _ in range(WEIGHT_FITS):
-                fit = point.multipliers(fitted_duals(*_weight_program(point, eta))[0])
+                fit = point.multipliers(fitted_duals(*_weight_program(point, eta), point.rounding)[0])
                 # without weights: the judge fits them again
                 stage = {name: values for name, values in fit.stage.items() if name != REGION}
                 yield Multipliers(1.0, fit.eta, fit.mu, fit.nu, fit.rho_u, fit.rho_x, stage)
@@ -224,7 +224,7 @@ def candidates(problem: OptimalControlProblem, trajectory: Trajectory, arrays: M
 
 @dataclass(frozen=True, eq=False)
 class _FitPoint:
-    """A trajectory as a point z of the scaled program of its mode sequence, with the active modes and facets.
+    """A trajectory as a point z of the scaled program of its mode sequence, with its rounding, active modes and facets.
 
     ``signals`` (T, n + m) are the variables of (x_t, u_t). ``rows`` has, for each multiplier, the number of its row in
     the program, counted from 1 (0: no row). ``stages`` are (time, mode) of all active modes that are not in the
@@ -240,6 +240,7 @@ class _FitPoint:
     scaling: Scaling
     program: Program
     z: Array
+    rounding: Array
     signals: Indices
     rows: Multipliers
     stages: list[tuple[int, int]]
@@ -250,6 +251,7 @@ class _FitPoint:
         sequence, active = arrays.sequence(x, u), arrays.active_modes(x, u)
         linear, scaling, program = scaled_program(problem.with_modes(sequence))
         numbers = np.arange(1.0, 1.0 + len(program.lower))
+        z, rounding = rounded_point(linear, scaling, trajectory, problem.origin)
         return cls(
             arrays=arrays,
             sequence=sequence,
@@ -259,7 +261,8 @@ class _FitPoint:
             linear=linear,
             scaling=scaling,
             program=program,
-            z=scaling.scaled_primal(linear.point(trajectory)),
+            z=z,
+            rounding=rounding,
             signals=signal_columns(problem.horizon, problem.state_dim, problem.control_dim),
             rows=linear.multipliers(numbers, 1.0),
             stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
