@@ -26,11 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, times_vectors
+from lin_freq_ocp.base.arrays import Array, Indices, times_vectors
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.cones import Cone
-from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, Derivatives, SmoothModel
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.candidate import Reason
+from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, VIOLATION, Derivatives, SmoothModel
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
 from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, End
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
@@ -39,7 +39,7 @@ from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, KKTSolver, StepSystem, System, Values, largest
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 IMPROVED = 1e-5  # share of the infeasibility by which either is to fall
@@ -257,7 +257,7 @@ class BarrierPoint:
     def longest(self, change: dict[int, Array], power: int) -> float:
         """Return the largest part of a step, up to 1, with slacks (power -1) or duals (1) inside the cone."""
         lengths = [cone.longest(cone.scaled(change[i], power)) for i, cone in self.cones.items()]
-        return min([1.0, *(max(FRACTION, 1 - self.mu) * length for length in lengths)])
+        return min([1.0, *(FRACTION * length for length in lengths)])
 
     def trial(self, y: Array, s: dict[int, Array], length: float) -> Trial | None:
         """Return the point at a part of a step; None if the map is not defined there."""
@@ -489,6 +489,33 @@ UNIT_REVISIONS = 3  # an answer between obstacles, or far within its bounds, is 
 FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
 
 
+@dataclass(frozen=True, eq=False)
+class LocalOptimum:
+    """The end of an iteration; ``violation`` is the largest of all rows, in units in which limits are of order 1.
+
+    The multipliers are those of the linearised problem of the mode sequence, with those of regions under REGION. If it
+    has not ``converged``, the iteration ended before its residuals were small.
+    """
+
+    sequence: Indices
+    trajectory: Trajectory
+    multipliers: Multipliers
+    cost: float
+    violation: float
+    converged: bool = True
+
+    @property
+    def feasible(self) -> bool:
+        """Whether it is a trajectory of its mode sequence."""
+        return self.violation <= VIOLATION
+
+    @property
+    def reason(self) -> Reason:
+        """Return why another start may be tried after it."""
+        solved = Reason.LOCALLY_OPTIMAL if self.converged else Reason.FEASIBLE
+        return solved if self.feasible else Reason.FAILED
+
+
 def is_smooth(problem: OptimalControlProblem) -> bool:
     """Whether the dynamics are one smooth map that holds everywhere it is defined."""
     dynamics = piecewise_smooth(problem)
@@ -496,14 +523,16 @@ def is_smooth(problem: OptimalControlProblem) -> bool:
 
 
 def smooth_optimum(
-    problem: OptimalControlProblem, start: Trajectory, end: float = np.inf, warm: bool = True
+    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, end: float = np.inf, warm: bool = True
 ) -> tuple[LocalOptimum | None, End]:
-    """Return the local optimum near a trajectory, or the last point, and how the iteration ended.
+    """Return the local optimum of a mode sequence near a trajectory, or the last point, and how the iteration ended.
 
-    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is taken to be
-    near an optimum, and worth many steps.
+    None if a map is not defined at the start, or no trajectory with the fixed ends has this mode sequence. ``end`` is by
+    ``clock.now``. ``warm``: the start is taken to be near an optimum, and worth many steps.
     """
-    model = SmoothModel.at(problem, start)
+    model = SmoothModel.at(problem, start, sequence)
+    if model is None:
+        return None, End.UNDEFINED
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)
     barrier = Barrier(model, loops(), end, *first)
     answer = barrier.run(model.assembly.point(start))
@@ -528,6 +557,5 @@ def smooth_optimum(
         trajectory = model.trajectory(answer.point.y)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost = problem.value(trajectory.x, trajectory.u)
-    sequence = np.zeros(problem.horizon, dtype=np.intp)
     converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
     return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

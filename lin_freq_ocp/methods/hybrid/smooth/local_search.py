@@ -16,18 +16,17 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, LocalOptimum, is_smooth, smooth_optimum
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.transform.hybrid.priced import cost_as_state
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import search_scale, stated_sizes
 from lin_freq_ocp.transform.starts import Start
@@ -255,7 +254,6 @@ class LocalSearch:
         if self._smooth and self.problem.path_constraints:
             line = self._constant_trajectory(SHARES[0], replayed=False)
             self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
-        self._with_cost = None if self._smooth else cost_as_state(self.problem)
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
@@ -332,20 +330,8 @@ class LocalSearch:
             return None
         self._known.add(key)
         self.tried += 1
-        optimum = None
-        if self._smooth:
-            try:
-                optimum, ended = smooth_optimum(self.problem, start, self.end, warm)
-                self.interrupted = ended is End.INTERRUPTED
-            except UnsupportedError:  # too large for the structured method
-                self._smooth, self._with_cost = False, cost_as_state(self.problem)
-        if not self._smooth:
-            priced = self._with_cost
-            given = (self.problem, start) if priced is None else (priced.problem, priced.start(start))
-            optimum = local_optimum(*given, sequence, below, self.end)
-            if optimum is not None and priced is not None:
-                trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
-                optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
+        optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm)
+        self.interrupted = ended is End.INTERRUPTED
         reason = Reason.REFUSED if optimum is None else optimum.reason
         if optimum is not None and self._improves(optimum):
             self.best = optimum
@@ -354,7 +340,7 @@ class LocalSearch:
             elif self._smooth and reason is Reason.FEASIBLE and self._diverges(optimum.trajectory):
                 reason = Reason.UNBOUNDED
         if self.best is optimum or below == np.inf:  # of neighbouring sequences, the better ones
-            self.attempts.append(Attempt("barrier" if self._smooth else "sequential", None, reason))
+            self.attempts.append(Attempt("barrier", None, reason))
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
         return reason
@@ -423,6 +409,18 @@ class LocalSearch:
         end = np.where(bounded & self._smooth, _middle(box, middle), start)
         part = np.linspace(0.0, 1.0, self.problem.horizon + 1)[:, None]
         return Trajectory((1 - part) * start + part * end, u)
+
+
+def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
+    """Yield the sequences with one mode changed, first where the multipliers of regions are largest."""
+    T, modes = problem.horizon, len(piecewise_smooth(problem).modes)
+    largest = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
+    for t in np.argsort(-largest, kind="stable"):
+        for i in range(modes):
+            if i != local.sequence[t]:
+                changed = local.sequence.copy()
+                changed[t] = i
+                yield changed
 
 
 def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, sizes: Array) -> list[Trajectory]:
