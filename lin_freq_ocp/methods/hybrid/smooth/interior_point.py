@@ -178,6 +178,12 @@ class BarrierPoint:
         cost = 0.5 * float(np.vdot(y, times_vectors(objective.H, y))) + float(np.vdot(objective.h, y))
         return cost + objective.constant - barrier
 
+    def bound(self, reach: float) -> float:
+        """Return what the objective costs at least within a reach, as far as the Lagrangian is convex."""
+        rows = zip(self.point.z, self.system.rows(self.point.y), self.system.b, strict=True)
+        lagrangian = self.phi(self.point.y, self.point.s, 0.0) + sum(float(np.vdot(z, A - b)) for z, A, b in rows)
+        return lagrangian - reach * float(np.abs(self._dual).sum())
+
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
@@ -304,13 +310,17 @@ class BarrierResult:
 
 @dataclass(eq=False)
 class Barrier:
-    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by clock.now."""
+    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by clock.now.
+
+    It ends where the cost will not fall ``below`` a number.
+    """
 
     model: SmoothModel
     loops: Loops
     end: float = np.inf
     mu: float = FIRST_MU
     most_steps: int = MOST_STEPS
+    below: float = np.inf
 
     def __post_init__(self):
         stages = self.model.stages
@@ -361,6 +371,8 @@ class Barrier:
             self._last = local
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
                 return End.OPTIMAL
+            if self.below < np.inf and local.bound(self._longest) >= self.below:
+                return End.STALLED
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
                 entries = Filter(entries.first, entries.far)
@@ -523,23 +535,32 @@ def is_smooth(problem: OptimalControlProblem) -> bool:
 
 
 def smooth_optimum(
-    problem: OptimalControlProblem, start: Trajectory, sequence: Indices, end: float = np.inf, warm: bool = True
+    problem: OptimalControlProblem,
+    start: Trajectory,
+    sequence: Indices | None = None,
+    end: float = np.inf,
+    warm: bool = True,
+    below: float = np.inf,
 ) -> tuple[LocalOptimum | None, End]:
     """Return the local optimum of a mode sequence near a trajectory, or the last point, and how the iteration ended.
+
+    Without a sequence, it is the first mode at all times. An optimum that costs ``below`` or more is of no use: as soon
+    as that is clear, the iteration ends.
 
     None if a map is not defined at the start, or no trajectory with the fixed ends has this mode sequence. ``end`` is by
     ``clock.now``. ``warm``: the start is taken to be near an optimum, and worth many steps.
     """
+    sequence = np.zeros(problem.horizon, dtype=np.intp) if sequence is None else sequence
     model = SmoothModel.at(problem, start, sequence)
-    if model is None:
+    if model.outside > VIOLATION:
         return None, End.UNDEFINED
     first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)
-    barrier = Barrier(model, loops(), end, *first)
+    barrier = Barrier(model, loops(), end, *first, below * model.assembly.units.cost)
     answer = barrier.run(model.assembly.point(start))
     if answer.end is End.UNDEFINED:
         return None, answer.end
     trajectory = model.trajectory(answer.point.y)
-    for _ in range(UNIT_REVISIONS):
+    for _ in range(UNIT_REVISIONS if problem.value(trajectory.x, trajectory.u) < below else 0):
         if answer.end is End.OPTIMAL and barrier.unequal:
             again = model.revised(answer.point.y, 0.0 if problem.path_constraints else FAR_UNIT)
             weights = WARM_MU, MOST_STEPS

@@ -330,7 +330,8 @@ class LocalSearch:
             return None
         self._known.add(key)
         self.tried += 1
-        optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm)
+        useful = np.inf if self.best is None or self.best.reason is not Reason.LOCALLY_OPTIMAL else self.best.cost
+        optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
         self.interrupted = ended is End.INTERRUPTED
         reason = Reason.REFUSED if optimum is None else optimum.reason
         if optimum is not None and self._improves(optimum):

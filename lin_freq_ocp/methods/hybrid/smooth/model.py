@@ -144,14 +144,18 @@ class SmoothModel:
     pieces: Pieces
     assembly: Assembly
     plain: Assembly | None = None  # without the weight of the end
+    outside: float = 0.0  # the largest violation of path constraints by the fixed ends, whatever the trajectory is
 
     @classmethod
-    def at(cls, given: OptimalControlProblem, trajectory: Trajectory, sequence: Indices) -> SmoothModel | None:
-        """Return the model linearised at a trajectory, with units that follow from the problem's own data.
+    def at(
+        cls, given: OptimalControlProblem, trajectory: Trajectory, sequence: Indices | None = None
+    ) -> SmoothModel:
+        """Return the model of a mode sequence, by default of the first mode alone, linearised at a trajectory.
 
-        None if no trajectory with the fixed ends has this mode sequence.
+        Its units follow from the problem's own data.
         """
-        sizes, pieces = stated_sizes(given), Pieces.of(given, sequence)
+        alone = np.zeros(given.horizon, dtype=np.intp)
+        sizes, pieces = stated_sizes(given), Pieces.of(given, alone if sequence is None else sequence)
         problem = given
         if pieces.regions:
             problem = replace_fields(given, stage_rows=(*given.stage_rows, *(one for _, one in pieces.regions)))
@@ -163,10 +167,7 @@ class SmoothModel:
         )
         model = cls(problem, pieces, assemble_stages(linear, sizes))
         if problem.path_constraints:
-            assembly, outside = model.without_constants()
-            if outside > VIOLATION:
-                return None
-            model = replace(model, assembly=assembly)
+            model = model.without_constants()
         return model.with_end_weighted(trajectory)
 
     def with_end_weighted(self, trajectory: Trajectory) -> SmoothModel:
@@ -273,23 +274,17 @@ class SmoothModel:
             np.concatenate(bends)[rows.values] * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
         )
 
-    def without_constants(self) -> tuple[Assembly, float]:
-        """Return the stages without the rows of path constraints that depend on fixed ends alone.
-
-        Beside them is the largest violation of these rows.
-        """
-        stages, n, limits, y = self.stages, self.problem.state_dim, self.stages.g.copy(), np.zeros(self.stages.h.shape)
-        fixed = np.zeros((2, stages.G.shape[2]), dtype=bool)
+    def without_constants(self) -> SmoothModel:
+        """Return the model without the rows of path constraints that depend on fixed ends alone."""
+        stages, n, limits = self.stages, self.problem.state_dim, self.stages.g.copy()
+        fixed, y = np.zeros((2, stages.G.shape[2]), dtype=bool), np.zeros(stages.h.shape)
         fixed[0, :n], fixed[1, stages.coupling.terminal] = stages.fixed, True
-        y[0, :n][stages.fixed], y[-1, stages.coupling.terminal] = (
-            stages.initial[stages.fixed],
-            stages.coupling.terminal_state,
-        )
+        y[0, :n], y[-1, stages.coupling.terminal] = np.nan_to_num(stages.initial), stages.coupling.terminal_state
         outside, violations = 0.0, self.path_values(y)
         for t, k, violation in zip(self.path.times, self.path.slots, violations, strict=True):
             if t in (0, self.problem.horizon) and not stages.G[t, k, ~fixed[int(t > 0)]].any():
                 limits[t, k], outside = np.inf, max(outside, float(violation))
-        return replace(self.assembly, stages=replace(stages, g=limits)), outside
+        return replace(self, assembly=replace(self.assembly, stages=replace(stages, g=limits)), outside=outside)
 
     def with_unit_of_cost(self, trajectory: Trajectory) -> Assembly:
         """Return the stages in the unit of cost in which the cost with its formulas is as steep as usual there."""
