@@ -547,8 +547,8 @@ def smooth_optimum(
     Without a sequence, it is the first mode at all times. An optimum that costs ``below`` or more is of no use: as soon
     as that is clear, the iteration ends.
 
-    None if a map is not defined at the start, or no trajectory with the fixed ends has this mode sequence. ``end`` is by
-    ``clock.now``. ``warm``: the start is taken to be near an optimum, and worth many steps.
+    None if a map is not defined at the start, or no trajectory with the fixed ends has this mode sequence. ``end`` is
+    by ``clock.now``. ``warm``: the start is taken to be near an optimum, and worth many steps.
     """
     sequence = np.zeros(problem.horizon, dtype=np.intp) if sequence is None else sequence
     model = SmoothModel.at(problem, start, sequence)
@@ -577,6 +577,8 @@ def smooth_optimum(
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
     multipliers = model.multipliers(answer.point.y, answer.point.z)
-    cost = problem.value(trajectory.x, trajectory.u)
+    cost, before = (problem.value(one.x, one.u) for one in (trajectory, start))
+    if before <= cost and model.violation(model.assembly.point(start)) <= answer.violation:
+        trajectory, cost = start, before  # at rest, say: its neighbours cost more by what the square root of rounding does
     converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
     return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

@@ -1,12 +1,14 @@
 """A mode sequence of smooth maps over stages: all but the dynamics is that of the structured method, in its units.
 
-With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map of the mode at t, in deviations from an origin
-and in units. The regions of the modes are path constraints. The distance from a fixed end has a weight in the cost, too, which changes no solution. Without it, the recursion, which
-ignores the end, would reject a reduced Hessian that is positive definite only because of the fixed end.
+With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map of the mode at t, in deviations from an
+origin and in units. The regions of the modes are path constraints. The distance from a fixed end has a weight in the
+cost, too, which changes no solution. Without it, the recursion, which ignores the end, would reject a reduced Hessian
+that is positive definite only because of the fixed end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -17,7 +19,8 @@ from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.formulas.jets import Jets, jets_of, values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
-from lin_freq_ocp.methods.structured.kkt.system import Values
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System, Values, largest
 from lin_freq_ocp.methods.structured.stages import Stages
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
@@ -116,7 +119,10 @@ class Pieces:
         """Return the maps to first order along a trajectory, zero where they are not defined."""
         dynamics, y = self.dynamics, np.hstack([trajectory.x[:-1], trajectory.u])
         at, n = self.jets(y), dynamics.state_dim
-        slopes, offset = np.nan_to_num(at.slopes, posinf=0.0, neginf=0.0), at.values - np.einsum("tij,tj->ti", at.slopes, y)
+        slopes, offset = (
+            np.nan_to_num(at.slopes, posinf=0.0, neginf=0.0),
+            at.values - np.einsum("tij,tj->ti", at.slopes, y),
+        )
         offset = np.nan_to_num(offset, posinf=0.0, neginf=0.0)
         labels = dynamics.sampling_time, dynamics.state_names, dynamics.control_names
         return LinearDynamics(slopes[..., :n], slopes[..., n:], offset, *labels)
@@ -147,9 +153,7 @@ class SmoothModel:
     outside: float = 0.0  # the largest violation of path constraints by the fixed ends, whatever the trajectory is
 
     @classmethod
-    def at(
-        cls, given: OptimalControlProblem, trajectory: Trajectory, sequence: Indices | None = None
-    ) -> SmoothModel:
+    def at(cls, given: OptimalControlProblem, trajectory: Trajectory, sequence: Indices | None = None) -> SmoothModel:
         """Return the model of a mode sequence, by default of the first mode alone, linearised at a trajectory.
 
         Its units follow from the problem's own data.
@@ -159,11 +163,11 @@ class SmoothModel:
         problem = given
         if pieces.regions:
             problem = replace_fields(given, stage_rows=(*given.stage_rows, *(one for _, one in pieces.regions)))
-        linear = replace(
+        linear = replace_fields(
             problem,
             dynamics=pieces.linear_at(trajectory),
-            cost=problem.cost.without_formulas,
-            stage_rows=[rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows],
+            cost=problem.cost.without_formulas.at_dimensions(given.state_dim, given.control_dim, given.horizon),
+            stage_rows=tuple(rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows),
         )
         model = cls(problem, pieces, assemble_stages(linear, sizes))
         if problem.path_constraints:
@@ -181,7 +185,9 @@ class SmoothModel:
         H[-1, terminal, terminal] += weight
         h[-1, terminal] -= weight * end
         constant = stages.constant + 0.5 * weight * float(end @ end)
-        return replace(self, assembly=replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain=plain)
+        return replace(
+            self, assembly=replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain=plain
+        )
 
     def revised(self, y: Array, far: float) -> SmoothModel | None:
         """Return the model in units of the size of a solution y.
@@ -206,7 +212,8 @@ class SmoothModel:
         """Return the multipliers of duals at a point."""
         assembly, trajectory = self.assembly, self.trajectory(y)
         dynamics, rows = self.pieces.linear_at(trajectory), self.problem.rows_along(trajectory)
-        program = LinearProgram(replace(assembly.problem, dynamics=dynamics, stage_rows=rows), assembly.program.origin)
+        linear = replace_fields(assembly.problem, dynamics=dynamics, stage_rows=rows)
+        program = LinearProgram(linear, assembly.program.origin)
         multipliers = replace(assembly, program=program).multipliers(z, 1.0, y)
         return replace(multipliers, stage=self.pieces.with_region(multipliers.stage))
 
@@ -226,17 +233,30 @@ class SmoothModel:
         times, slots = np.divmod(slots[values], max(shape[1], 1))
         return PathSlots(values, times, slots, assembly.units.rows[n:][times * shape[1] + slots])
 
+    def violation(self, y: Array) -> float:
+        """Return the largest violation of the dynamics, of the fixed ends and of all rows at a point."""
+        system = System(self.stages_at(y), loops())
+        residuals = [values - right for values, right in zip(system.rows(y), system.b, strict=True)]
+        for i, cone in system.cones.items():
+            residuals[i] = np.array([max(0.0, -cone.margin(-residuals[i] * cone.present))])
+        return largest([*residuals[:DYNAMICS], self.defects(y), *residuals[DYNAMICS + 1 :]])
+
     def path_values(self, y: Array) -> Array:
         """Return the values less limits, and less the slacks of soft ones, of path constraints at a point, (rows,)."""
-        rows, first, violations = self.path, self._units.shape[1], list[Array]()
-        if not len(rows.values):
+        if not len(self.path.values):
             return np.zeros(0)
-        points = self._points(y)
-        for constraint in self.problem.path_constraints:
-            times = constraint.map.times
-            violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
+        constraints, points = self.problem.path_constraints, self._points(y)
+        return self._violations(
+            y, [values_of(one.formulas, points[one.map.times], one.map.times) for one in constraints]
+        )
+
+    def _violations(self, y: Array, values: Sequence[Array]) -> Array:
+        """Return ``path_values`` from the values of each path constraint."""
+        rows, first = self.path, self._units.shape[1]
+        pairs = zip(values, self.problem.path_constraints, strict=True)
+        violations = np.concatenate([(value - one.limits()).ravel() for value, one in pairs])
         less = np.einsum("ri,ri->r", self.stages.G[rows.times, rows.slots, first:], y[rows.times, first:])
-        return np.concatenate(violations)[rows.values] * rows.units + less
+        return violations[rows.values] * rows.units + less
 
     def stages_at(self, y: Array) -> Stages:
         """Return the stages with the path constraints linearised at a point; without any, those of the model."""
@@ -258,20 +278,18 @@ class SmoothModel:
 
     def _path_derivatives(self, y: Array, units: Array) -> tuple[Array, Array, Array]:
         """Return values less limits of path constraints, slopes and curvatures by signals with units (T, n + m)."""
-        rows, width, normals, bends = self.path, units.shape[1], list[Array](), list[Array]()
+        rows, width = self.path, units.shape[1]
         if not len(rows.values):
             return np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width))
-        points = self._points(y)
-        for constraint in self.problem.path_constraints:
-            times = constraint.map.times
-            at = jets_of(constraint.formulas, points[times], times=times)
-            normals.append(at.slopes.reshape(-1, width))
-            bends.append(at.curvatures.reshape(-1, width, width))
+        constraints, points = self.problem.path_constraints, self._points(y)
+        jets = [jets_of(one.formulas, points[one.map.times], times=one.map.times) for one in constraints]
+        normals = np.concatenate([at.slopes.reshape(-1, width) for at in jets])[rows.values]
+        bends = np.concatenate([at.curvatures.reshape(-1, width, width) for at in jets])[rows.values]
         columns = np.vstack([units, self._units[-1:]])[rows.times]
         return (
-            self.path_values(y),
-            np.concatenate(normals)[rows.values] * columns * rows.units[:, None],
-            np.concatenate(bends)[rows.values] * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
+            self._violations(y, [at.values for at in jets]),
+            normals * columns * rows.units[:, None],
+            bends * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
         )
 
     def without_constants(self) -> SmoothModel:
@@ -301,7 +319,9 @@ class SmoothModel:
         stages, units = self.stages, self.assembly.units
         quadratic = 0.5 * float(np.einsum("ti,tij,tj->", y, stages.H, y)) + float(np.vdot(stages.h, y))
         terminal = values_of(self._terminal, self._points(y)[-1:], np.array([len(y) - 1]))
-        return quadratic + stages.constant + units.cost * float(self.pieces.costs(self._signals(y)).sum() + terminal.sum())
+        return (
+            quadratic + stages.constant + units.cost * float(self.pieces.costs(self._signals(y)).sum() + terminal.sum())
+        )
 
     def expanded_cost(self, y: Array) -> tuple[Array, Array]:
         """Return H and h of 1/2 y'H y + h'y + ..., the cost with its formulas to second order at a point."""
