@@ -29,7 +29,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, times_vectors
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.cones import Cone
-from lin_freq_ocp.methods.candidate import Reason
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.methods.candidate import Reason, zero_multipliers
 from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, VIOLATION, Derivatives, SmoothModel
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
 from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, End
@@ -576,9 +577,13 @@ def smooth_optimum(
             break
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
-    multipliers = model.multipliers(answer.point.y, answer.point.z)
     cost, before = (problem.value(one.x, one.u) for one in (trajectory, start))
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            multipliers = model.multipliers(answer.point.y, answer.point.z)
+    except ProblemError:  # the duals grew until they overflowed
+        return LocalOptimum(sequence, trajectory, zero_multipliers(problem, 1.0), cost, np.inf), answer.end
     if before <= cost and model.violation(model.assembly.point(start)) <= answer.violation:
-        trajectory, cost = start, before  # at rest, say: its neighbours cost more by what the square root of rounding does
+        trajectory, cost = start, before  # no step improves it: the iteration has left it by rounding, and pays for that
     converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
     return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

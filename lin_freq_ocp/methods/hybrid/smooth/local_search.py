@@ -7,7 +7,7 @@ constraints couple all times; their multipliers, as functions of time, are in th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,10 +20,12 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, LocalOptimum, is_smooth, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
@@ -249,11 +251,14 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._repeated, self.attempts = False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
-        self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
+        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
+        self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
         self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
-        if self._smooth and self.problem.path_constraints:
+        regions = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp)).regions
+        obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
+        if self._smooth and obstacles:
             line = self._constant_trajectory(SHARES[0], replayed=False)
-            self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
+            self._lines = [*lines_around_obstacles(obstacles, line, self._sizes), line]
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
@@ -278,8 +283,7 @@ class LocalSearch:
                     return
         self._on_grid(None)
         for trajectory, sequence in self.starts():
-            alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
-            if alone and self._cost < np.inf and self.tried >= self.enough_starts:
+            if (self._smooth or len(piecewise_smooth(self.problem).modes) == 1) and self._cost < np.inf and self.tried >= self.enough_starts:
                 break
             yield trajectory, sequence, False
         if self._smooth and self.best is not None and not self.best.feasible:
@@ -424,12 +428,12 @@ def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) 
                 yield changed
 
 
-def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, sizes: Array) -> list[Trajectory]:
+def lines_around_obstacles(obstacles: Sequence[PathConstraint], line: Trajectory, sizes: Array) -> list[Trajectory]:
     """Return a line through obstacles, bent along each state to either side until it is outside of them.
 
     Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,).
     """
-    hard = [one for one in problem.path_constraints if one.hard_part is not None]
+    hard = [one for one in obstacles if one.hard_part is not None]
 
     def largest_violation(x: Array) -> float:
         return max(
