@@ -263,8 +263,13 @@ class BarrierPoint:
 
     def longest(self, change: dict[int, Array], power: int) -> float:
         """Return the largest part of a step, up to 1, with slacks (power -1) or duals (1) inside the cone."""
-        lengths = [cone.longest(cone.scaled(change[i], power)) for i, cone in self.cones.items()]
-        return min([1.0, *(FRACTION * length for length in lengths)])
+        longest = 1.0
+        for i, cone in self.cones.items():
+            # Slacks and duals that a step leaves within mu of the boundary of a second-order cone are not aligned: the
+            # squares of their scaling then differ by 1/mu^2, and no system can be solved there. A row has one number.
+            fraction = FRACTION if cone.blocks else max(FRACTION, 1 - self.mu)
+            longest = min(longest, fraction * cone.longest(cone.scaled(change[i], power)))
+        return longest
 
     def trial(self, y: Array, s: dict[int, Array], length: float) -> Trial | None:
         """Return the point at a part of a step; None if the map is not defined there."""

@@ -334,7 +334,9 @@ class LocalSearch:
             return None
         self._known.add(key)
         self.tried += 1
-        useful = np.inf if self.best is None or self.best.reason is not Reason.LOCALLY_OPTIMAL else self.best.cost
+        useful = np.inf
+        if self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
+            useful = self.best.cost + self._least_decrease(self.best)
         optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
         self.interrupted = ended is End.INTERRUPTED
         reason = Reason.REFUSED if optimum is None else optimum.reason
@@ -358,9 +360,13 @@ class LocalSearch:
         if not best.feasible:
             return optimum.violation < best.violation
         prices = float((np.abs(optimum.multipliers.eta) @ self._sizes).sum())  # of its violation, which is no gain
-        decrease = max(DECREASE * search_scale(self.problem, best.trajectory), prices * optimum.violation)
+        decrease = max(self._least_decrease(best), prices * optimum.violation)
         self._repeated = best.converged and abs(optimum.cost - best.cost) <= decrease
         return optimum.cost < best.cost - decrease
+
+    def _least_decrease(self, best: LocalOptimum) -> float:
+        """Return how much cheaper than an optimum another one is to be."""
+        return DECREASE * search_scale(self.problem, best.trajectory)
 
     @property
     def _cost(self) -> float:
