@@ -10,7 +10,7 @@ import numpy as np
 from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, solver_status
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, smooth_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution
 from lin_freq_ocp.program.units import COST_LEVEL

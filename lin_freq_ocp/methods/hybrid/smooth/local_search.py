@@ -20,7 +20,7 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -283,7 +283,8 @@ class LocalSearch:
                     return
         self._on_grid(None)
         for trajectory, sequence in self.starts():
-            if (self._smooth or len(piecewise_smooth(self.problem).modes) == 1) and self._cost < np.inf and self.tried >= self.enough_starts:
+            alone = len(piecewise_smooth(self.problem).modes) == 1
+            if alone and self._cost < np.inf and self.tried >= self.enough_starts:
                 break
             yield trajectory, sequence, False
         if self._smooth and self.best is not None and not self.best.feasible:
