@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_398,
-    "code lines": 42_972,
-    "code lines, linear part": 21_592,
-    "code lines, hybrid": 8_731,
+    "shipped lines": 46_175,
+    "code lines": 42_749,
+    "code lines, linear part": 21_575,
+    "code lines, hybrid": 8_525,
     SHARE_SAID: 19.5,  # at least
     "files": 314,
     "folders": 42,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 55,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 11.9,
+    "functions used once [%]": 11.8,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,

@@ -10,7 +10,7 @@ import numpy as np
 from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, solver_status
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, smooth_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import Solution
 from lin_freq_ocp.program.units import COST_LEVEL
@@ -79,13 +79,13 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np
     """Return the local optimum that the claimed point leads to, in its modes or the nearest; None if there is none."""
     if claim.trajectory is None or claim.sequence is None:
         return None
-    found = local_optimum(problem, claim.trajectory, claim.sequence, end=end)
+    found, _ = smooth_optimum(problem, claim.trajectory, claim.sequence, end)
     if found is not None and found.feasible:
         return found
     nearest = piecewise_smooth(problem).sequence_of(claim.trajectory.x, claim.trajectory.u)
     if np.array_equal(nearest, claim.sequence):
         return found
-    return local_optimum(problem, claim.trajectory, nearest, end=end) or found
+    return smooth_optimum(problem, claim.trajectory, nearest, end)[0] or found
 
 
 def _claim(program: SmoothProgram, solution: Solution, seconds: dict[str, float]) -> GlobalClaim:

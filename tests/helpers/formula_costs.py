@@ -101,6 +101,6 @@ PUBLISHED = {
 
 def with_state(problem: lfo.OptimalControlProblem) -> lfo.OptimalControlProblem:
     """Return the problem with its stage cost by formulas as a state, as it was stated before costs by formulas."""
-    reduced = cost_as_state(problem)
+    reduced = cost_as_state(problem, lfo.simulate(problem, np.zeros((problem.horizon, problem.control_dim))))
     assert reduced is not None
     return reduced.problem

@@ -225,7 +225,8 @@ REDUCTIONS = {
         {"pulse pattern": partial(lfo.library.pulse_pattern, samples=32), "no state cost": duty_cycles},
     ),
     "cost by formulas as a state": Entry(
-        cost_as_state, {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")}
+        lambda problem: cost_as_state(problem, lfo.simulate(problem, np.zeros((4, 1)))),
+        {stage: partial(with_formula, stage) for stage in ("cosh(x_0) + u_0**2", "abs(x_0) + u_0**2")},
     ),
     "fixed modes": Entry(
         lambda problem: fix_modes(problem, lfo.solve(problem).sequence),

@@ -8,8 +8,9 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "search.common": "SearchLimits TOLERANCES solve_relaxation", "search.mixed": "SolverClaim solve_miqp",
     "search.level_rounding": "level_rounding neighbouring_levels", "search.multipliers": "multipliers_with_weights",
     "search.node": "solve_path_relaxation", "search.parts": "PARTS", "smooth.model": "SmoothModel",
-    "search.path_native": "OPTIMAL path_library run_path", "smooth.sequential": "LocalOptimum local_optimum",
-    "smooth.interior_point": "Barrier BarrierPoint End FEW_ROWS Filter Measure smooth_optimum",
+    "search.path_native": "OPTIMAL path_library run_path",
+    "smooth.interior_point": "Barrier BarrierPoint FEW_ROWS Filter Measure",
+    "smooth.local_optimum": "End LocalOptimum smooth_optimum",
     "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress",
     "smooth.newton": "NewtonRun NewtonSystem iterate_from newton", "angles": "AngleBound AngleBoxes",
 })

@@ -13,7 +13,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.angles import AngleBound, local_angles
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum

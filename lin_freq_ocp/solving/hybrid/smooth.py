@@ -27,10 +27,9 @@ from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Attempt, require_convex, zero_multipliers
 from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import is_smooth
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import box_of

@@ -100,18 +100,14 @@ class CostState(OwnStates):
         return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x, stage=stage)
 
 
-def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) -> CostState | None:
+def cost_as_state(problem: OptimalControlProblem, at: Trajectory) -> CostState | None:
     """Return the problem with its stage cost by formulas as a state; None if it has no cost by formulas.
 
-    The terminal cost is that to first order at a trajectory. UnsupportedError if there is one, but no trajectory.
+    The terminal cost is that to first order at a trajectory.
     """
     terminal = problem.cost.formulas[1]
     if not problem.cost.has_formulas:
         return None
-    if terminal is not None and at is None:
-        raise UnsupportedError(
-            "cost: got a terminal cost by a formula and kinks; expected a QuadraticCost or L1Cost for the last state."
-        )
     n, m, modes = problem.state_dim, problem.control_dim, list[SmoothMode]()
     cost_so_far = signals(n + 1, m)[0][n]
     dynamics = piecewise_smooth(problem)
@@ -124,7 +120,7 @@ def cost_as_state(problem: OptimalControlProblem, at: Trajectory | None = None) 
     zero, free = np.zeros(1), np.full(1, -np.inf)
     augmented = augment_states(stripped, with_state, Box(zero, zero), free, problem.quadratic)
     slope = np.append(augmented.quadratic.p[:n], 1.0)
-    if terminal is not None and at is not None:
+    if terminal is not None:
         slope[:n] += jets_of([terminal], np.append(at.x[-1], np.zeros(m))[None]).slopes[0, 0, :n]
     cost = CostSum([replace(augmented.quadratic, p=slope), *augmented.cost.norms])
     return CostState(problem, replace_fields(augmented, cost=cost.at_dimensions(n + 1, m, problem.horizon)))

@@ -27,7 +27,7 @@ from lin_freq_ocp.certificate.hybrid import (
 )
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.formulas import interval_jets, jets_of, multiply, outward
-from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, local_optimum
+from lin_freq_ocp.methods.hybrid import LocalSearch, SmoothProgress, smooth_optimum
 
 ROUNDING = 1e-9
 BATCH_MEGABYTES = 20  # of what is bounded at once
@@ -466,7 +466,8 @@ class OneStart(LocalSearch):
     def run(self):
         problem = self.problem
         start = lfo.simulate(problem, 0.5 * (problem.control_tube.lower + problem.control_tube.upper))
-        self.best, self.tried = local_optimum(problem, start, np.ones(problem.horizon, dtype=np.intp)), 1
+        self.best, _ = smooth_optimum(problem, start, np.ones(problem.horizon, dtype=np.intp))
+        self.tried = 1
         if self.progress is not None:
             self.progress(SmoothProgress(self.best.cost, -np.inf, self.tried))
         return self

@@ -20,7 +20,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import nearest_in_ball
 from lin_freq_ocp.methods import zero_multipliers
-from lin_freq_ocp.methods.hybrid import NewtonSystem, local_optimum, newton
+from lin_freq_ocp.methods.hybrid import NewtonSystem, newton, smooth_optimum
 
 BUCK = library.buck_converter
 FREE_END = {"terminal_state": None}
@@ -139,10 +139,10 @@ def test_infeasible_ends_are_said_to_be_out_of_reach():
 def test_one_sequence_may_have_several_local_optima_and_flips_lead_on():
     problem = BUCK(horizon=8)
     start = lfo.simulate(problem, np.full((8, 1), 2.4))
-    local = local_optimum(problem, start, np.array([0, 0, 1, 1, 0, 0, 1, 1]))
+    local, _ = smooth_optimum(problem, start, np.array([0, 0, 1, 1, 0, 0, 1, 1]))
     assert local.feasible
     assert local.cost == pytest.approx(44.67772239475926, rel=1e-9)
-    infeasible = local_optimum(problem, start, np.zeros(8, dtype=int))
+    infeasible, _ = smooth_optimum(problem, start, np.zeros(8, dtype=int))
     assert not infeasible.feasible
 
 

@@ -181,7 +181,7 @@ def test_the_second_order_test_has_the_curvature_of_h():
 
 
 @turn(1)
-def test_kinked_dynamics_take_it_by_sequential_programs():
+def test_kinked_dynamics_take_it():
     drag = lfo.PiecewiseSmoothDynamics.from_formulas(
         lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * u[0] - 0.02 * abs(x[1]) * x[1]], 2, 1
     )

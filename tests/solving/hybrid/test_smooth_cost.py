@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -236,10 +237,15 @@ def test_a_cost_that_is_not_defined_where_all_starts_are():
         lfo.certify(problem, np.zeros((10, 1)))
 
 
-def test_a_terminal_formula_beside_kinks_is_declined():
+def test_a_terminal_formula_beside_kinks_leads_to_the_optimum_of_cvxpy():
     problem = cart(SmoothCost(stage="abs(x_0) + u_0**2", terminal="x_0**4"))
-    with pytest.raises(lfo.errors.UnsupportedError, match="terminal cost by a formula and kinks"):
-        lfo.solve(problem, "nonsmooth")
+    model = lfo.to_cvxpy(cart(lfo.QuadraticCost()))
+    x, u = model.var_dict["x"], model.var_dict["u"]
+    objective = cp.sum(cp.abs(x[:-1, 0])) + cp.sum_squares(u) + cp.power(x[-1, 0], 4)
+    theirs = cp.Problem(cp.Minimize(objective), model.constraints).solve(solver=cp.CLARABEL)
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
+    assert result.certificate.pmp == "satisfied"
+    assert result.cost == pytest.approx(theirs, rel=1e-6)
 
 
 def test_a_norm_with_a_constant_component_has_no_kink():

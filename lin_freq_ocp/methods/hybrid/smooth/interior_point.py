@@ -14,8 +14,7 @@ the linearised constraints first reduce the infeasibility alone.
 Without inequalities there is no mu. The first multipliers are those of least squares, and a step that the filter does
 not accept is replaced by one with a larger multiple of the identity, instead of being shortened further.
 
-The file has, in this order: the filter, the barrier problem at a point, the iteration, and the local optimum of a
-problem from a trajectory that need not be feasible.
+The file has, in this order: the filter, the barrier problem at a point, and the iteration.
 """
 
 from __future__ import annotations
@@ -29,18 +28,14 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.cones import Cone
-from lin_freq_ocp.methods.hybrid.smooth.model import FAR_UNIT, Derivatives, SmoothModel
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum
+from lin_freq_ocp.methods.hybrid.smooth.model import Derivatives, SmoothModel
 from lin_freq_ocp.methods.structured.choice import choose_kkt_solver
 from lin_freq_ocp.methods.structured.embedding import EmbeddedPoint, End
 from lin_freq_ocp.methods.structured.kkt.null_space import NullSpaceSolver, sort_rows
 from lin_freq_ocp.methods.structured.kkt.range_space import range_space_solver
-from lin_freq_ocp.methods.structured.kkt.recursions import Loops, loops
+from lin_freq_ocp.methods.structured.kkt.recursions import Loops
 from lin_freq_ocp.methods.structured.kkt.reduced import DenseReduced
 from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, STAGES, KKTSolver, StepSystem, System, Values, largest
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 IMPROVED = 1e-5  # share of the infeasibility by which either is to fall
 ARMIJO = 1e-4  # share of the predicted decrease of the objective
@@ -178,6 +173,12 @@ class BarrierPoint:
         cost = 0.5 * float(np.vdot(y, times_vectors(objective.H, y))) + float(np.vdot(objective.h, y))
         return cost + objective.constant - barrier
 
+    def bound(self, reach: float) -> float:
+        """Return what the objective costs at least within a reach, as far as the Lagrangian is convex."""
+        rows = zip(self.point.z, self.system.rows(self.point.y), self.system.b, strict=True)
+        lagrangian = self.phi(self.point.y, self.point.s, 0.0) + sum(float(np.vdot(z, A - b)) for z, A, b in rows)
+        return lagrangian - reach * float(np.abs(self._dual).sum())
+
     def measure(self, mu: float) -> Measure:
         """Return the infeasibility and the objective here."""
         return Measure(self.theta, self.phi(self.point.y, self.point.s, mu))
@@ -256,8 +257,13 @@ class BarrierPoint:
 
     def longest(self, change: dict[int, Array], power: int) -> float:
         """Return the largest part of a step, up to 1, with slacks (power -1) or duals (1) inside the cone."""
-        lengths = [cone.longest(cone.scaled(change[i], power)) for i, cone in self.cones.items()]
-        return min([1.0, *(max(FRACTION, 1 - self.mu) * length for length in lengths)])
+        longest = 1.0
+        for i, cone in self.cones.items():
+            # Slacks and duals that a step leaves within mu of the boundary of a second-order cone are not aligned: the
+            # squares of their scaling then differ by 1/mu^2, and no system can be solved there. A row has one number.
+            fraction = FRACTION if cone.blocks else max(FRACTION, 1 - self.mu)
+            longest = min(longest, fraction * cone.longest(cone.scaled(change[i], power)))
+        return longest
 
     def trial(self, y: Array, s: dict[int, Array], length: float) -> Trial | None:
         """Return the point at a part of a step; None if the map is not defined there."""
@@ -304,13 +310,17 @@ class BarrierResult:
 
 @dataclass(eq=False)
 class Barrier:
-    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by clock.now."""
+    """One solve of a model, from barrier weight ``mu``; ``run`` it once. ``end`` is by clock.now.
+
+    It ends where the cost will not fall ``below`` a number.
+    """
 
     model: SmoothModel
     loops: Loops
     end: float = np.inf
     mu: float = FIRST_MU
     most_steps: int = MOST_STEPS
+    below: float = np.inf
 
     def __post_init__(self):
         stages = self.model.stages
@@ -361,6 +371,8 @@ class Barrier:
             self._last = local
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
                 return End.OPTIMAL
+            if self.below < np.inf and local.bound(self._longest) >= self.below:
+                return End.STALLED
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
                 entries = Filter(entries.first, entries.far)
@@ -482,52 +494,3 @@ def _point_after(point: EmbeddedPoint, trial: Trial, z: list[Array], length: flo
     lengths = [of_duals if i in trial.s else length for i in range(len(z))]
     duals = [dual + part * change for dual, part, change in zip(point.z, lengths, z, strict=True)]
     return EmbeddedPoint(trial.y, duals, trial.s)
-
-
-WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
-UNIT_REVISIONS = 3  # an answer between obstacles, or far within its bounds, is accurate in its own units alone
-FEW_STEPS = 60  # from others: 15 to 50 are common, and another start is better than many more
-
-
-def is_smooth(problem: OptimalControlProblem) -> bool:
-    """Whether the dynamics are one smooth map that holds everywhere it is defined."""
-    dynamics = piecewise_smooth(problem)
-    return len(dynamics.modes) == 1 and not dynamics.modes[0].region and not dynamics.norms
-
-
-def smooth_optimum(
-    problem: OptimalControlProblem, start: Trajectory, end: float = np.inf, warm: bool = True
-) -> tuple[LocalOptimum | None, End]:
-    """Return the local optimum near a trajectory, or the last point, and how the iteration ended.
-
-    None if the map is not defined at the start. ``end`` is by ``clock.now``. ``warm``: the start is taken to be
-    near an optimum, and worth many steps.
-    """
-    model = SmoothModel.at(problem, start)
-    first = (WARM_MU, MOST_STEPS) if warm else (FIRST_MU, FEW_STEPS)
-    barrier = Barrier(model, loops(), end, *first)
-    answer = barrier.run(model.assembly.point(start))
-    if answer.end is End.UNDEFINED:
-        return None, answer.end
-    trajectory = model.trajectory(answer.point.y)
-    for _ in range(UNIT_REVISIONS):
-        if answer.end is End.OPTIMAL and barrier.unequal:
-            again = model.revised(answer.point.y, 0.0 if problem.path_constraints else FAR_UNIT)
-            weights = WARM_MU, MOST_STEPS
-        else:
-            stalled = answer.end is End.STALLED and not barrier.unequal
-            assembly, weights = model.assembly.revised(answer.point.y) if stalled else None, first
-            again = None if assembly is None else replace(model, assembly=assembly)
-        if again is None:
-            break
-        after = Barrier(again, loops(), end, *weights).run(again.assembly.point(trajectory))
-        if barrier.unequal and after.end is not End.OPTIMAL:
-            answer = replace(answer, end=after.end if after.end is End.INTERRUPTED else answer.end)
-            break
-        model, answer = again, after
-        trajectory = model.trajectory(answer.point.y)
-    multipliers = model.multipliers(answer.point.y, answer.point.z)
-    cost = problem.value(trajectory.x, trajectory.u)
-    sequence = np.zeros(problem.horizon, dtype=np.intp)
-    converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE
-    return LocalOptimum(sequence, trajectory, multipliers, cost, answer.violation, converged), answer.end

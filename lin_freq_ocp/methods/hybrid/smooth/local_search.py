@@ -7,27 +7,28 @@ constraints couple all times; their multipliers, as functions of time, are in th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.interior_point import End, is_smooth, smooth_optimum
-from lin_freq_ocp.methods.hybrid.smooth.sequential import LocalOptimum, local_optimum, neighbouring_sequences
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.transform.hybrid.priced import cost_as_state
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import search_scale, stated_sizes
 from lin_freq_ocp.transform.starts import Start
@@ -250,12 +251,14 @@ class LocalSearch:
         self._known: set[tuple[object, ...]] = set()
         self._repeated, self.attempts = False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
-        self._smooth, tube = is_smooth(self.problem), self.problem.control_tube
+        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
+        self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
         self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
-        if self._smooth and self.problem.path_constraints:
+        regions = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp)).regions
+        obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
+        if self._smooth and obstacles:
             line = self._constant_trajectory(SHARES[0], replayed=False)
-            self._lines = [*lines_around_obstacles(self.problem, line, self._sizes), line]
-        self._with_cost = None if self._smooth else cost_as_state(self.problem)
+            self._lines = [*lines_around_obstacles(obstacles, line, self._sizes), line]
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
@@ -280,7 +283,7 @@ class LocalSearch:
                     return
         self._on_grid(None)
         for trajectory, sequence in self.starts():
-            alone = self._smooth or len(piecewise_smooth(self.problem).modes) == 1
+            alone = len(piecewise_smooth(self.problem).modes) == 1
             if alone and self._cost < np.inf and self.tried >= self.enough_starts:
                 break
             yield trajectory, sequence, False
@@ -332,20 +335,11 @@ class LocalSearch:
             return None
         self._known.add(key)
         self.tried += 1
-        optimum = None
-        if self._smooth:
-            try:
-                optimum, ended = smooth_optimum(self.problem, start, self.end, warm)
-                self.interrupted = ended is End.INTERRUPTED
-            except UnsupportedError:  # too large for the structured method
-                self._smooth, self._with_cost = False, cost_as_state(self.problem)
-        if not self._smooth:
-            priced = self._with_cost
-            given = (self.problem, start) if priced is None else (priced.problem, priced.start(start))
-            optimum = local_optimum(*given, sequence, below, self.end)
-            if optimum is not None and priced is not None:
-                trajectory, multipliers = priced.trajectory(optimum.trajectory), priced.multipliers(optimum.multipliers)
-                optimum = replace(optimum, trajectory=trajectory, multipliers=multipliers)
+        useful = np.inf
+        if self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
+            useful = self.best.cost + self._least_decrease(self.best)
+        optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
+        self.interrupted = ended is End.INTERRUPTED
         reason = Reason.REFUSED if optimum is None else optimum.reason
         if optimum is not None and self._improves(optimum):
             self.best = optimum
@@ -354,7 +348,7 @@ class LocalSearch:
             elif self._smooth and reason is Reason.FEASIBLE and self._diverges(optimum.trajectory):
                 reason = Reason.UNBOUNDED
         if self.best is optimum or below == np.inf:  # of neighbouring sequences, the better ones
-            self.attempts.append(Attempt("barrier" if self._smooth else "sequential", None, reason))
+            self.attempts.append(Attempt("barrier", None, reason))
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
         return reason
@@ -367,9 +361,13 @@ class LocalSearch:
         if not best.feasible:
             return optimum.violation < best.violation
         prices = float((np.abs(optimum.multipliers.eta) @ self._sizes).sum())  # of its violation, which is no gain
-        decrease = max(DECREASE * search_scale(self.problem, best.trajectory), prices * optimum.violation)
+        decrease = max(self._least_decrease(best), prices * optimum.violation)
         self._repeated = best.converged and abs(optimum.cost - best.cost) <= decrease
         return optimum.cost < best.cost - decrease
+
+    def _least_decrease(self, best: LocalOptimum) -> float:
+        """Return how much cheaper than an optimum another one is to be."""
+        return DECREASE * search_scale(self.problem, best.trajectory)
 
     @property
     def _cost(self) -> float:
@@ -425,12 +423,24 @@ class LocalSearch:
         return Trajectory((1 - part) * start + part * end, u)
 
 
-def lines_around_obstacles(problem: OptimalControlProblem, line: Trajectory, sizes: Array) -> list[Trajectory]:
+def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) -> Iterator[Indices]:
+    """Yield the sequences with one mode changed, first where the multipliers of regions are largest."""
+    T, modes = problem.horizon, len(piecewise_smooth(problem).modes)
+    largest = local.multipliers.stage.get(REGION, np.zeros((T, 1))).max(axis=1, initial=0.0)
+    for t in np.argsort(-largest, kind="stable"):
+        for i in range(modes):
+            if i != local.sequence[t]:
+                changed = local.sequence.copy()
+                changed[t] = i
+                yield changed
+
+
+def lines_around_obstacles(obstacles: Sequence[PathConstraint], line: Trajectory, sizes: Array) -> list[Trajectory]:
     """Return a line through obstacles, bent along each state to either side until it is outside of them.
 
     Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,).
     """
-    hard = [one for one in problem.path_constraints if one.hard_part is not None]
+    hard = [one for one in obstacles if one.hard_part is not None]
 
     def largest_violation(x: Array) -> float:
         return max(

@@ -1,12 +1,14 @@
-"""A problem with one smooth map over stages: all but the dynamics is that of the structured method, in its units.
+"""A mode sequence of smooth maps over stages: all but the dynamics is that of the structured method, in its units.
 
-With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map f in deviations from an origin and in units.
-The distance from a fixed end has a weight in the cost, too, which changes no solution. Without it, the recursion, which
-ignores the end, would reject a reduced Hessian that is positive definite only because of the fixed end.
+With y_t = (x_t, w_t), the dynamics are x_{t+1} = c_t(y_t); c_t is the map of the mode at t, in deviations from an
+origin and in units. The regions of the modes are path constraints. The distance from a fixed end has a weight in the
+cost, too, which changes no solution. Without it, the recursion, which ignores the end, would reject a reduced Hessian
+that is positive definite only because of the fixed end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -14,11 +16,18 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.formulas.jets import jets_of, values_of
+from lin_freq_ocp.formulas.jets import Jets, jets_of, values_of
+from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.structured.assembly import Assembly, assemble_stages
-from lin_freq_ocp.methods.structured.kkt.system import Values
+from lin_freq_ocp.methods.structured.kkt.recursions import loops
+from lin_freq_ocp.methods.structured.kkt.system import DYNAMICS, System, Values, largest
 from lin_freq_ocp.methods.structured.stages import Stages
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
+from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.units import cost_factor
@@ -27,6 +36,7 @@ from lin_freq_ocp.transform.sizes import stated_sizes
 
 END_WEIGHT = 1e6  # of the distance from a fixed end, relative to the largest curvature of the cost
 LEAST_CURVATURE = 1e-3  # in units of order 1
+VIOLATION = 1e-8  # violations of order-1 rows up to which a point is feasible
 FAR_UNIT = 1e4  # a unit that exceeds the size of an answer by this factor costs half of the digits of its accuracy
 
 
@@ -59,32 +69,115 @@ class PathSlots(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Pieces:
+    """The smooth maps of a mode sequence: each mode in it with its times, and with its region as a path constraint."""
+
+    dynamics: PiecewiseSmoothDynamics
+    parts: tuple[tuple[SmoothMode, Indices], ...]
+    regions: tuple[tuple[Indices, PathConstraint], ...]
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem, sequence: Indices) -> Pieces:
+        """Return those of a problem and a sequence, (T,)."""
+        dynamics, T = piecewise_smooth(problem), problem.horizon
+        parts, regions = list[tuple[SmoothMode, Indices]](), list[tuple[Indices, PathConstraint]]()
+        for i in np.unique(sequence):
+            mode, times = dynamics.modes[i], np.flatnonzero(sequence == i)
+            parts.append((mode, times))
+            if mode.region:
+                limits = np.where(sequence == i, 0.0, np.inf)[:, None] * np.ones(len(mode.region))
+                region = PathConstraint(mode.region, f"{REGION} {i}", limits)
+                dimensions = problem.state_dim, problem.control_dim
+                regions.append((times, region.at_dimensions(*dimensions, T, "dynamics")))
+        return cls(dynamics, tuple(parts), tuple(regions))
+
+    def values(self, y: Array) -> Array:
+        """Return f_t at (x_t, u_t), y (T, n + m); not numbers where a map is not defined."""
+        values = np.empty((len(y), self.dynamics.state_dim))
+        for mode, times in self.parts:
+            inside = (values_of(mode.domain, y[times], times) > 0).all(axis=1)
+            values[times] = np.where(inside[:, None], values_of(mode.f, y[times], times), np.nan)
+        return values
+
+    def jets(self, y: Array) -> Jets:
+        """Return f_t with derivatives at (x_t, u_t), y (T, n + m)."""
+        (T, k), n = y.shape, self.dynamics.state_dim
+        jets = Jets(np.empty((T, n)), np.empty((T, n, k)), np.empty((T, n, k, k)))
+        for mode, times in self.parts:
+            at = jets_of(mode.f, y[times], times=times)
+            jets.values[times], jets.slopes[times], jets.curvatures[times] = at.values, at.slopes, at.curvatures
+        return jets
+
+    def costs(self, y: Array) -> Array:
+        """Return the stage costs by formulas at (x_t, u_t), (T,)."""
+        costs = np.zeros(len(y))
+        for mode, times in self.parts:
+            costs[times] = values_of(mode.cost, y[times], times).sum(axis=1)
+        return costs
+
+    def linear_at(self, trajectory: Trajectory) -> LinearDynamics:
+        """Return the maps to first order along a trajectory, zero where they are not defined."""
+        dynamics, y = self.dynamics, np.hstack([trajectory.x[:-1], trajectory.u])
+        at, n = self.jets(y), dynamics.state_dim
+        slopes, offset = (
+            np.nan_to_num(at.slopes, posinf=0.0, neginf=0.0),
+            at.values - np.einsum("tij,tj->ti", at.slopes, y),
+        )
+        offset = np.nan_to_num(offset, posinf=0.0, neginf=0.0)
+        labels = dynamics.sampling_time, dynamics.state_names, dynamics.control_names
+        return LinearDynamics(slopes[..., :n], slopes[..., n:], offset, *labels)
+
+    def with_region(self, stage: dict[str, Array]) -> dict[str, Array]:
+        """Return multipliers with those of all regions under the name REGION, (T, rows)."""
+        if not self.regions:
+            return stage
+        most = max(one.rows for _, one in self.regions)
+        found = np.zeros((sum(len(times) for _, times in self.parts), most))
+        for times, one in self.regions:
+            found[times, : one.rows] = stage[one.name][times]
+        names = {one.name for _, one in self.regions}
+        return {name: values for name, values in stage.items() if name not in names} | {REGION: found}
+
+
+@dataclass(frozen=True, eq=False)
 class SmoothModel:
-    """The stages of a problem with one smooth map, linearised at some trajectory, and the map itself."""
+    """The stages of a mode sequence of a problem, linearised at some trajectory, and the maps themselves.
+
+    The ``problem`` has the regions of the modes as path constraints, each without limits where another mode is.
+    """
 
     problem: OptimalControlProblem
+    pieces: Pieces
     assembly: Assembly
     plain: Assembly | None = None  # without the weight of the end
+    outside: float = 0.0  # the largest violation of path constraints by the fixed ends, whatever the trajectory is
 
     @classmethod
-    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory) -> SmoothModel:
-        """Return the model linearised at a trajectory, with units that follow from the problem's own data."""
-        sizes = stated_sizes(problem)
-        linear = replace(
+    def at(cls, given: OptimalControlProblem, trajectory: Trajectory, sequence: Indices | None = None) -> SmoothModel:
+        """Return the model of a mode sequence, by default of the first mode alone, linearised at a trajectory.
+
+        Its units follow from the problem's own data.
+        """
+        alone = np.zeros(given.horizon, dtype=np.intp)
+        sizes, pieces = stated_sizes(given), Pieces.of(given, alone if sequence is None else sequence)
+        problem = given
+        if pieces.regions:
+            problem = replace_fields(given, stage_rows=(*given.stage_rows, *(one for _, one in pieces.regions)))
+        linear = replace_fields(
             problem,
-            dynamics=problem.dynamics_along(trajectory),
-            cost=problem.cost.without_formulas,
-            stage_rows=[rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows],
+            dynamics=pieces.linear_at(trajectory),
+            cost=problem.cost.without_formulas.at_dimensions(given.state_dim, given.control_dim, given.horizon),
+            stage_rows=tuple(rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows),
         )
-        assembly = assemble_stages(linear, sizes)
+        model = cls(problem, pieces, assemble_stages(linear, sizes))
         if problem.path_constraints:
-            assembly = cls(problem, assembly).without_constants()
-        return cls.with_end_weighted(problem, assembly, trajectory)
+            model = model.without_constants()
+        return model.with_end_weighted(trajectory)
 
-    @classmethod
-    def with_end_weighted(cls, problem: OptimalControlProblem, plain: Assembly, trajectory: Trajectory) -> SmoothModel:
-        """Return the model of stages in units whose cost is as steep as usual at a trajectory."""
-        assembly = cls(problem, plain).with_unit_of_cost(trajectory) if problem.cost.has_formulas else plain
+    def with_end_weighted(self, trajectory: Trajectory) -> SmoothModel:
+        """Return the model with stages in units whose cost is as steep as usual at a trajectory."""
+        plain = self.assembly
+        assembly = self.with_unit_of_cost(trajectory) if self.problem.cost.has_formulas else plain
         stages = assembly.stages
         H, h, terminal, end = stages.H.copy(), stages.h.copy(), stages.coupling.terminal, stages.coupling.terminal_state
         largest = float(np.abs(np.einsum("tii->ti", H[:-1])).max(initial=0.0))
@@ -92,7 +185,9 @@ class SmoothModel:
         H[-1, terminal, terminal] += weight
         h[-1, terminal] -= weight * end
         constant = stages.constant + 0.5 * weight * float(end @ end)
-        return cls(problem, replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain)
+        return replace(
+            self, assembly=replace(assembly, stages=replace(stages, H=H, h=h, constant=constant)), plain=plain
+        )
 
     def revised(self, y: Array, far: float) -> SmoothModel | None:
         """Return the model in units of the size of a solution y.
@@ -102,7 +197,7 @@ class SmoothModel:
         plain = None if self.plain is None else self.plain.revised(y)
         if self.plain is None or plain is None or (self.plain.units.columns <= far * plain.units.columns).all():
             return None
-        return self.with_end_weighted(self.problem, plain, self.trajectory(y))
+        return replace(self, assembly=plain).with_end_weighted(self.trajectory(y))
 
     @property
     def stages(self) -> Stages:
@@ -116,9 +211,11 @@ class SmoothModel:
     def multipliers(self, y: Array, z: Values) -> Multipliers:
         """Return the multipliers of duals at a point."""
         assembly, trajectory = self.assembly, self.trajectory(y)
-        dynamics, rows = self.problem.dynamics_along(trajectory), self.problem.rows_along(trajectory)
-        program = LinearProgram(replace(assembly.problem, dynamics=dynamics, stage_rows=rows), assembly.program.origin)
-        return replace(assembly, program=program).multipliers(z, 1.0, y)
+        dynamics, rows = self.pieces.linear_at(trajectory), self.problem.rows_along(trajectory)
+        linear = replace_fields(assembly.problem, dynamics=dynamics, stage_rows=rows)
+        program = LinearProgram(linear, assembly.program.origin)
+        multipliers = replace(assembly, program=program).multipliers(z, 1.0, y)
+        return replace(multipliers, stage=self.pieces.with_region(multipliers.stage))
 
     @cached_property
     def path(self) -> PathSlots:
@@ -136,17 +233,30 @@ class SmoothModel:
         times, slots = np.divmod(slots[values], max(shape[1], 1))
         return PathSlots(values, times, slots, assembly.units.rows[n:][times * shape[1] + slots])
 
+    def violation(self, y: Array) -> float:
+        """Return the largest violation of the dynamics, of the fixed ends and of all rows at a point."""
+        system = System(self.stages_at(y), loops())
+        residuals = [values - right for values, right in zip(system.rows(y), system.b, strict=True)]
+        for i, cone in system.cones.items():
+            residuals[i] = np.array([max(0.0, -cone.margin(-residuals[i] * cone.present))])
+        return largest([*residuals[:DYNAMICS], self.defects(y), *residuals[DYNAMICS + 1 :]])
+
     def path_values(self, y: Array) -> Array:
         """Return the values less limits, and less the slacks of soft ones, of path constraints at a point, (rows,)."""
-        rows, first, violations = self.path, self._units.shape[1], list[Array]()
-        if not len(rows.values):
+        if not len(self.path.values):
             return np.zeros(0)
-        points = self._points(y)
-        for constraint in self.problem.path_constraints:
-            times = constraint.map.times
-            violations.append((values_of(constraint.formulas, points[times], times) - constraint.limits()).ravel())
+        constraints, points = self.problem.path_constraints, self._points(y)
+        return self._violations(
+            y, [values_of(one.formulas, points[one.map.times], one.map.times) for one in constraints]
+        )
+
+    def _violations(self, y: Array, values: Sequence[Array]) -> Array:
+        """Return ``path_values`` from the values of each path constraint."""
+        rows, first = self.path, self._units.shape[1]
+        pairs = zip(values, self.problem.path_constraints, strict=True)
+        violations = np.concatenate([(value - one.limits()).ravel() for value, one in pairs])
         less = np.einsum("ri,ri->r", self.stages.G[rows.times, rows.slots, first:], y[rows.times, first:])
-        return np.concatenate(violations)[rows.values] * rows.units + less
+        return violations[rows.values] * rows.units + less
 
     def stages_at(self, y: Array) -> Stages:
         """Return the stages with the path constraints linearised at a point; without any, those of the model."""
@@ -154,14 +264,11 @@ class SmoothModel:
 
     def defects(self, y: Array) -> Array:
         """Return x_{t+1} - c_t at a point, (T, n); not a number where the map is not defined."""
-        mode, signals = piecewise_smooth(self.problem).modes[0], self._signals(y)
-        values = values_of(mode.f, signals)
-        values[~(values_of(mode.domain, signals) > 0).all(axis=1)] = np.nan
-        return y[1:, : self.problem.state_dim] - self._deviations(values)
+        return y[1:, : self.problem.state_dim] - self._deviations(self.pieces.values(self._signals(y)))
 
     def derivatives(self, y: Array) -> Derivatives:
         """Return c with its derivatives at a point; those with respect to fixed controls are zero."""
-        map_jets = jets_of(piecewise_smooth(self.problem).modes[0].f, self._signals(y))
+        map_jets = self.pieces.jets(self._signals(y))
         units = self._units[:-1].copy()
         units[:, self.problem.state_dim :][self.assembly.fixed] = 0.0
         after = self._units[1:, : self.problem.state_dim]
@@ -171,31 +278,31 @@ class SmoothModel:
 
     def _path_derivatives(self, y: Array, units: Array) -> tuple[Array, Array, Array]:
         """Return values less limits of path constraints, slopes and curvatures by signals with units (T, n + m)."""
-        rows, width, normals, bends = self.path, units.shape[1], list[Array](), list[Array]()
+        rows, width = self.path, units.shape[1]
         if not len(rows.values):
             return np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width))
-        points = self._points(y)
-        for constraint in self.problem.path_constraints:
-            times = constraint.map.times
-            at = jets_of(constraint.formulas, points[times], times=times)
-            normals.append(at.slopes.reshape(-1, width))
-            bends.append(at.curvatures.reshape(-1, width, width))
+        constraints, points = self.problem.path_constraints, self._points(y)
+        jets = [jets_of(one.formulas, points[one.map.times], times=one.map.times) for one in constraints]
+        normals = np.concatenate([at.slopes.reshape(-1, width) for at in jets])[rows.values]
+        bends = np.concatenate([at.curvatures.reshape(-1, width, width) for at in jets])[rows.values]
         columns = np.vstack([units, self._units[-1:]])[rows.times]
         return (
-            self.path_values(y),
-            np.concatenate(normals)[rows.values] * columns * rows.units[:, None],
-            np.concatenate(bends)[rows.values] * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
+            self._violations(y, [at.values for at in jets]),
+            normals * columns * rows.units[:, None],
+            bends * columns[:, :, None] * columns[:, None] * rows.units[:, None, None],
         )
 
-    def without_constants(self) -> Assembly:
-        """Return the stages without the rows of path constraints that depend on fixed ends alone."""
+    def without_constants(self) -> SmoothModel:
+        """Return the model without the rows of path constraints that depend on fixed ends alone."""
         stages, n, limits = self.stages, self.problem.state_dim, self.stages.g.copy()
-        fixed = np.zeros((2, stages.G.shape[2]), dtype=bool)
+        fixed, y = np.zeros((2, stages.G.shape[2]), dtype=bool), np.zeros(stages.h.shape)
         fixed[0, :n], fixed[1, stages.coupling.terminal] = stages.fixed, True
-        for t, k in zip(self.path.times, self.path.slots, strict=True):
+        y[0, :n], y[-1, stages.coupling.terminal] = np.nan_to_num(stages.initial), stages.coupling.terminal_state
+        outside, violations = 0.0, self.path_values(y)
+        for t, k, violation in zip(self.path.times, self.path.slots, violations, strict=True):
             if t in (0, self.problem.horizon) and not stages.G[t, k, ~fixed[int(t > 0)]].any():
-                limits[t, k] = np.inf
-        return replace(self.assembly, stages=replace(stages, g=limits))
+                limits[t, k], outside = np.inf, max(outside, float(violation))
+        return replace(self, assembly=replace(self.assembly, stages=replace(stages, g=limits)), outside=outside)
 
     def with_unit_of_cost(self, trajectory: Trajectory) -> Assembly:
         """Return the stages in the unit of cost in which the cost with its formulas is as steep as usual there."""
@@ -209,21 +316,20 @@ class SmoothModel:
 
     def cost(self, y: Array) -> float:
         """Return the cost at a point, in units of stages; not a number where a formula is not defined."""
-        stages, origin, n = self.stages, self.assembly.program.origin, self.problem.state_dim
-        units = self.assembly.units
+        stages, units = self.stages, self.assembly.units
         quadratic = 0.5 * float(np.einsum("ti,tij,tj->", y, stages.H, y)) + float(np.vdot(stages.h, y))
-        x, u = origin.x + y[:, :n] * units.columns[:, :n], self._signals(y)[:, n:]
-        return quadratic + stages.constant + units.cost * float(self.problem.cost.formula_values(x, u).sum())
+        terminal = values_of(self._terminal, self._points(y)[-1:], np.array([len(y) - 1]))
+        return (
+            quadratic + stages.constant + units.cost * float(self.pieces.costs(self._signals(y)).sum() + terminal.sum())
+        )
 
     def expanded_cost(self, y: Array) -> tuple[Array, Array]:
         """Return H and h of 1/2 y'H y + h'y + ..., the cost with its formulas to second order at a point."""
         stages, (n, m) = self.stages, (self.problem.state_dim, self.problem.control_dim)
         gradients, hessians = np.zeros((len(y), n + m)), np.zeros((len(y), n + m, n + m))
-        end = self._points(y)[-1:]
-        terminal = [one for one in self.problem.cost.formulas[1:] if one is not None]
-        mode = piecewise_smooth(self.problem).modes[0]
-        for formulas, signals, times in ((mode.cost, self._signals(y), slice(-1)), (terminal, end, slice(-1, None))):
-            found = jets_of(formulas, signals)
+        points, T = self._points(y), np.array([len(y) - 1])
+        for formulas, times in (*((mode.cost, times) for mode, times in self.pieces.parts), (self._terminal, T)):
+            found = jets_of(formulas, points[times], times=times)
             gradients[times], hessians[times] = found.slopes.sum(axis=1), found.curvatures.sum(axis=1)
         units, cost = self._units.copy(), self.assembly.units.cost
         units[:-1, n:][self.assembly.fixed] = 0.0
@@ -245,6 +351,10 @@ class SmoothModel:
         G[(*at, slice(0, count))] = derivatives.normals
         g[at] = np.einsum("ri,ri->r", G[at], y[at[0]]) - derivatives.violations
         return replace(stages, A=A, B=B, d=d, H=stages.H.copy(), G=G, g=g)
+
+    @property
+    def _terminal(self) -> list[Formula]:
+        return [one for one in self.problem.cost.formulas[1:] if one is not None]
 
     @property
     def _units(self) -> Array:

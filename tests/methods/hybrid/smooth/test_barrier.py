@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -264,6 +266,20 @@ def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start
     optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0], warm=False)
     assert ended is End.OPTIMAL
     assert optimum.cost == pytest.approx(13.844711544, rel=1e-9)  # that of the problem with x_2 < 0 at the end
+
+
+def test_multipliers_that_overflow_are_those_of_no_optimum(monkeypatch):
+    problem, honest = qubit([0, 0, -1]), Barrier.run
+
+    def run(self, y):
+        answer = honest(self, y)
+        return replace(answer, point=replace(answer.point, z=[np.full_like(part, np.inf) for part in answer.point.z]))
+
+    monkeypatch.setattr(Barrier, "run", run)
+    optimum, _ = smooth_optimum(problem, next(LocalSearch(problem).starts())[0])
+    assert optimum.reason is lfo.results.Reason.FAILED
+    result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False), throw=False)
+    assert result.status == "numerical_error"
 
 
 def test_a_factorisation_that_overflows_ends_the_iteration(monkeypatch):

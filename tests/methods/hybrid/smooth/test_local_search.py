@@ -32,7 +32,7 @@ def script(monkeypatch, answers):
     """Let the barrier give these answers in turn, the last one for ever; return the list of its starts."""
     starts = []
 
-    def answer(problem, start, end, warm):
+    def answer(problem, start, sequence, end, warm, below):
         starts.append(warm)
         return answers[min(len(starts), len(answers)) - 1], End.OPTIMAL
 
@@ -128,12 +128,17 @@ def test_a_given_start_is_near_an_optimum_then_any_start_then_one_of_many(answer
     assert starts == expected
 
 
-def test_where_the_barrier_does_not_fit_another_method_searches(monkeypatch):
-    def refuse(*given):
-        raise lfo.errors.UnsupportedError("too large")
+def test_an_answer_is_of_use_if_it_costs_less_than_the_best_local_optimum(monkeypatch):
+    limits = []
 
-    substitute(monkeypatch, "methods.hybrid.smooth_optimum", refuse)
-    substitute(monkeypatch, "methods.hybrid.local_optimum", lambda *given: optimum())
+    def answer(problem, start, sequence, end, warm, below):
+        limits.append(below)
+        return answers[len(limits) - 1], End.OPTIMAL
+
+    answers = [optimum(violation=1.0), optimum(cost=3.0, converged=False), optimum(cost=4.0), optimum(cost=2.0)]
+    substitute(monkeypatch, "methods.hybrid.smooth_optimum", answer)
     search = LocalSearch(PROBLEM)
-    assert search.look_near(REST, ALONE)
-    assert [str(attempt) for attempt in search.attempts] == ["sequential: locally_optimal"]
+    for shift in range(4):
+        search.look_near(replace(REST, x=REST.x + shift), ALONE)
+    assert limits[:3] == [np.inf, np.inf, np.inf]
+    assert 4.0 < limits[3] == pytest.approx(4.0, rel=1e-6)
