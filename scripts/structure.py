@@ -51,16 +51,16 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_325,
-    "code lines": 42_899,
-    "code lines, linear part": 21_575,
+    "shipped lines": 46_410,
+    "code lines": 42_984,
+    "code lines, linear part": 21_655,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
-    "files": 314,
+    "files": 315,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,
-    "names in __all__": 55,
+    "names in __all__": 56,
     "lines of a file": 535,
     "lines of a function": 63,
     "functions used once [%]": 11.9,

@@ -89,7 +89,7 @@ class Controller:
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.form.stepper(problem.horizon)
-        self._limits = ControlLimits.of(self._problem)
+        self._limits = ControlLimits.of(soften(self._problem, self.penalties))
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
         self._planner = self._windowed_planner() if plans_by_kernel else None
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
