@@ -209,7 +209,7 @@ def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp
     assert f"{int(found.exceeded.any(axis=1).sum())} of {len(found.begins)}" in page
     assert "5.31 to 10.6 Hz" in page
     assert f"7.5 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
-    assert len(log.plot().axes) == 8  # with a panel for the windows
+    assert len(log.plot().axes) == 9  # with two panels for the windows
     assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()
 
 
