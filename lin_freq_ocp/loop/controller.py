@@ -185,6 +185,11 @@ class Controller:
         plan, source, ended = found.plan, Source.SOFTENED if found.exceeded else Source.PLAN, now()
         step = Step(x, control, None, source, "condensed", solve_seconds=ended - started, changes=plan.changes)
         step = replace(step, pending=found, raised=found.raised > EXCEEDED)
+        if step.raised and not self._steps:
+            exceeds = (
+                f"control_spectrum: the past exceeds the level of a window by {100 * found.raised:.0f} % at step 0"
+            )
+            warn_user(f"{exceeds}; the level is raised until this window is over.", ClosedLoopWarning)
         if plan.settled and self._later:
             return step
         if plan.settled:
