@@ -10,9 +10,9 @@ from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods import compiler
-from lin_freq_ocp.pages.figures import look
 
 STEP, LENGTH = 0.05, 16
+REFERENCE, WINDOWS = "#8250df", "#009e73"  # of lines
 
 
 @cache
@@ -56,17 +56,17 @@ def test_states_that_follow_from_the_controls_are_not_drawn():
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_reference_stands_where_the_plan_begins(delay):
     (ax,) = (ax for ax in loop(delay).plot().axes if ax.get_title(loc="left") == "angle")
-    (line,) = lines(ax, look.REFERENCE)
+    (line,) = lines(ax, REFERENCE)
     np.testing.assert_allclose(line.get_xdata(), STEP * (np.arange(50) + delay))
     np.testing.assert_allclose(line.get_ydata(), 0.1 * (np.arange(50) + delay))
-    assert not lines(panels()["speed"], look.REFERENCE)  # it costs nothing
+    assert not lines(panels()["speed"], REFERENCE)  # it costs nothing
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler: programs raise no level")
 def test_windows_are_drawn_over_time_with_the_steps_whose_level_was_raised(tmp_path):
     ax, log = panels()["Applied windows of u_0 over time"], loop()
     (found,) = log.spectra()
-    (line,) = lines(ax, look.COMPONENTS[2])
+    (line,) = lines(ax, WINDOWS)
     np.testing.assert_allclose(line.get_xdata(), STEP * (found.begins + LENGTH - 1))
     np.testing.assert_allclose(line.get_ydata(), found.ratios.max(axis=1))
     (crosses,) = (line for line in ax.lines if line.get_marker() == "x")
