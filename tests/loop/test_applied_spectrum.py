@@ -13,10 +13,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.dense_kernel import WindowedDenseKernel
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
-from lin_freq_ocp.methods import compiler, library
+from lin_freq_ocp.loop import control_windows, without_windows
+from lin_freq_ocp.methods import SOLVED, CondensedSolver, compiler, library
 
 if compiler() is None or library() is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -141,6 +143,27 @@ def test_the_judge_proves_the_plans_of_a_log_for_the_discs():
     late = replace(plans[k], spectrum=[one.with_past(np.array([[0.8], [-0.8]]), 0) for one in plans[k].spectrum])
     assert late.certified(None).status != "optimal"
     assert "at most 1.0000 of the limit" in str(log.spectra()[0]) or log.spectra()[0].ratios.max() <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("case", seeds(["one control", "two controls"]))
+def test_both_kernels_plan_the_same_with_windows(case):
+    """The NumPy kernel has every facet as a row; controls that others apply raise levels in both."""
+    problem = drive() if case == "one control" else unstable(1)
+    spectral = lfo.SpectralSolver(without_windows(problem))
+    windows = control_windows(problem, spectral.units, 0)
+    native = CondensedSolver(spectral.lti, spectral.units, windows).kernel
+    dense, active, raised = WindowedDenseKernel(native.tables, windows), 0, 0
+    for k, x in enumerate(jumps(24, problem.state_dim, seed=5, largest=0.0)):
+        start = x / spectral.units.x
+        assert [kernel.step(start) for kernel in (native, dense)] == [SOLVED, SOLVED]
+        np.testing.assert_allclose(native.plan_of_controls, dense.controls, rtol=0, atol=1e-9)
+        dense.controls = native.plan_of_controls  # so that differences do not add up
+        active, raised = active + sum(len(one.duals) for one in native.window_duals), raised + (native.raised > 1e-6)
+        acting = native.control * (1 if k % 8 else -0.5)
+        for kernel in (native, dense):
+            kernel.apply(acting)
+    assert active > 24
+    assert 3 < raised < 24
 
 
 @pytest.mark.parametrize("band", ["around 4 Hz", "below 1.5 Hz"])
