@@ -182,8 +182,6 @@ class WindowedPlanner:
 
     def __init__(self, problem: OptimalControlProblem, penalties: Mapping[str, float], delay: int):
         stated = soften(free_first_state(problem), penalties)
-        if "control_spectrum" in penalties:
-            raise UnsupportedError(f"control_spectrum: soft windows; {KERNEL_TAKES}.")
         base = without_windows(stated)
         translation = translation_of(base if base.ends[0].fixed.all() else base.with_ends(np.zeros(base.state_dim)))
         if reduce_problem(translation.problem, REDUCTIONS).links:
@@ -191,7 +189,7 @@ class WindowedPlanner:
         self.stated, self.origin = stated, translation.origin
         self._translation, self._spectral = translation, SpectralSolver(translation.problem)
         units = self._spectral.units
-        windows = control_windows(problem, units, delay)
+        windows = control_windows(stated, units, delay)
         self._solver = CondensedSolver(self._spectral.lti, units, windows)
         self._rest = np.zeros((problem.horizon, problem.control_dim))
         none = np.zeros((delay, problem.control_dim))
