@@ -373,22 +373,22 @@ def two_mass_drive(
     spring, damper = J / 2 * omega**2, J * RESONANCE_DAMPING * omega
     A, B, names = np.array([[0, 1], [0, -FRICTION]]), np.array([[0], [0.5 / J]]), "angle [rad], speed [rad/s]"
     Q, P = np.diag([40.0, 1.0]), np.diag([2000.0, 100.0])
-    given, copies = {"initial_state": initial_state, "terminal_state": terminal_state}, 1
+    given, copies = (("initial_state", initial_state), ("terminal_state", terminal_state)), 1
     if flag("elastic", elastic):
         of_motor = np.hstack([A[1], 0, 0]) + np.array([-spring, -damper, spring, damper]) / J
-        A, B = (
-            np.array([[0, 1, 0, 0], of_motor, [0, 0, 0, 1], np.roll(of_motor, 2)]),
-            np.array([[0], [1 / J], [0], [0]]),
-        )
+        A = np.array([[0, 1, 0, 0], of_motor, [0, 0, 0, 1], np.roll(of_motor, 2)])
+        B = np.array([[0], [1 / J], [0], [0]])
         names = "motor angle [rad], motor speed [rad/s], load angle [rad], load speed [rad/s]"
         Q, P = (np.kron(np.diag([0.0, 1.0]), of_load) for of_load in (Q, P))
         copies = 2
+    start, end = (None if one is None else np.tile(to_shape(key, one, (2,)), copies) for key, one in given)
     return OptimalControlProblem(
         dynamics=sampled_plant(A, B, sampling_time, names, "torque [Nm]"),
         horizon=horizon,
         cost=QuadraticCost(Q=Q, R=0.02, P=P),
         control_set=symmetric("torque_bound", torque_bound),
-        **{key: None if end is None else np.tile(to_shape(key, end, (2,)), copies) for key, end in given.items()},
+        initial_state=start,
+        terminal_state=end,
         control_spectrum=notch_at(omega, notch_width_hz),
         name="two_mass_drive",
     )
