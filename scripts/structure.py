@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_484,
-    "code lines": 43_058,
-    "code lines, linear part": 21_658,
+    "shipped lines": 46_486,
+    "code lines": 43_060,
+    "code lines, linear part": 21_660,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
     "files": 315,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from lin_freq_ocp.problem.spectrum.bands import Band
 from lin_freq_ocp.problem.spectrum.base import component_indices
 from lin_freq_ocp.transform.reformulations import AddedStates, add_states
 
-KINDS = {"notch": "bandpass", "low_pass": "highpass", "high_pass": "lowpass", "band_pass": "bandstop"}
+Kind = Literal["bandpass", "highpass", "lowpass", "bandstop"]
+KINDS: dict[str, Kind] = {"notch": "bandpass", "low_pass": "highpass", "high_pass": "lowpass", "band_pass": "bandstop"}
 """The filter that keeps what a band would remove."""
 
 
@@ -80,17 +82,17 @@ def filtered_control(
     if len(edges) != 1 + (band.kind in ("notch", "band_pass")) or not all(0 < edge < 1 for edge in edges):
         raise ProblemError("band", str(band), "edges above zero and below half of the sampling rate")
     for j in component_indices("band", band.component, problem.control_names):
-        words, states = str(replace(band, component=None)), _filter(count, edges, band.kind)
+        words, states = str(replace(band, component=None)), _filter(count, edges, KINDS[band.kind])
         problem = _with_filter(problem, j, words, states, weight, bound)
     return problem
 
 
-def _filter(order: int, edges: list[float], kind: str) -> tuple[Array, Array, Array, float]:
+def _filter(order: int, edges: list[float], kind: Kind) -> tuple[Array, Array, Array, float]:
     """Return F, G, H and J of a cascade of sections, with states of unit size for controls of unit size."""
     from scipy import linalg, signal  # here, because it takes a second to import
 
     F, G, H, J = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
-    for b0, b1, b2, _, a1, a2 in signal.butter(order, np.squeeze(edges), KINDS[kind], output="sos"):
+    for b0, b1, b2, _, a1, a2 in signal.butter(order, np.squeeze(edges), kind, output="sos"):
         states = 2 if a2 or b2 else 1
         A = np.array([[-a1, 1.0], [-a2, 0.0]])[:states, :states]
         B = np.array([b1 - a1 * b0, b2 - a2 * b0])[:states]
@@ -113,7 +115,7 @@ def _with_filter(
     n, k, acting = problem.state_dim, len(F), np.eye(problem.control_dim)[j]
     names = [f"{label}, {words}, {i + 1}" + (f" [{unit}]" if unit else "") for i in range(k)]
     rest = Box(np.zeros(k), np.zeros(k))
-    filtered = add_states(problem, AddedStates(F, np.outer(G, acting), rest, np.full(k, -np.inf), names))
+    filtered = add_states(problem, AddedStates(F, G[:, None] * acting, rest, np.full(k, -np.inf), names))
     h, g, cost = np.append(np.zeros(n), H), J * acting, filtered.quadratic
     of_reference = price * np.asarray(cost.u_ref @ g)[..., None]  # the cost is of u - u_ref, the filter's input is u
     cost = replace(

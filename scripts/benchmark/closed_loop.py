@@ -29,9 +29,9 @@ BAND = lfo.spectrum.notch(centre_hz=12, width_hz=8)
 Control = Callable[[np.ndarray], tuple[int, float]]
 
 
-def filtered(**way: float) -> lfo.OptimalControlProblem:
+def filtered(price: float | None = None, limit: float | None = None) -> lfo.OptimalControlProblem:
     """Return the rigid drive with a filter of its torque that has a price or a limit."""
-    return lfo.filtered_control(problem(), BAND, **way)
+    return lfo.filtered_control(problem(), BAND, price=price, limit=limit)
 
 
 def problem(hop: int | None = None, of_plan: bool = False) -> lfo.OptimalControlProblem:
