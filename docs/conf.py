@@ -96,6 +96,7 @@ SKETCHES = {  # of _static/sketches, with the examples that have this plant
         *("infeasible", "long_horizons", "many_initial_states"),
     ),
     "discs": ("obstacles",),
+    "drive": ("two_mass_drive",),
     "gantry": ("gantry",),
     "gradient_coil": ("minimum_time",),
     "inverter": ("inverter", "switching_angles"),

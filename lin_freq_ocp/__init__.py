@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.solvers import SpectralSolver
     from lin_freq_ocp.solving.certify import certify
     from lin_freq_ocp.spectrum import MagnitudeBound, ResidualVibration, low_pass, stop_band
+    from lin_freq_ocp.transform.filtered_control import filtered_control
     from lin_freq_ocp.transform.reformulations import rate_limited
     from lin_freq_ocp.transform.simulation import simulate
 
@@ -77,9 +78,9 @@ _names, _import_name = lazy_exports(__name__, {
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain", "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
-    "problem.ocp": "OptimalControlProblem", "transform.reformulations": "rate_limited",
-    "transform.simulation": "simulate", "results": "Trajectory", "sets": "Box FiniteSet Periodic StageRows",
-    "solvers": "SpectralSolver", "solving.certify": "certify",
+    "problem.ocp": "OptimalControlProblem", "transform.filtered_control": "filtered_control",
+    "transform.reformulations": "rate_limited", "transform.simulation": "simulate", "results": "Trajectory",
+    "sets": "Box FiniteSet Periodic StageRows", "solvers": "SpectralSolver", "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
 })
 # fmt: on
@@ -91,10 +92,11 @@ __all__ = [
     "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "FrequencyResponse", "LinearDynamics", "MagnitudeBound",
     "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost",
     "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
-    "certify_log", "compare", "costs", "dynamics", "errors", "explain", "formulas", "from_casadi", "from_time_response",
-    "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time",
-    "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets", "shaper", "signals", "simulate",
-    "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "write_problem",
+    "certify_log", "compare", "costs", "dynamics", "errors", "explain", "filtered_control", "formulas", "from_casadi",
+    "from_time_response", "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum",
+    "minimum", "minimum_time", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets",
+    "shaper", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy",
+    "write_problem",
 ]
 # fmt: on
 

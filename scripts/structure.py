@@ -51,16 +51,16 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_175,
-    "code lines": 42_749,
-    "code lines, linear part": 21_575,
-    "code lines, hybrid": 8_525,
+    "shipped lines": 46_486,
+    "code lines": 43_060,
+    "code lines, linear part": 21_660,
+    "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
-    "files": 314,
+    "files": 315,
     "folders": 42,
     "folders at the root": 18,
     "modules at the root": 11,
-    "names in __all__": 55,
+    "names in __all__": 56,
     "lines of a file": 535,
     "lines of a function": 63,
     "functions used once [%]": 11.8,

@@ -53,6 +53,7 @@ def _linear(
     sampling_time: FileValue = None,
     state_names: FileValue = None,
     control_names: FileValue = None,
+    known_states: FileValue = None,
     continuous: bool = False,
     disturbance: FileValue = None,
     d: FileValue = None,
@@ -61,7 +62,9 @@ def _linear(
         if value is not None and not continuous:
             raise ProblemError(key, "values", "none without continuous = true", "Add it to the offset, one per time.")
     if not continuous:
-        return LinearDynamics(A, B, offset, sampling_time, state_names, control_names)
+        return LinearDynamics(A, B, offset, sampling_time, state_names, control_names, known_states=known_states)
+    if known_states is not None:
+        raise ProblemError("known_states", "names", "none of a continuous model", "Give A and B sampled.")
     if sampling_time is None:
         raise ProblemError("sampling_time", "nothing", "seconds per step", "A continuous model is sampled with it.")
     names = {"state_names": state_names, "control_names": control_names}

@@ -13,7 +13,7 @@ from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.flexible import crane, flexible_joint_arm, flexible_satellite
 from lin_freq_ocp.library.kinks import absolute_value, max_min_network, switched_rotation
-from lin_freq_ocp.library.masses import double_integrator, mass_chain, scanner, two_mass_spring
+from lin_freq_ocp.library.masses import double_integrator, mass_chain, scanner, two_mass_drive, two_mass_spring
 from lin_freq_ocp.library.paper import buck_converter, norm_dynamics, pendulum
 from lin_freq_ocp.library.power_electronics import buck_affine, pulse_pattern
 from lin_freq_ocp.library.swing_up import cart_pole, pendulum_swing_up, planar_quadrotor
@@ -28,7 +28,7 @@ __all__ = [
     "cart_pole_with_walls", "crane", "double_integrator", "elliptic_rendezvous", "flexible_joint_arm",
     "flexible_satellite", "mass_chain", "max_min_network", "mri_gradient", "norm_dynamics", "pendulum",
     "pendulum_swing_up", "pendulum_with_wall", "planar_quadrotor", "printer_move", "pulse_pattern", "quadcopter",
-    "quarter_car", "scanner", "switched_rotation", "two_mass_spring", "wave_energy",
+    "quarter_car", "scanner", "switched_rotation", "two_mass_drive", "two_mass_spring", "wave_energy",
 ]
 # fmt: on
 
@@ -43,7 +43,7 @@ def _by_name(*functions: Benchmark) -> dict[str, Benchmark]:
 # Simple problems first.
 LINEAR = _by_name(
     pendulum, double_integrator, two_mass_spring, crane, flexible_joint_arm, flexible_satellite, mass_chain, quadcopter,
-    elliptic_rendezvous, quarter_car, scanner,
+    elliptic_rendezvous, quarter_car, scanner, two_mass_drive,
 )
 # See docs/minimum_time.md, docs/residual_vibration.md and docs/levels.md.
 WAVEFORMS = _by_name(mri_gradient, printer_move, pulse_pattern)
@@ -60,7 +60,7 @@ PROBLEMS = LINEAR | WAVEFORMS | MEASURED | PIECEWISE_AFFINE | PIECEWISE_SMOOTH
 # In the order of `lin-freq-ocp list`, which shows problems without a field at its end.
 FIELDS = {
     "Motion": "pendulum double_integrator two_mass_spring crane flexible_joint_arm mass_chain quadcopter quarter_car "
-    "scanner printer_move",
+    "scanner printer_move two_mass_drive",
     "Medical imaging": "mri_gradient",
     "Power electronics": "pulse_pattern buck_affine buck_converter",
     "Space": "flexible_satellite elliptic_rendezvous",

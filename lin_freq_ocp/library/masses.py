@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 
 from lin_freq_ocp.base.arrays import positive_integer, positive_number, to_shape
-from lin_freq_ocp.library.common import low_pass_at, notch_at, sampled_plant, symmetric
+from lin_freq_ocp.library.common import flag, low_pass_at, notch_at, sampled_plant, symmetric
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.bands import low_pass, notch
@@ -313,4 +313,82 @@ def two_mass_spring(
         terminal_state=terminal_state,
         state_spectrum=notch_at(flexible, notch_width_hz, "deflection"),
         name="two_mass_spring",
+    )
+
+
+INERTIA, RESONANCE_HZ, RESONANCE_DAMPING, FRICTION = 0.5, 12.0, 0.01, 0.5
+"""Of each mass [kg m^2]; of their mode against each other; 1/s, of both turning together."""
+
+
+def two_mass_drive(
+    horizon: int = 60,
+    sampling_time: float = 0.005,
+    notch_width_hz: float | None = 8.0,
+    initial_state: Sequence[float] = (0.3, 0.0),
+    terminal_state: Sequence[float] | None = None,
+    torque_bound: float | None = 1.0,
+    elastic: bool = False,
+) -> OptimalControlProblem:
+    """Turn a drive of two masses on a spring that its controller does not know: a notch at 12 Hz.
+
+    Minimise 1/2 sum of 40 angle^2 + speed^2 + 0.02 u^2, and 1/2 (2000 angle^2 + 100 speed^2) at the end. Motor and load
+    turn together in the model of the controller. In truth they swing against each other at 12 Hz, damped by some 1 %,
+    and the torque avoids that band: by a stop band in one move, by ``lfo.spectrum.closed_loop`` in a loop.
+
+    Parameters
+    ----------
+    horizon : int
+        T.
+    sampling_time : float
+        Seconds.
+    notch_width_hz : float or None
+        Width in Hz of the band removed from the torque around 12 Hz; None: no frequency constraint.
+    initial_state, terminal_state : (2,)
+        Angle [rad] and speed [rad/s] of both. A terminal_state of None is free.
+    torque_bound : float or None
+        Symmetric bound on the torque [Nm].
+    elastic : bool
+        The true drive: its states are angle and speed of the motor, then of the load, which costs.
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If a parameter does not fit its description.
+
+    References
+    ----------
+    Two-mass drives: Vukosavic and Stojic, "Suppression of torsional oscillations in a high-performance speed servo
+    drive", IEEE Transactions on Industrial Electronics 45(1), 1998. The numbers are chosen here.
+
+    Examples
+    --------
+    >>> lfo.library.two_mass_drive().horizon
+    60
+    """
+    J, omega = INERTIA, 2 * pi * RESONANCE_HZ
+    spring, damper = J / 2 * omega**2, J * RESONANCE_DAMPING * omega
+    A, B, names = np.array([[0, 1], [0, -FRICTION]]), np.array([[0], [0.5 / J]]), "angle [rad], speed [rad/s]"
+    Q, P = np.diag([40.0, 1.0]), np.diag([2000.0, 100.0])
+    given, copies = (("initial_state", initial_state), ("terminal_state", terminal_state)), 1
+    if flag("elastic", elastic):
+        of_motor = np.hstack([A[1], 0, 0]) + np.array([-spring, -damper, spring, damper]) / J
+        A = np.array([[0, 1, 0, 0], of_motor, [0, 0, 0, 1], np.roll(of_motor, 2)])
+        B = np.array([[0], [1 / J], [0], [0]])
+        names = "motor angle [rad], motor speed [rad/s], load angle [rad], load speed [rad/s]"
+        Q, P = (np.kron(np.diag([0.0, 1.0]), of_load) for of_load in (Q, P))
+        copies = 2
+    start, end = (None if one is None else np.tile(to_shape(key, one, (2,)), copies) for key, one in given)
+    return OptimalControlProblem(
+        dynamics=sampled_plant(A, B, sampling_time, names, "torque [Nm]"),
+        horizon=horizon,
+        cost=QuadraticCost(Q=Q, R=0.02, P=P),
+        control_set=symmetric("torque_bound", torque_bound),
+        initial_state=start,
+        terminal_state=end,
+        control_spectrum=notch_at(omega, notch_width_hz),
+        name="two_mass_drive",
     )

@@ -90,7 +90,7 @@ class Controller:
         self._steps: list[Step] = []
         self._applied: list[Array] = []
         self._step = problem.form.stepper(problem.horizon)
-        self._limits = ControlLimits.of(self._problem)
+        self._limits = ControlLimits.of(soften(self._problem, self.penalties))
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
         self._planner = self._windowed_planner() if plans_by_kernel else None
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
@@ -99,7 +99,8 @@ class Controller:
     def record(self) -> LoopRecord:
         """Return the record of all steps so far."""
         acted = np.array([np.zeros(self.problem.control_dim)] * self.delay + self._applied)[: len(self._steps)]
-        return LoopRecord(self.problem, tuple(self._steps), acted=acted.reshape(-1, self.problem.control_dim))
+        acted = acted.reshape(-1, self.problem.control_dim)
+        return LoopRecord(self.problem, tuple(self._steps), acted=acted, delay=self.delay, known=self._known)
 
     def advance(
         self, state: ArrayLike, preview: Change, applied: ArrayLike | None
@@ -120,14 +121,14 @@ class Controller:
         if self.delay:  # the state to which the last control leads
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
         if self._planner is not None:
-            self._record(self._windowed_step(self._planner, x, begin, preview, started))
+            self._record(self._windowed_step(self._planner, x, begin, preview, started), preview)
             return self._steps[-1], None
         for resolver in self._trees if plain and not self._remembers else ():
             resolver.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
         if quick is not None:
             control = self._limits.clip(begin, quick.control)
-            self._record(replace(quick, control=control, solve_seconds=now() - started))
+            self._record(replace(quick, control=control, solve_seconds=now() - started), preview)
             return self._steps[-1], None
         hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
@@ -158,7 +159,7 @@ class Controller:
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
         )
-        self._record(step)
+        self._record(step, preview)
         return step, outcome
 
     def _windowed_planner(self) -> WindowedPlanner | None:
@@ -185,6 +186,11 @@ class Controller:
         plan, source, ended = found.plan, Source.SOFTENED if found.exceeded else Source.PLAN, now()
         step = Step(x, control, None, source, "condensed", solve_seconds=ended - started, changes=plan.changes)
         step = replace(step, pending=found, raised=found.raised > EXCEEDED)
+        if step.raised and not self._steps:
+            exceeds = (
+                f"control_spectrum: the past exceeds the level of a window by {100 * found.raised:.0f} % at step 0"
+            )
+            warn_user(f"{exceeds}; the level is raised until this window is over.", ClosedLoopWarning)
         if plan.settled and self._later:
             return step
         if plan.settled:
@@ -194,11 +200,13 @@ class Controller:
             step = replace(step, status=status, source=Source.BEST_POINT, pending=None)
         return replace(step, plan=found.trajectory)
 
-    def _record(self, step: Step) -> None:
-        """Append a step; of the plans only the last is needed."""
+    def _record(self, step: Step, preview: Change) -> None:
+        """Append a step with its reference; of the plans only the last is needed."""
+        x_ref = np.asarray((preview.references or {}).get("x_ref", self.problem.quadratic.x_ref), dtype=float)
+        reference = np.broadcast_to(x_ref[0] if x_ref.ndim == 2 else x_ref, step.state.shape)
         if self._steps and self._steps[-1].plan is not None:
             self._steps[-1] = replace(self._steps[-1], plan=None)
-        self._steps.append(step)
+        self._steps.append(replace(step, reference=reference))
         self._applied.append(step.control)
 
     def _plan_uncertified(self, x: Array, begin: Array, started: float) -> Step | None:

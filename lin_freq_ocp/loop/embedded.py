@@ -130,10 +130,6 @@ def generate(
     except UnsupportedError as error:
         refused = str(error).removeprefix("method 'condensed': ")
         raise UnsupportedError(f"generate: {refused}") from None
-    if "control_spectrum" in penalties and has_windows(problem):
-        raise UnsupportedError(
-            "generate: control_spectrum: soft windows; those of a loop are hard, and always have a plan."
-        )
     if not steps:
         parts = f"{tables.ram} of struct controller, {tables.stack} of stack"
         advice = 'A shorter horizon, a lower cut-off, fewer bounds or real="float" need less.'

@@ -70,6 +70,8 @@ class Step:
         From this step on.
     pending : PlannedStart or WindowedPlan or None
         The plan that is not judged yet.
+    reference : (n,) or None
+        Of the states in the cost, where the plan begins.
     raised : bool
         Whether the past exceeds the level of a window, which is raised to what the rest of the last plan makes of it.
     """
@@ -89,6 +91,7 @@ class Step:
     changes: int = 0
     plan: Trajectory | None = None
     pending: PlannedStart | WindowedPlan | None = None
+    reference: Array | None = None
     raised: bool = False
 
     @property
@@ -141,6 +144,10 @@ class LoopRecord:
         Why the loop ended before all its steps; empty if it did not.
     acted : (steps, m), or None
         The controls that have acted at the steps, if they are not those that the steps returned.
+    delay : int
+        By how many steps a plan begins after its measurement.
+    known : (n,), or None
+        The states that follow from the controls alone, where the loop computes them.
     """
 
     problem: OptimalControlProblem
@@ -148,6 +155,8 @@ class LoopRecord:
     final_state: Array | None = None
     stopped: str = ""
     acted: Array | None = None
+    delay: int = 0
+    known: Mask | None = None
 
     @property
     def states(self) -> Array:

@@ -65,9 +65,9 @@ def with_past(problem: OptimalControlProblem, x: Array, u: Array, rest: Array | 
 def known_states(dynamics: LinearDynamics) -> Mask:
     """Return the states, (n,), that follow from the controls before alone, such as the last control itself.
 
-    None where all states would: a loop measures some.
+    Those that the dynamics name as known are among them. None where all states would: a loop measures some.
     """
-    A, known = dynamics.gains()[0], np.zeros(dynamics.state_dim, dtype=bool)
+    A, known = dynamics.gains()[0], np.isin(dynamics.state_names, dynamics.known_states or ())
     for _ in range(dynamics.state_dim):
         known = ~(A[:, ~known] != 0).any(axis=1)
     return known & ~known.all()

@@ -49,9 +49,12 @@ def without_windows(problem: OptimalControlProblem) -> OptimalControlProblem:
 
 
 def maps_of_windows(
-    problem: OptimalControlProblem, entries: Sequence[FrequencyConstraint]
+    problem: OptimalControlProblem, entries: Sequence[FrequencyConstraint] | None = None, delay: int = 0
 ) -> Iterator[tuple[FrequencyConstraint, SpectrumMap, Array]]:
-    """Yield the constraint, the windows and the limits of V of each limited control."""
+    """Yield the constraint, the windows and the limits of V of each limited control; by default at the first plan."""
+    if entries is None:  # no control acts before the first plan
+        none = np.zeros((problem.horizon, problem.control_dim))
+        entries = [one.with_past(none[:delay], 0).hold_last(none) for one in entries_of(problem.control_spectrum)]
     m, names, step = problem.control_dim, problem.control_names, problem.sampling_time
     signal = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), names, problem.horizon, step)
     for where, one in named_entries("control_spectrum", entries):
@@ -64,9 +67,8 @@ def control_windows(problem: OptimalControlProblem, units: LtiUnits, delay: int)
 
     UnsupportedError, with the field, if the kernel does not take one of them.
     """
-    none, sets = np.zeros((problem.horizon, problem.control_dim)), list[WindowSet]()
-    ahead = [one.with_past(none[:delay], 0).hold_last(none) for one in entries_of(problem.control_spectrum)]
-    for one, windows, limits in maps_of_windows(problem, ahead):  # no control acts before the first plan
+    sets = list[WindowSet]()
+    for one, windows, limits in maps_of_windows(problem, delay=delay):
         if not one.slides or not (np.isfinite(limits) & (limits > 0)).all():
             raise UnsupportedError(f"control_spectrum: {one.describe(problem.control_names)}; {KERNEL_TAKES}.")
         unit, hop = units.u[windows.component], int(getattr(one, "hop", 1))
@@ -79,9 +81,7 @@ def control_windows(problem: OptimalControlProblem, units: LtiUnits, delay: int)
 def promises(problem: OptimalControlProblem) -> list[str]:
     """Return the largest amplitudes of the applied controls at every frequency of the bands and in every window."""
     found, largest = list[str](), np.abs(problem.control_tube.bounds).max(axis=(0, 1))
-    rest = np.zeros((problem.horizon, problem.control_dim))
-    ahead = [one.with_past(rest[:0], 0).hold_last(rest) for one in entries_of(problem.control_spectrum)]
-    for one, windows, limits in maps_of_windows(problem, ahead):
+    for one, windows, limits in maps_of_windows(problem):
         taper, hop, j = windows.window, int(getattr(one, "hop", 1)), windows.component
         times, U, size = np.arange(len(taper)), largest[j], 2 / taper.sum()
         bend = (np.pi / windows.points) ** 2 / 2 * (taper * (times - times.mean()) ** 2).sum()
@@ -93,6 +93,13 @@ def promises(problem: OptimalControlProblem) -> list[str]:
             f"applied {short_name(problem.control_names[j])}: amplitude at most {level} at the points of its windows, "
             f"{between} more at other frequencies of the band, {other} more in other windows"
         )
+        waves = np.exp(-2j * np.pi * np.outer(windows.bins, times) / windows.points)
+        of_bound = U * np.abs(waves @ taper)  # what the windows of a constant control have
+        if np.isfinite(U) and (of_bound > limits).any():
+            end, least = number(U * float((limits / of_bound).min()), 3), number(size * float(of_bound.max()), 3)
+            found.append(
+                f"plans end with at most {end}: only from an amplitude of {least} on can they end at the bound"
+            )
     return found
 
 
@@ -175,8 +182,6 @@ class WindowedPlanner:
 
     def __init__(self, problem: OptimalControlProblem, penalties: Mapping[str, float], delay: int):
         stated = soften(free_first_state(problem), penalties)
-        if "control_spectrum" in penalties:
-            raise UnsupportedError(f"control_spectrum: soft windows; {KERNEL_TAKES}.")
         base = without_windows(stated)
         translation = translation_of(base if base.ends[0].fixed.all() else base.with_ends(np.zeros(base.state_dim)))
         if reduce_problem(translation.problem, REDUCTIONS).links:
@@ -184,7 +189,7 @@ class WindowedPlanner:
         self.stated, self.origin = stated, translation.origin
         self._translation, self._spectral = translation, SpectralSolver(translation.problem)
         units = self._spectral.units
-        windows = control_windows(problem, units, delay)
+        windows = control_windows(stated, units, delay)
         self._solver = CondensedSolver(self._spectral.lti, units, windows)
         self._rest = np.zeros((problem.horizon, problem.control_dim))
         none = np.zeros((delay, problem.control_dim))

@@ -29,6 +29,11 @@ BAND = lfo.spectrum.notch(centre_hz=12, width_hz=8)
 Control = Callable[[np.ndarray], tuple[int, float]]
 
 
+def filtered(price: float | None = None, limit: float | None = None) -> lfo.OptimalControlProblem:
+    """Return the rigid drive with a filter of its torque that has a price or a limit."""
+    return lfo.filtered_control(problem(), BAND, price=price, limit=limit)
+
+
 def problem(hop: int | None = None, of_plan: bool = False) -> lfo.OptimalControlProblem:
     """Return the rigid drive, with windows that begin so often, or a notch of each plan."""
     dynamics = lfo.LinearDynamics.from_continuous(
@@ -82,12 +87,15 @@ def in_python(given: lfo.OptimalControlProblem, steps: int, cap: int | None = No
     return cells(given, run_loop(control, steps), np.array(took[1:]), "")
 
 
-def in_c(given: lfo.OptimalControlProblem, steps: int, real: str = "double", cap: int | None = None) -> list[str]:
+def in_c(
+    given: lfo.OptimalControlProblem, steps: int, real: str = "double", cap: int | None = None, soft: float = 0
+) -> list[str]:
     """Return the cells of a loop with generated C, with its sizes."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        written = lfo.generate(lfo.RecedingHorizon(given), folder, real, changes=cap)
-        compiled = CompiledController(folder, real, 2, 1, HORIZON)
+        controller = lfo.RecedingHorizon(given, soft={"stage_rows": soft} if soft else None)
+        written = lfo.generate(controller, folder, real, changes=cap)
+        compiled = CompiledController(folder, real, given.state_dim, 1, HORIZON)
         found = run_loop(lambda x: (lambda status, u: (status, float(u[0])))(*compiled.step(x)), steps)
         ns = run_bench(folder, real, found[0], 1).ns
     return cells(given, found, ns, f"{written.ram / 1000:.0f}, {written.flash / 1000:.0f}")
@@ -135,6 +143,10 @@ def main(arguments: Sequence[str]) -> None:
             ("hop L/4, C, float", lambda: in_c(quarter, options.steps, "float")),
             ("hop L/4, C, cap of 20", lambda: in_c(quarter, options.steps, cap=20)),
             ("hop L/4, C, cap of 0", lambda: in_c(quarter, options.steps, cap=0)),
+            ("filter, price 300, C", lambda: in_c(filtered(price=300.0), options.steps)),
+            ("filter, price 500, C", lambda: in_c(filtered(price=500.0), options.steps)),
+            ("filter, price 500, C, float", lambda: in_c(filtered(price=500.0), options.steps, "float")),
+            ("filter, limit 0.0125, soft, C", lambda: in_c(filtered(limit=0.0125), options.steps, soft=100.0)),
         ):
             table.add_row(name, *row())
         record.show(table)

@@ -27,6 +27,7 @@ SAYS = {
     "torque_map": "modes meet at t = 4; joint inclusion holds",
     "receding_horizon": "with bounded windows             6.120 deg       0.114 N       5.000 N",
     "oscillating_mass": "at most 1 of the limit, 0 above it",
+    "two_mass_drive": "limit, in Python    0.0299 Nm at 8 to 16 Hz",
     "satellite": "largest torque 0.725 N m",
     "rendezvous": f"solved by method {'structured' if can_compile() else 'convex'}",
     "inverter": "10 of 96 samples between levels; no more than 10 are needed",
@@ -55,6 +56,7 @@ LONG = (
     "input_shaper",
     "inverter",
     "receding_horizon",
+    "two_mass_drive",
     "obstacles",
     "torque_map",
     "kinks",
@@ -75,6 +77,7 @@ SHORTER = {
     "kinks": {"tolerance=1e-3": "tolerance=0.1"},
     "minimum_time": {"horizons=(20, 120)": "horizons=(113, 115)"},
     "oscillating_mass": {"STEPS, SEED, SAMPLING = 300, ": "STEPS, SEED, SAMPLING = 30, ", "LATE = 100": "LATE = 25"},
+    "two_mass_drive": {"SAMPLING, STEPS, LENGTH = 0.005, 600, 100": "SAMPLING, STEPS, LENGTH = 0.005, 150, 100"},
     "receding_horizon": {"STEPS, LATE, SEED = 120, 80, ": "STEPS, LATE, SEED = 30, 25, "},
 }
 """What a test runs in place of texts: fewer steps, and less accuracy, take the same way."""

@@ -6,9 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr_delete, solve_triangular
 
-from lin_freq_ocp.methods import GRADIENT_DEPENDENCE, INFEASIBLE, LIMIT, ROW_TOLERANCE, SOLVED, CondensedTables
+from lin_freq_ocp.methods import (
+    GRADIENT_DEPENDENCE,
+    INFEASIBLE,
+    LIMIT,
+    ROW_TOLERANCE,
+    SOLVED,
+    CondensedTables,
+    ControlWindows,
+)
 
 STUCK_VIOLATION = 100  # a dependent row that is violated by this many tolerances contradicts the active ones
+FACETS, RAISED = 16, 100  # of a polygon; tolerances by which a past raises a level
 ROW_CORRECTIONS = 3  # of rounding in active rows, before another row enters
 
 
@@ -192,3 +201,66 @@ def _append_column(R: NDArray[np.floating], column: np.ndarray, corner: float) -
     larger = np.zeros((len(R) + 1, len(R) + 1))
     larger[:-1, :-1], larger[:-1, -1], larger[-1, -1] = R, column, corner
     return larger
+
+
+class WindowedDenseKernel(DenseKernel):
+    """The same with windows of the applied controls: every facet of every window is a row, made anew at each step."""
+
+    def __init__(self, tables: CondensedTables, windows: ControlWindows):
+        super().__init__(tables)
+        (T, n, m), r = tables.loop.shape, tables.unknowns
+        self._windows, self._stage = windows, (self.gradients, self.of_start, self._size, self._low, self._up)
+        self._bounds = self.lower, self.upper
+        self._of_unknowns = self._controls_of(tables.V, np.zeros((r, n)), np.zeros(r))
+        self._of_x = self._controls_of(tables.W, np.eye(n + 1, n), np.eye(n + 1)[-1])
+        self._rest, self.controls, self.applied = np.zeros((T, m)), np.zeros((T, m)), np.zeros((0, m))
+
+    def _controls_of(self, v: np.ndarray, x_0: np.ndarray, data: np.ndarray) -> np.ndarray:
+        """Return the controls of plans v (T m, k), (T, m, k)."""
+        return np.moveaxis(self.tables.loop.simulate(x_0, self.tables.loop.plans(v), data)[1], 1, 2)
+
+    def step(self, x: np.ndarray, most_changes: int | None = None) -> int:
+        """Solve from an initial state, (n,), from no multipliers; ``controls`` (T, m) is the plan."""
+        on_u, past, level = (np.concatenate(part) for part in zip(*self._rows(), strict=True))
+        gradients, of_start, size, low, up = self._stage
+        rows, none = len(level), np.full(len(level), np.inf)
+        of_x = np.tensordot(on_u, self._of_x, 2)
+        of_x[:, -1] += past
+        self.gradients = np.vstack([gradients, np.tensordot(on_u, self._of_unknowns, 2)])
+        self.of_start, self._size = np.vstack([of_start, of_x]), np.append(size, np.ones(rows))
+        self._low, self._up = np.append(low, none), np.append(up, none)
+        self.lower, self.upper = np.append(self._bounds[0], -none), np.append(self._bounds[1], level)
+        self._lengths = np.linalg.norm(self.gradients, axis=1)
+        self._forget()
+        status = super().step(x, most_changes)
+        self.controls = self._of_x @ np.append(x, 1.0) + self._of_unknowns @ self.unknowns
+        return status
+
+    def apply(self, u: np.ndarray) -> None:
+        """Go on to the next step with the control that acts, (m,)."""
+        self._rest = np.vstack([self.controls[1:], self.controls[-1:]])
+        self.applied = np.vstack([self.applied, u])
+
+    def _rows(self):
+        """Yield coefficients of the plan (rows, T, m), values of the past and levels of the facets of each window."""
+        now, (T, m) = len(self.applied), self._rest.shape
+        turns = np.exp(-2j * np.pi * np.arange(FACETS) / FACETS)
+        for one in self._windows.sets:
+            samples, L = np.concatenate([one.past, self.applied[:, one.component]]), len(one.taper)
+            waves = one.taper * np.exp(-1j * np.outer(one.frequencies, np.arange(L))) / one.levels[:, None]
+            for begin in [*range(one.begin, now + T, one.hop), now + T - 1]:
+                if begin + L <= now:
+                    continue
+                past, on_u = np.zeros(len(waves), dtype=complex), np.zeros((len(waves), T, m), dtype=complex)
+                for t, wave in enumerate(waves.T, start=begin):
+                    if t < now:
+                        past += wave * samples[len(one.past) + t]
+                    else:
+                        on_u[:, min(t - now, T - 1), one.component] += wave
+                known = past + np.tensordot(on_u, self._rest, 2)
+                facets = np.cos(np.pi / FACETS)
+                of_rest = (known[:, None] * turns).real.max(axis=1)
+                raised = (of_rest > facets * (1 + RAISED * ROW_TOLERANCE)) & (begin < now + T - 1)
+                level = np.where(raised, of_rest, facets)
+                for turn in turns:
+                    yield (turn * on_u).real, (turn * past).real, level

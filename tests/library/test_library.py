@@ -22,6 +22,7 @@ OPTIMA = {  # cost with and without the frequency constraint
     "elliptic_rendezvous": (0.587739072184, 0.571568434291),
     "quarter_car": (6.85887326012, 4.91039276872),
     "scanner": (4.39154494386, 0.613200976605),
+    "two_mass_drive": (169.571733778, 168.567331521),
 }
 WITHOUT_BAND = {
     "pendulum": {"cutoff": None},
@@ -35,6 +36,7 @@ WITHOUT_BAND = {
     "elliptic_rendezvous": {"cutoff_hz": None},
     "quarter_car": {"stop_band_hz": None},
     "scanner": {"cutoff_hz": None, "notch_width_hz": None},
+    "two_mass_drive": {"notch_width_hz": None},
 }
 
 
@@ -134,6 +136,8 @@ def test_sampling_time_below_zero_is_a_problem_error(name):
         ("quarter_car", {"stop_band_hz": 4.0}, "stop_band_hz"),
         ("quarter_car", {"stop_band_hz": (8.0, 4.0)}, "width"),
         ("scanner", {"resonance_hz": -1.0}, "resonance_hz"),
+        ("two_mass_drive", {"torque_bound": -1.0}, "torque_bound"),
+        ("two_mass_drive", {"elastic": 1}, "elastic"),
     ],
 )
 def test_wrong_physics_is_refused_by_name(name, wrong, message):

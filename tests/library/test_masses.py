@@ -42,6 +42,29 @@ def test_two_masses_swing_at_their_flexible_frequency_and_keep_energy():
     np.testing.assert_allclose(total, total[0], rtol=1e-12)
 
 
+# --- two-mass drive
+
+
+def test_the_drive_turns_as_newton_says_and_its_masses_swing_at_12_hz():
+    rigid, elastic = library.two_mass_drive(), library.two_mass_drive(elastic=True)
+    np.testing.assert_allclose(frequencies(elastic), [2 * np.pi * 12], rtol=1e-3)
+    poles = np.log(np.linalg.eigvals(elastic.dynamics.A).astype(complex)) / 0.005
+    assert 0.01 < -poles.real[poles.imag > 1][0] / np.abs(poles[poles.imag > 1][0]) < 0.014  # spring and friction
+    u = np.random.default_rng(0).uniform(-1, 1, (60, 1))
+    x, both = simulate(rigid, u).x, simulate(elastic, u).x
+    np.testing.assert_allclose((both[:, :2] + both[:, 2:]) / 2, x, atol=1e-10)  # the mean moves as one mass
+    inertia, spring, damper = 0.5, 0.25 * (2 * np.pi * 12) ** 2, 0.01 * 0.5 * 2 * np.pi * 12
+
+    def newton(t, state):
+        angle, speed, load, load_speed = state
+        joint = spring * (load - angle) + damper * (load_speed - speed)
+        accelerations = (u[0, 0] + joint) / inertia - 0.5 * speed, -joint / inertia - 0.5 * load_speed
+        return [speed, accelerations[0], load_speed, accelerations[1]]
+
+    state = solve_ivp(newton, (0, 0.005), [0.3, 0.0, 0.3, 0.0], rtol=1e-11, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(both[1], state, atol=1e-9)
+
+
 # --- mass chain
 
 

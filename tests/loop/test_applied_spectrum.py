@@ -12,9 +12,13 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.clocks import Clock
+from helpers.dense_kernel import WindowedDenseKernel
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.seeds import seeds
-from lin_freq_ocp.methods import compiler, library
+from lin_freq_ocp.base import use_clock
+from lin_freq_ocp.loop import control_windows, without_windows
+from lin_freq_ocp.methods import SOLVED, CondensedSolver, compiler, library
 
 if compiler() is None or library() is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -23,6 +27,7 @@ STEP, LENGTH, HOP, HORIZON = 0.05, 16, 3, 10
 BAND, AMPLITUDE = lfo.spectrum.notch(centre_hz=4, width_hz=3), 0.05
 POINTS = 2 * np.pi * np.arange(8, 19) / (4 * LENGTH)  # from the last at or below 2.5 Hz to the first at or above 5.5 Hz
 TAPER = np.hanning(LENGTH)
+SCALE = AMPLITUDE * TAPER.sum()
 
 
 def limit(amplitude: float = AMPLITUDE, **options) -> lfo.spectrum.Spectrogram:
@@ -140,6 +145,27 @@ def test_the_judge_proves_the_plans_of_a_log_for_the_discs():
     assert "at most 1.0000 of the limit" in str(log.spectra()[0]) or log.spectra()[0].ratios.max() <= 1 + 1e-6
 
 
+@pytest.mark.parametrize("case", seeds(["one control", "two controls"]))
+def test_both_kernels_plan_the_same_with_windows(case):
+    """The NumPy kernel has every facet as a row; controls that others apply raise levels in both."""
+    problem = drive() if case == "one control" else unstable(1)
+    spectral = lfo.SpectralSolver(without_windows(problem))
+    windows = control_windows(problem, spectral.units, 0)
+    native = CondensedSolver(spectral.lti, spectral.units, windows).kernel
+    dense, active, raised = WindowedDenseKernel(native.tables, windows), 0, 0
+    for k, x in enumerate(jumps(24, problem.state_dim, seed=5, largest=0.0)):
+        start = x / spectral.units.x
+        assert [kernel.step(start) for kernel in (native, dense)] == [SOLVED, SOLVED]
+        np.testing.assert_allclose(native.plan_of_controls, dense.controls, rtol=0, atol=1e-9)
+        dense.controls = native.plan_of_controls  # so that differences do not add up
+        active, raised = active + sum(len(one.duals) for one in native.window_duals), raised + (native.raised > 1e-6)
+        acting = native.control * (1 if k % 8 else -0.5)
+        for kernel in (native, dense):
+            kernel.apply(acting)
+    assert active > 24
+    assert 3 < raised < 24
+
+
 @pytest.mark.parametrize("band", ["around 4 Hz", "below 1.5 Hz"])
 def test_a_plan_is_that_of_the_program_with_the_same_polygons(band):
     """Windows that have begun before the plan ends, on applied samples, its own, and its last one held."""
@@ -213,12 +239,101 @@ def test_a_past_of_the_user_and_previews_count():
     assert tracked < np.abs(ahead[5:30, 0]).mean()
 
 
+def test_a_given_past_above_its_level_is_a_warning():
+    past = 0.2 * np.cos(2 * np.pi * 4 * STEP * np.arange(LENGTH - 1))
+    loop = lfo.RecedingHorizon(drive(control_spectrum=limit(past=past)), certify="later")
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match=r"past exceeds the level of a window by 30\d % at step 0"):
+        loop.step([0.1, 0.0])
+    loop.step([0.1, 0.0])
+    assert [step.raised for step in loop.log.steps] == [True, True]
+
+
+@pytest.mark.parametrize("certify", ["later", "each"])
+def test_previewed_bounds_that_widen_and_windows_hold_together(certify):
+    """The rest of a plan keeps wider bounds, too: a plan exists at every step."""
+    loop, steps = lfo.RecedingHorizon(drive(), certify=certify), 40 if certify == "later" else 12
+    widths = np.where(np.arange(steps + HORIZON) < steps // 2, 0.1, 1.0)[:, None]
+    for k, x in enumerate(jumps(steps, 2, seed=4)):
+        ahead = widths[k : k + HORIZON]
+        loop.step(x, bounds={"control_set": lfo.Box(-ahead, 0.8 * ahead)})
+    u = loop.log.controls[:, 0]
+    assert (-widths[:steps, 0] <= u).all()
+    assert (u <= 0.8 * widths[:steps, 0]).all()
+    assert np.abs(u).max() > 0.1
+    assert amplitudes(after_rest(u)).max(initial=0.0) <= AMPLITUDE * (1 + 1e-6)
+    assert set(loop.log.statuses) == {"optimal" if certify == "each" else None}
+    with pytest.raises(lfo.errors.UnsupportedError, match="bounds: they bound other components"):
+        loop.step([0.0, 0.0], bounds={"state_set": lfo.Box(-10, 10)})
+
+
+def test_previewed_bounds_that_shrink_at_once_prevail_over_windows():
+    loop = lfo.RecedingHorizon(drive(), certify="later")
+    for k, x in enumerate(jumps(30, 2, seed=4)):
+        loop.step(x, bounds={"control_set": lfo.Box(-0.02, 0.02)} if k >= 20 else None)
+    assert np.abs(loop.log.controls[20:]).max() <= 0.02
+    assert "infeasible_claimed" in loop.log.statuses
+
+
+def test_a_time_limit_ends_a_step_and_all_windows_keep_their_level():
+    loop = lfo.RecedingHorizon(drive(), certify="later", time_limit=1.0)
+    with use_clock(Clock(per_look=0.4)):
+        for x in jumps(40, 2, seed=0):
+            loop.step(x)
+    log = loop.log
+    assert {None, "limit"} >= set(log.statuses) >= {"limit"}
+    assert log.statuses[0] is None  # the first step has no limit
+    assert 0.9 * AMPLITUDE < amplitudes(after_rest(log.controls[:, 0])).max() <= AMPLITUDE * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("seed", seeds(range(3)))
+def test_a_loop_costs_no_more_than_with_exact_cones(seed):
+    """The same loop by Clarabel, with discs in place of polygons and the same rows on windows of the past."""
+    problem, rng = drive(), np.random.default_rng(seed)
+    loop, steps = lfo.RecedingHorizon(problem, certify="later"), 40
+    noise = rng.normal(scale=[0.003, 0.06], size=(steps, 2))
+    A, B, cost = problem.linear.A, problem.linear.B[:, 0], problem.quadratic
+    costs, found = {}, {}
+    for name in ("kernel", "cones"):
+        x, applied, total = np.array([0.3, 0.0]), np.zeros(LENGTH - 1), 0.0
+        for k in range(steps):
+            if name == "kernel":
+                (control,) = loop.step(x)
+            else:
+                control = exact_control(x, applied, A, B, cost)
+            total += 0.5 * (x @ cost.Q @ x + 0.02 * control**2)
+            applied, x = np.append(applied, control), A @ x + B * control + noise[k]
+        costs[name], found[name] = total + 0.5 * x @ cost.P @ x, amplitudes(applied).max()
+    assert found["kernel"] <= AMPLITUDE * (1 + 1e-6)
+    assert found["cones"] == pytest.approx(AMPLITUDE, rel=1e-3)
+    assert costs["kernel"] == pytest.approx(costs["cones"], rel=0.01)
+
+
+def exact_control(x_0: np.ndarray, applied: np.ndarray, A: np.ndarray, B: np.ndarray, cost) -> float:
+    """Return u_0 of the plan whose windows are in discs, after applied controls that begin LENGTH - 1 before time 0."""
+    x, u, rows = x_0, cp.Variable(HORIZON), []
+    stages = 0.0
+    for t in range(HORIZON):
+        stages += 0.5 * cp.quad_form(x, cost.Q) + 0.01 * cp.square(u[t]) if t else 0.01 * cp.square(u[0])
+        x = A @ x + B * u[t]
+    stages += 0.5 * cp.quad_form(x, cost.P)
+    whole, first = cp.hstack([applied, u, u[-1] * np.ones(LENGTH)]), len(applied)
+    waves = np.exp(-1j * np.outer(POINTS, np.arange(LENGTH))) * TAPER
+    for begin in [*range(0, first + HORIZON, HOP), first + HORIZON - 1]:
+        if begin + LENGTH > first:
+            window = whole[begin : begin + LENGTH]
+            rows += [cp.norm(cp.hstack([wave.real @ window, wave.imag @ window])) <= 1 for wave in waves * 2 / SCALE]
+    cp.Problem(cp.Minimize(stages), [u >= -1, u <= 0.8, *rows]).solve(cp.CLARABEL)
+    return float(u.value[0])
+
+
 @pytest.mark.parametrize("kind", ["frequencies", "windows"])
 def test_between_points_and_windows_the_amplitude_is_within_what_is_printed(tmp_path, kind):
     """Signals that are as bad as possible: signs of the wave at a point between others, in a window between others."""
-    (promise,) = lfo.generate(lfo.RecedingHorizon(drive()), tmp_path).promises
+    promise, at_end = lfo.generate(lfo.RecedingHorizon(drive()), tmp_path).promises
     level, at_others, in_others = (float(word) for word in promise.replace(",", "").split() if word[0].isdigit())
     assert level == AMPLITUDE
+    held = 2 * np.abs(np.exp(-1j * np.outer(POINTS, np.arange(LENGTH))) @ TAPER).max() / TAPER.sum()  # of a constant 1
+    assert at_end.startswith(f"plans end with at most {AMPLITUDE / held:.3g}: only from an amplitude of {held:.3g} on")
     rng, worst = np.random.default_rng(0), 0.0
     for _ in range(100):
         w, shift = rng.uniform(POINTS[0], POINTS[-1]), int(rng.integers(1, HOP))

@@ -96,6 +96,8 @@ def test_a_window_is_as_long_as_its_band_asks_for(band, length):
         ((NOTCH, 0.0, SAMPLING), "amplitude"),
         ((NOTCH, 0.1), "sampling_time"),
         ((lfo.spectrum.notch(centre_hz=1e4, width_hz=8), 0.1, SAMPLING), "band"),
+        ((NOTCH, 0.1, SAMPLING, 20, 5, np.zeros(18)), r"past: got shape \(18,\); expected at least 19 samples"),
+        ((NOTCH, 0.1, SAMPLING, 20, 5, np.full(19, np.nan)), "past"),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, field):
@@ -123,7 +125,7 @@ def windows_of(signal: np.ndarray, limit: lfo.spectrum.Spectrogram) -> np.ndarra
     return np.array([np.abs(waves @ (np.hanning(limit.length) * whole[s : s + limit.length])) for s in starts])
 
 
-LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(10))
+LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING).changed(past=np.zeros((10, 1)))
 
 
 @turn(2)
@@ -209,7 +211,7 @@ def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp
     assert f"{int(found.exceeded.any(axis=1).sum())} of {len(found.begins)}" in page
     assert "5.31 to 10.6 Hz" in page
     assert f"7.5 Hz and {int(found.exceeded.any(axis=0).sum()) - 8} more" in page
-    assert len(log.plot().axes) == 8  # with a panel for the windows
+    assert len(log.plot().axes) == 9  # with two panels for the windows
     assert "Windows of the applied signals" not in noisy(oscillating_mass(), 12).save(tmp_path).read_text()
 
 

@@ -166,6 +166,15 @@ class CondensedSolver:
             self.kernel.take(changed)
         return changed is not None
 
+    def _run(self, x: Array, budget: Budget) -> tuple[int, int]:
+        """Return the status of the kernel from an initial state, (n,), when it or the budget ends, and its changes."""
+        status, made, most = LIMIT, 0, self.kernel.tables.most_changes if budget.changes is None else budget.changes
+        at_once = most if budget.end == np.inf else CHANGES_BETWEEN_LOOKS
+        while status == LIMIT and made < most and (made == 0 or now() < budget.end):
+            status = self.kernel.step(x, min(most - made, at_once))
+            made += self.kernel.changes or status == LIMIT  # rounding may stop it without a change
+        return status, made
+
     def plan(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
@@ -182,12 +191,7 @@ class CondensedSolver:
             kernel = self.kernel
             if not self._take(lti):
                 return None
-            status, made, x = LIMIT, 0, start / units.x
-            most = kernel.tables.most_changes if budget.changes is None else budget.changes
-            at_once = most if budget.end == np.inf else CHANGES_BETWEEN_LOOKS
-            while status == LIMIT and made < most and (made == 0 or now() < budget.end):
-                status = kernel.step(x, min(most - made, at_once))
-                made += kernel.changes
+            status, made = self._run(start / units.x, budget)
             control, ray = kernel.control * units.u, kernel.ray
             if status == SOLVED:
                 return Plan(kernel.tables, units, start, control, kernel.plan, kernel.multipliers, made)
@@ -200,14 +204,10 @@ class CondensedSolver:
 
     def plan_windows(self, start: Array, lti: Lti, budget: Budget) -> Plan:
         """Return the plan from an initial state, (n,), with windows; where it is not ``settled``, that of promise 4."""
-        units, kernel, x, made = self.units, self.kernel, start / self.units.x, 0
+        units, kernel = self.units, self.kernel
         if not self._take(lti):
             raise UnsupportedError("bounds: they bound other components than those of the problem.")
-        most = kernel.tables.most_changes if budget.changes is None else budget.changes
-        status, at_once = LIMIT, most if budget.end == np.inf else CHANGES_BETWEEN_LOOKS
-        while status == LIMIT and made <= most and (made == 0 or now() < budget.end):
-            status = kernel.step(x, min(most - made, at_once))
-            made += max(kernel.changes, 1)
+        status, made = self._run(start / units.x, budget)
         weights, settled = kernel.multipliers, status == SOLVED
         duals = kernel.window_duals if settled else ()
         control = kernel.control * units.u

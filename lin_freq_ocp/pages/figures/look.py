@@ -211,7 +211,8 @@ def style_axes(ax: Axes, title: str, x_label: str, y_label: str, notes: Sequence
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.10g}".replace("-", "\N{MINUS SIGN}")))
     if ax.get_xscale() == "linear":
         ax.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]))
-    ax.tick_params(labelsize=TICK_SIZE, colors=INK, length=3, width=0.7)
+    ax.tick_params(which="both", labelsize=TICK_SIZE, colors=INK, width=0.7)
+    ax.tick_params(length=3)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
     for side in ("left", "bottom"):

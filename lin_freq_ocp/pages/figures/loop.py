@@ -1,4 +1,4 @@
-"""The figure of a closed loop: states and controls, spectra of the controls over time, and times of the steps."""
+"""The figure of a closed loop: signals, spectra of the controls over time, limited windows, and times of the steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lin_freq_ocp.base.phrases import number, plural, short_name
 from lin_freq_ocp.loop.record import LoopRecord, Source
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.units import frequency_scale
-from lin_freq_ocp.problem.spectrum.base import WindowSpectra
+from lin_freq_ocp.problem.spectrum.base import EXCEEDED, WindowSpectra
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
 LEAST_WINDOW = 8
@@ -21,22 +21,26 @@ DECIBELS = 60  # range of the colours below the largest value
 
 
 def loop_figure(loop: LoopRecord) -> Figure:
-    """Return each control over time next to its spectrogram, states, limited windows, times of the steps, and gaps."""
-    states, m, limited = loop.problem.state_dim, loop.problem.control_dim, loop.spectra()
-    above = m + ceil(states / 2)
-    rows = above + ceil(len(limited) / 2) + 1
+    """Return each control over time next to its spectrogram, states, limited windows, times of the steps, and gaps.
+
+    States that follow from the controls alone are left out.
+    """
+    n, m, limited = loop.problem.state_dim, loop.problem.control_dim, loop.spectra()
+    states = np.arange(n) if loop.known is None else np.flatnonzero(~loop.known)
+    above = m + ceil(len(states) / 2)
+    rows = above + len(limited) + 1
     figure = look.new_figure(0.8 * look.ROW_HEIGHT * rows)
     grid = figure.add_gridspec(rows, 2)
     for j in range(m):
         _in_time(figure.add_subplot(grid[j, 0]), loop, j)
         _spectrogram(figure.add_subplot(grid[j, 1]), loop, j)
-    for i in range(states):
-        alone = i == states - 1 and i % 2 == 0
-        ax = figure.add_subplot(grid[m + i // 2, :] if alone else grid[m + i // 2, i % 2])
+    for place, i in enumerate(states.tolist()):
+        alone = place == len(states) - 1 and place % 2 == 0
+        ax = figure.add_subplot(grid[m + place // 2, :] if alone else grid[m + place // 2, place % 2])
         _in_time(ax, loop, i, of_state=True)
-    for i, spectra in enumerate(limited):
-        alone, row = i == len(limited) - 1 and i % 2 == 0, above + i // 2
-        _windows(figure.add_subplot(grid[row, :] if alone else grid[row, i % 2]), loop, spectra)
+    for row, spectra in enumerate(limited, start=above):
+        _windows(figure.add_subplot(grid[row, 0]), loop, spectra)
+        _windows_in_time(figure.add_subplot(grid[row, 1]), loop, spectra)
     ax, steps = figure.add_subplot(grid[-1, 0]), np.arange(float(len(loop.steps)))
     for values, label, color in (
         (loop.solve_seconds, "solve", look.COMPONENTS[0]),
@@ -66,7 +70,7 @@ def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
 
 
 def _in_time(ax: Axes, loop: LoopRecord, i: int, of_state: bool = False) -> None:
-    """Draw a component with its bounds at the first planned time."""
+    """Draw a component with its bounds at the first planned time, and the reference of a state in the cost."""
     problem = loop.problem
     if of_state:
         values, name, box = loop.states[:, i], problem.state_names[i], problem.state_boxes.at(1)
@@ -78,6 +82,10 @@ def _in_time(ax: Axes, loop: LoopRecord, i: int, of_state: bool = False) -> None
     for limit in (box.lower[i], box.upper[i]):
         if abs(limit) < NO_BOUND:
             ax.axhline(float(limit), color=look.BOUND, linewidth=1.1)
+    if of_state and problem.quadratic.weighs[0][i]:
+        tracked = np.array([np.nan if step.reference is None else step.reference[i] for step in loop.steps])
+        at = times[0] + (times[1] - times[0] if len(times) > 1 else 0.0) * (np.arange(len(tracked)) + loop.delay)
+        look.draw_line(ax, at, tracked, color=look.REFERENCE, linestyle=look.REFERENCE_LINE, linewidth=1.1)
     unplanned = np.flatnonzero([source is not Source.PLAN for source in loop.sources])
     ax.plot(times[unplanned], values[unplanned], "x", color=look.FILTERED, markersize=5)
     crosses = look.Note(f"crosses: {plural(len(unplanned), 'step')} without a plan of the problem itself")
@@ -104,6 +112,7 @@ def _spectrogram(ax: Axes, loop: LoopRecord, j: int) -> None:
     drawn = ax.pcolormesh(middle, frequencies, decibels.T, shading="nearest", cmap="cividis", rasterized=True)
     ax.set_ylim(0, frequencies[-1])
     bar = ax.figure.colorbar(drawn, ax=ax, pad=0.02)
+    bar.ax.tick_params(labelsize=look.TICK_SIZE, colors=look.INK)
     bar.set_label("dB", fontsize=look.LABEL_SIZE, color=look.INK)
     note = look.Note(f"Hann windows of {length} samples; 0 dB: {number(largest, 3)}")
     look.style_axes(ax, title, label, unit, [note])
@@ -139,3 +148,22 @@ def _windows(ax: Axes, loop: LoopRecord, spectra: WindowSpectra) -> None:
         notes.append(look.Note(f"{plural(count, 'window')} above the level; crosses: where", look.FILTERED))
     title = f"Applied windows of {short_name(spectra.name)}"
     look.style_axes(ax, title, scale.label, f"amplitude of {spectra.name}", notes)
+
+
+def _windows_in_time(ax: Axes, loop: LoopRecord, spectra: WindowSpectra) -> None:
+    """Draw the largest amplitude of each window relative to its level, at its last sample; raised levels are shaded."""
+    ends, ratios = spectra.begins + spectra.length - 1, spectra.ratios.max(axis=1)
+    times, label = _clock(loop, max(len(loop.steps), int(ends[-1]) + 1))
+    raised = np.array([step.raised for step in loop.steps], dtype=bool)
+    whole = ax.get_xaxis_transform()
+    ax.fill_between(times[: len(raised)], 0, 1, raised, step="post", transform=whole, color=look.BAND)
+    ax.axhline(1.0, color=look.BOUND, linewidth=1.6)
+    look.draw_line(ax, times[ends], ratios, color=look.COMPONENTS[2], marker=".", markersize=4, linewidth=1.0)
+    broken = ratios > 1.0 + EXCEEDED
+    ax.plot(times[ends[broken]], ratios[broken], "x", color=look.FILTERED, markersize=5)
+    ax.set_ylim(bottom=0.0)
+    ax.margins(x=0.015)
+    count = plural(int(raised.sum()), "step")
+    notes = [look.Note(f"shaded: the past exceeds the level, which is raised, at {count}")] if raised.any() else []
+    title = f"Applied windows of {short_name(spectra.name)} over time"
+    look.style_axes(ax, title, f"{label}, of the last sample", "largest, relative to the level", notes)

@@ -47,7 +47,8 @@ MOST_NAMED_BINS = 8  # of a level that was exceeded, that a table names
 
 CAPTION = (
     "Spectrograms show the magnitude of the DFT of short windows over the time of their middle. Crosses mark steps "
-    "whose problem had no solution, or no plan in time. Amplitudes of applied windows are those of sinusoids."
+    "whose problem had no solution, or no plan in time. Broken lines are references. Amplitudes of applied windows are "
+    "those of sinusoids."
 )
 
 
@@ -194,6 +195,8 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             ("its certificate", f"{number(float(np.median(certify)), 3)} ms", "in addition"),
             ("steps softened", str(sum(bool(step.excess) for step in loop.steps)), ""),
         ]
+        if raised := sum(step.raised for step in loop.steps):
+            headline.append(("steps whose level was raised", str(raised), "by what the past exceeds"))
         if loop.changes.any():
             median = number(float(np.median(loop.changes)), 3)
             headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))

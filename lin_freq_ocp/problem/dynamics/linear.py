@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import (
     Array,
     assign,
+    brief,
     positive_number,
     real_array,
     times_vectors,
@@ -24,6 +25,7 @@ from lin_freq_ocp.base.arrays import (
     with_rows,
 )
 from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, Labels, clock, linearisation, state_equation
@@ -50,6 +52,9 @@ class LinearDynamics(StateEquations):
     plant : ContinuousPlant, optional
         The continuous model of the first states, as ``from_continuous`` and ``from_statespace`` keep it. It becomes
         None unless its zero-order hold over the sampling time gives A, B and the offset.
+    known_states : sequence of str, optional
+        Names of states that a control loop computes from the controls alone, although they have dynamics of their own,
+        such as those of ``filtered_control``.
 
     Raises
     ------
@@ -84,6 +89,7 @@ class LinearDynamics(StateEquations):
     state_names: tuple[str, ...]
     control_names: tuple[str, ...]
     plant: ContinuousPlant | None = field(default=None, compare=False, repr=False)
+    known_states: tuple[str, ...] | None = None
 
     def __init__(
         self,
@@ -94,6 +100,7 @@ class LinearDynamics(StateEquations):
         state_names: Sequence[str] | None = None,
         control_names: Sequence[str] | None = None,
         plant: ContinuousPlant | None = None,
+        known_states: Sequence[str] | None = None,
     ):
         matrix_A, matrix_B = real_array("dynamics.A", A), real_array("dynamics.B", B)
         if matrix_A.ndim not in (2, 3) or matrix_A.shape[-1] != matrix_A.shape[-2] or matrix_A.shape[-1] == 0:
@@ -111,6 +118,11 @@ class LinearDynamics(StateEquations):
         labels = signal_labels(n, matrix_B.shape[-1], sampling_time, state_names, control_names)
         known = plant if plant and plant.agrees(matrix_A, matrix_B, drift, sampling_time) else None
         assign(self, A=matrix_A, B=matrix_B, offset=drift, plant=known, **labels)
+        field, stated = "dynamics.known_states", [known_states] if isinstance(known_states, str) else known_states or ()
+        of_controls = np.isin(np.arange(n), [index_of_name(field, name, self.state_names) for name in stated])
+        if matrix_A[..., of_controls, :][..., ~of_controls].any():
+            raise ProblemError(field, brief(stated), "states that depend on controls and on each other alone")
+        assign(self, known_states=tuple(np.array(self.state_names)[of_controls].tolist()) or None)
 
     @classmethod
     def from_continuous(
@@ -390,7 +402,8 @@ class LinearDynamics(StateEquations):
         k = len(A)
         block = with_rows(with_columns(self.A, k), np.hstack([np.zeros((k, self.state_dim)), A]))
         labels = self.sampling_time, [*self.state_names, *names], self.control_names
-        return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels, self.plant)
+        known = self.plant, [*(self.known_states or ()), *(names if A.any() else ())]
+        return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels, *known)
 
     def magnitudes(self) -> LinearDynamics:
         """Return the dynamics of |A|, |B| and |d|, which bound the sum of the absolute values of all terms."""

@@ -257,7 +257,8 @@ def closed_loop(
     hop : int, optional
         Default an eighth of the length.
     past : (P, components), or (P,), optional
-        The samples before the loop begins; zeros for a plant at rest.
+        The samples before the loop begins, length - 1 or more; zeros for a plant at rest. Without it, the first window
+        begins with the loop.
     oversampling : int
         Points of the grid per bin of the window.
 
@@ -298,6 +299,10 @@ def closed_loop(
             raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
+    if past is not None and len(real_array("closed_loop.past", np.atleast_1d(past))) < samples - 1:
+        advice = "Of the windows that are under way when the loop begins; zeros for a plant at rest."
+        expected = f"at least {samples - 1} samples, or None"
+        raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
     taper = np.hanning(samples).sum()
     bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling, edges=True)
     return Spectrogram(bound, samples, max(samples // 8, 1) if hop is None else hop, past)
