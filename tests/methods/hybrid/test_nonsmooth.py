@@ -146,6 +146,15 @@ def test_one_sequence_may_have_several_local_optima_and_flips_lead_on():
     assert not infeasible.feasible
 
 
+def test_a_mode_that_the_fixed_initial_state_excludes_is_tried_by_no_iteration():
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["0.5*x_0 + abs(x_0) + u_0"], 1, 1)
+    problem = lfo.OptimalControlProblem(dynamics, 2, lfo.QuadraticCost(R=1.0, P=1.0), initial_state=[1.0])
+    start = lfo.simulate(problem, np.zeros((2, 1)))
+    right, left = (dynamics.sequence_of(np.full((3, 1), side), np.zeros((2, 1))) for side in (1.0, -1.0))
+    assert smooth_optimum(problem, start, right)[0].reason is lfo.results.Reason.LOCALLY_OPTIMAL
+    assert smooth_optimum(problem, start, left)[0] is None
+
+
 # --- Newton -----------------------------------------------------------------------------------------------------------
 
 

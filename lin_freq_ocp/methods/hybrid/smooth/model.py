@@ -8,7 +8,7 @@ that is positive definite only because of the fixed end.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -95,8 +95,8 @@ class Pieces:
         """Return f_t at (x_t, u_t), y (T, n + m); not numbers where a map is not defined."""
         values = np.empty((len(y), self.dynamics.state_dim))
         for mode, times in self.parts:
-            inside = (values_of(mode.domain, y[times], times) > 0).all(axis=1)
-            values[times] = np.where(inside[:, None], values_of(mode.f, y[times], times), np.nan)
+            inside = (values_of(mode.domain, y[times], times) > 0).all(axis=1, keepdims=True)
+            values[times] = np.where(inside, values_of(mode.f, y[times], times), np.nan)
         return values
 
     def jets(self, y: Array) -> Jets:
@@ -119,15 +119,12 @@ class Pieces:
         """Return the maps to first order along a trajectory, zero where they are not defined."""
         dynamics, y = self.dynamics, np.hstack([trajectory.x[:-1], trajectory.u])
         at, n = self.jets(y), dynamics.state_dim
-        slopes, offset = (
-            np.nan_to_num(at.slopes, posinf=0.0, neginf=0.0),
-            at.values - np.einsum("tij,tj->ti", at.slopes, y),
-        )
-        offset = np.nan_to_num(offset, posinf=0.0, neginf=0.0)
+        constants = at.values - np.einsum("tij,tj->ti", at.slopes, y)
+        slopes, offset = (np.nan_to_num(part, posinf=0.0, neginf=0.0) for part in (at.slopes, constants))
         labels = dynamics.sampling_time, dynamics.state_names, dynamics.control_names
         return LinearDynamics(slopes[..., :n], slopes[..., n:], offset, *labels)
 
-    def with_region(self, stage: dict[str, Array]) -> dict[str, Array]:
+    def with_region(self, stage: Mapping[str, Array]) -> Mapping[str, Array]:
         """Return multipliers with those of all regions under the name REGION, (T, rows)."""
         if not self.regions:
             return stage

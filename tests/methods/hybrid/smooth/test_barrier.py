@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks.pairs import problem_of
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
 from helpers.replacing import substitute
@@ -266,6 +267,16 @@ def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start
     optimum, ended = smooth_optimum(problem, next(LocalSearch(problem).starts())[0], warm=False)
     assert ended is End.OPTIMAL
     assert optimum.cost == pytest.approx(13.844711544, rel=1e-9)  # that of the problem with x_2 < 0 at the end
+
+
+@pytest.mark.parametrize("spectrum", ["mask of states", "harmonics in amplitudes"])
+def test_cones_at_their_limits_leave_no_iteration_without_a_step(spectrum):
+    """Steps that ended within mu of the boundary of a cone left a system that had no solution."""
+    problem = problem_of("piecewise-smooth dynamics", spectrum)
+    start = lfo.simulate(problem, np.zeros((6, 1)))
+    optimum, ended = smooth_optimum(problem, start, np.array([0, 1, 1, 1, 1, 0]), warm=False)
+    assert ended is End.OPTIMAL
+    assert optimum.converged
 
 
 def test_multipliers_that_overflow_are_those_of_no_optimum(monkeypatch):
