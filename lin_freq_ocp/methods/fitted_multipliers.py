@@ -33,7 +33,7 @@ from lin_freq_ocp.program.units import scaled_program
 ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; solvers stop near 1e-8
 GAP_PRICE = 1e-3  # of the gap of a cone, relative to squares of residuals: a gap is the square of an error in direction
 NONTRIVIAL = 1e-6  # largest entry of abnormal multipliers that are zero; otherwise the linear program makes it 1
-STATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a state in the user's coordinates, as the judge has it
+COORDINATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a state in the user's coordinates, as the judge has it
 DEPENDENT = 1e-10  # relative singular value of the normalised active gradients that is zero
 MOST_GRADIENTS = 2000  # more take more than a few seconds
 
@@ -76,7 +76,7 @@ def rounded_point(
     z, given = scaling.scaled_primal(linear.point(trajectory)), np.abs(trajectory.x)
     given = given if origin is None else given + np.abs(origin)
     rounding = np.zeros(len(z))
-    rounding[: given.size] = STATE_ROUNDING * np.tile(given.max(axis=0), len(given))
+    rounding[: given.size] = COORDINATE_ROUNDING * np.tile(given.max(axis=0), len(given))
     return z, scaling.scaled_primal(rounding)
 
 

@@ -22,7 +22,7 @@ from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.simulation import simulate
 
 GAP = 1e-6  # default of the relative gap to prove
-SEARCH_SHARE = 0.95  # of the time, after which the best train is refined and judged
+SHARE_OF_BOXES = 0.95  # of the time, after which the best train is refined and judged
 LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
 EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles contains a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
@@ -75,7 +75,7 @@ class _TrainSearch:
     def run(self) -> str:
         """Return why the search stopped early, or an empty string."""
         self._begin()
-        end = self._started + SEARCH_SHARE * self._request.time_limit
+        end = self._started + SHARE_OF_BOXES * self._request.time_limit
         while self._bound.value < self._cutoff:
             if now() <= end and not self._bound.halve(self._cutoff, end):
                 return "too many boxes of angles"
