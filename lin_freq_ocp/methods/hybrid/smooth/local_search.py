@@ -335,8 +335,8 @@ class LocalSearch:
             return None
         self._known.add(key)
         self.tried += 1
-        useful = np.inf
-        if self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
+        useful = np.inf  # of one map, starts that repeat an optimum end the search
+        if not self._smooth and self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
             useful = self.best.cost + self._least_decrease(self.best)
         optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
         self.interrupted = ended is End.INTERRUPTED
