@@ -8,8 +8,8 @@ from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import SavedRun
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, BoundPeak
-from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.derivatives.sensitivities import Sensitivities
 from lin_freq_ocp.files.solution_files import SavedSolution
 from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
