@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_077,
-    "code lines": 43_651,
+    "shipped lines": 47_239,
+    "code lines": 43_813,
     "code lines, linear part": 21_520,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
-    "files": 320,
+    "files": 321,
     "folders": 43,
     "folders at the root": 19,
     "modules at the root": 11,
