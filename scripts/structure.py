@@ -51,19 +51,19 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_239,
-    "code lines": 43_813,
+    "shipped lines": 47_360,
+    "code lines": 43_934,
     "code lines, linear part": 21_520,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
-    "files": 321,
+    "files": 322,
     "folders": 43,
     "folders at the root": 19,
     "modules at the root": 11,
-    "names in __all__": 55,
+    "names in __all__": 57,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.0,
+    "functions used once [%]": 12.1,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +33,7 @@ SEEN = 1e-9  # of a solution of K, relative to its size: what is less is roundin
 TIED = 1e-15  # on the diagonal of S, relative, so that it has a root
 SLOWEST = 1e-13  # part of the largest rate of change of a slack, below which a rate is rounding
 NAMED_PART = 0.1  # of the largest entry of a vector of the null space: rows with less are not named
+WEAK = "active with multiplier zero"
 NOT_UNIQUE = "the optimum is not unique: the cost is flat along a direction"
 
 
@@ -207,6 +209,11 @@ class SolutionDerivatives:
         """Return its multipliers."""
         return self._point.multipliers
 
+    @cached_property
+    def prices(self) -> Values:
+        """The derivatives of the optimal cost by every datum, at the exact optimum."""
+        return slopes(self.problem, self._signals)
+
     def vjp(
         self, x: ArrayLike | None = None, u: ArrayLike | None = None, multipliers: Multipliers | None = None
     ) -> Gradient:
@@ -273,8 +280,7 @@ class SolutionDerivatives:
         at_lower[weak.rows[weak.side < 0]] = True
         of_rows = np.where(at_lower, forced.lower, forced.upper) - forced.values
         p, q, error = point.kkt.solve(-forced.of_z, of_rows)
-        envelope = slopes(self.problem, self._signals)
-        cost = sum(float(np.nansum((np.conj(envelope[name]) * d).real)) for name, d in given.items())
+        cost = sum(float(np.nansum((np.conj(self.prices[name]) * d).real)) for name, d in given.items())
         if not len(weak.rows):
             side = self._side(p, q)
             return Derivative(*self._existence((), error), cost, side, side, *_reach(point, forced, p, q))
@@ -318,7 +324,7 @@ class SolutionDerivatives:
             rows = point.describe(point.weak.rows[dependent], point.weak.side[dependent])
             reason = "rows with multiplier zero depend on the active rows"
         elif rows:
-            reason = f"active with multiplier zero: {plural(len(rows), 'row')}"
+            reason = f"{WEAK}: {plural(len(rows), 'row')}"
         return not reason, rows, reason, error
 
 

@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 EACH = ("initial_state", "x_ref", "u_ref")
 RNG = np.random.default_rng(0)
 STARTS = RNG.standard_normal((6, 3))
+A, B = np.eye(3) + 0.2 * RNG.standard_normal((3, 3)), RNG.standard_normal((3, 2))
 PROBLEM = lfo.OptimalControlProblem(
     lfo.LinearDynamics(
         np.eye(3) + 0.2 * RNG.standard_normal((3, 3)), RNG.standard_normal((3, 2)), offset=[0.1, 0, 0.2]
