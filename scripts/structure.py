@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_360,
-    "code lines": 43_934,
+    "shipped lines": 47_366,
+    "code lines": 43_940,
     "code lines, linear part": 21_520,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least

@@ -157,7 +157,7 @@ class Solutions(ManyOutcome):
         Examples
         --------
         >>> solutions = lfo.solve_many(lfo.library.double_integrator(), [[0, 0], [0.1, 0]])
-        >>> solutions.vjp(u=np.ones((2, 200, 1))).exists.all()
+        >>> solutions.vjp(u=[[[1.0]] * 200] * 2).exists.all()
         True
         """
         from lin_freq_ocp.derivatives.recursion import gradients_of  # other uses need none of it

@@ -72,7 +72,7 @@ class Gradient(Existence, Mapping[str, Array]):
 
     Examples
     --------
-    >>> gradient = lfo.solve(lfo.library.double_integrator()).derivatives.vjp(u=np.ones((200, 1)))
+    >>> gradient = lfo.solve(lfo.library.double_integrator()).derivatives.vjp(u=[[1.0]] * 200)
     >>> gradient.exists, gradient["A"].shape
     (True, (2, 2))
     """
@@ -97,7 +97,20 @@ class Gradient(Existence, Mapping[str, Array]):
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """The derivative of states (T+1, n), controls (T, m) and multipliers along a change of the data, on one side."""
+    """The derivative of an optimum along a change of the data, on one side.
+
+    Attributes
+    ----------
+    x : (T+1, n), u : (T, m)
+        Of states and controls.
+    multipliers : Multipliers
+
+    Examples
+    --------
+    >>> step = lfo.solve(lfo.library.double_integrator()).derivatives.jvp(initial_state=[1.0, 0.0])
+    >>> step.left.u.shape
+    (200, 1)
+    """
 
     x: Array
     u: Array
@@ -179,7 +192,7 @@ class SolutionDerivatives:
 
     Examples
     --------
-    >>> lfo.solve(lfo.library.double_integrator()).derivatives.vjp(u=np.ones((200, 1))).exists
+    >>> lfo.solve(lfo.library.double_integrator()).derivatives.vjp(u=[[1.0]] * 200).exists
     True
     """
 

@@ -77,7 +77,20 @@ class Gradients(Mapping[str, Array]):
     """The derivatives of weighted sums of the optima of many problems by every datum, under its name.
 
     Initial states and references have a derivative for each problem, on the first axis; what the problems share has the
-    sum over all. ``exists`` (N,) says of each whether it has a derivative, ``reasons`` why not.
+    sum over all.
+
+    Attributes
+    ----------
+    exists : (N,)
+        Whether each has a derivative.
+    reasons : tuple of str
+        Why not; empty if it has one.
+
+    Examples
+    --------
+    >>> solutions = lfo.solve_many(lfo.library.double_integrator(), [[0, 0], [0.1, 0]])
+    >>> solutions.vjp(u=[[[1.0]] * 200] * 2)["initial_state"].shape
+    (2, 2)
     """
 
     slopes: Values
