@@ -113,7 +113,8 @@ def active(found: SolutionDerivatives) -> tuple[np.ndarray, ...]:
     """Return the signs of the multipliers, but for those of equations."""
     m = found.multipliers
     terms = [m.stage[term.name] for term in found.problem.terms if not term.kind.is_link]
-    return tuple(np.sign(part) for part in (m.mu[1:-1], m.nu, *terms))
+    mu = np.where(found.problem.state_tube.fixed, 0.0, m.mu)
+    return tuple(np.sign(part) for part in (mu, m.nu, *terms))
 
 
 def weights_of(problem: lfo.OptimalControlProblem, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -291,7 +292,6 @@ def units(seed: int) -> Units:
     signs = zip(active(one), active(other), strict=True)
     same = first.exists == second.exists and all(np.array_equal(a, b) for a, b in signs)
     factors = {"initial_state": of_x, "x_ref": of_x, "u_ref": of_u, "offset": of_x, "control_upper": of_u}
-    apart = max(
-        float(np.abs(second[name] * f - first[name]).max() / np.abs(first[name]).max()) for name, f in factors.items()
-    )
+    differences_of = {name: np.abs(second[name] * f - first[name]).max() for name, f in factors.items()}
+    apart = max(float(one / np.abs(first[name]).max()) for name, one in differences_of.items() if first[name].any())
     return Units(seed, "compared", same, apart)
