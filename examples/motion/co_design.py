@@ -5,9 +5,9 @@ A drive and its control together
 Stiffness and inertia are chosen with the optimal control, by the exact gradient.
 
 A motor turns a load through a shaft by 1 rad in 1.6 s. A stiff shaft and a light load
-cost something, and so does the torque. The derivative of the optimal cost by A and B,
-``result.sensitivities``, needs no solve: with the chain rule through the sampled plant it
-is the gradient for ``scipy.optimize.minimize``. Differences need a solve a parameter.
+cost something; so does torque. The derivative of the optimal cost by A and B,
+``result.sensitivities``, needs no solve: with the chain rule through the sampled plant
+it is the gradient for ``scipy.optimize``. Differences need a solve a parameter.
 """
 
 import matplotlib.pyplot as plt

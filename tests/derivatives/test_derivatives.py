@@ -359,6 +359,17 @@ def test_both_ends_of_an_affine_piece_are_named():
         assert (np.sign(nu[0]) != np.sign(nu[1])).any()
 
 
+def test_a_bound_that_moves_to_a_free_control_ends_the_piece():
+    found = exact(tracking(control_set=lfo.Box(-0.4, 0.4)))
+    room = 0.4 - found.trajectory.u
+    t, j = np.argwhere(room > 0.1)[0]
+    change = np.zeros((T, 2))
+    change[t, j] = -1.0
+    step = found.jvp(control_upper=change)
+    assert step.holds == pytest.approx((-np.inf, room[t, j]), rel=1e-10)
+    assert step.ends == (None, f"control set, t = {t}, component {j}, upper")
+
+
 @pytest.mark.parametrize("name", seeds((*LINEAR, *MATRICES, "terminal_state"), always=("sum.C",)))
 def test_a_problem_with_other_data_has_them(name):
     problem = random_problem(1)
