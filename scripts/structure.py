@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_366,
-    "code lines": 43_940,
-    "code lines, linear part": 21_520,
+    "shipped lines": 47_369,
+    "code lines": 43_943,
+    "code lines, linear part": 21_524,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
     "files": 322,
@@ -80,7 +80,7 @@ LIMITS: dict[str, float] = {
     "names of a lone participle": 0,
     "isinstance on dynamics": 1,
     "isinstance on terms": 5,
-    "Any": 21,
+    "Any": 22,
 }
 """At most, but for the share of docstrings and comments."""
 

@@ -298,7 +298,7 @@ class SolutionDerivatives:
             side = self._side(p, q)
             return Derivative(*self._existence((), error), cost, side, side, *_reach(point, forced, p, q))
         v, size = weak.F @ p - weak.choice @ of_rows, float(np.abs(p).max(initial=0.0))
-        left, right = (one_sided(point, p, q, v, sign) for sign in (-1.0, 1.0))
+        left, right = one_sided(point, p, q, v, -1.0), one_sided(point, p, q, v, 1.0)
         blocked = point.dependent & (np.abs(v) > SEEN * size if forced.affine else np.ones(len(v), dtype=bool))
         same = bool(np.abs(left[0] - right[0]).max() <= SEEN * size)
         rows = () if same else point.describe(weak.rows, weak.side)
@@ -311,7 +311,8 @@ class SolutionDerivatives:
     def _side(self, p: Array, q: Array) -> Side:
         """Return a change of the optimum from one of z and of the duals, in scaled units."""
         linear, scaling = self._point.deviations.linear, self._point.deviations.scaling
-        return Side(*vars(linear.direction(scaling.primal(p))).values(), self._point.multipliers_of(q))
+        change = linear.direction(scaling.primal(p))
+        return Side(change.x, change.u, self._point.multipliers_of(q))
 
     def _existence(
         self, rows: tuple[str, ...], error: float, dependent: Mask | None = None

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask
 from lin_freq_ocp.derivatives.data import Values
@@ -135,7 +136,8 @@ def many_gradients(
     u = np.where(held, np.clip(u, tube.lower, tube.upper), u)
     upper = tube.upper - u <= u - tube.lower
     u = np.where(held, np.where(upper, tube.upper, tube.lower), u)
-    regulators, last, eta, nu = Regulators(problem, ~held), np.zeros(()), np.zeros(()), np.zeros(())
+    regulators = Regulators(problem, ~held)
+    last = eta = nu = of_u = np.zeros(())
     for _ in range(2):  # the exact point, and its last correction
         a, b = x - references[0], u - references[1]
         of_x = -np.concatenate([a[:, :-1] @ cost.Q + b @ cost.S.T + cost.q, a[:, -1:] @ cost.P + cost.p], axis=1)
@@ -185,7 +187,7 @@ def many_gradients(
 
 def gradients_of(
     problem: OptimalControlProblem,
-    references: Sequence[Mapping[str, object]],
+    references: Sequence[Mapping[str, ArrayLike]],
     answers: tuple[Array, Array],
     weights: tuple[Array, Array],
     derivatives_of: Callable[[int], SolutionDerivatives],

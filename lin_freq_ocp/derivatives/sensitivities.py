@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, shape_and_range
 from lin_freq_ocp.derivatives.data import Variables, slopes
@@ -129,8 +128,9 @@ def sensitivities_of(problem: OptimalControlProblem, trajectory: Trajectory, mul
         "limits": {term.name: found.pop(term.name) for term in problem.terms if term.name in found},
         **{part: {name: found.pop(f"{name}.{part}") for name in rows if f"{name}.{part}" in found} for part in "CD"},
     }
-    fields = cast("dict[str, Any]", {**dict.fromkeys(("A", "B", "response")), **found, **families})
-    return Sensitivities(**fields)
+    prices = object.__new__(Sensitivities)
+    assign(prices, **{**dict.fromkeys(("A", "B", "response")), **found, **families})
+    return prices
 
 
 def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tuple[Array, Array]:
