@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.api.batch import Solver, solve_many, sweep
     from lin_freq_ocp.api.compare import compare
     from lin_freq_ocp.api.generate import certify_log, generate
+    from lin_freq_ocp.api.layers import to_jax, to_torch
     from lin_freq_ocp.api.minimum_time import minimum_time
     from lin_freq_ocp.api.receding_horizon import RecedingHorizon
     from lin_freq_ocp.api.shaper import shaper
@@ -72,9 +73,8 @@ NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "i
 # fmt: off
 _names, _import_name = lazy_exports(__name__, {
     "api.batch": "Solver solve_many sweep", "api.compare": "compare", "api.generate": "certify_log generate",
-    "api.minimum_time": "minimum_time", "api.receding_horizon": "RecedingHorizon", "api.shaper": "shaper",
-    "api.solve": "solve",
-    "costs": "QuadraticCost",
+    "api.layers": "to_jax to_torch", "api.minimum_time": "minimum_time",
+    "api.receding_horizon": "RecedingHorizon", "api.shaper": "shaper", "api.solve": "solve", "costs": "QuadraticCost",
     "dynamics": "AffineMode FrequencyResponse LinearDynamics PiecewiseAffineDynamics PiecewiseSmoothDynamics",
     "explanation.explanation": "explain", "formulas": "DifferentiableFunction from_casadi maximum minimum norm signals",
     "io": "from_time_response load load_run load_sweep read_csv read_mat read_problem to_cvxpy write_problem",
@@ -96,6 +96,7 @@ __all__ = [
     "from_time_response", "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum",
     "minimum", "minimum_time", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets",
     "shaper", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy",
+    "to_jax", "to_torch",
     "write_problem",
 ]
 # fmt: on

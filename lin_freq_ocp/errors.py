@@ -7,6 +7,7 @@ from lin_freq_ocp.base.errors import (
     LimitError,
     LinFreqOCPError,
     MissingExtraError,
+    NoDerivativeError,
     NumericalError,
     ProblemError,
     SolveError,
@@ -17,6 +18,6 @@ from lin_freq_ocp.base.errors import (
 # fmt: off
 __all__ = [
     "BandWarning", "ClosedLoopWarning", "InfeasibleError", "LimitError", "LinFreqOCPError", "MissingExtraError",
-    "NumericalError", "ProblemError", "SolveError", "UnboundedError", "UnsupportedError",
+    "NoDerivativeError", "NumericalError", "ProblemError", "SolveError", "UnboundedError", "UnsupportedError",
 ]
 # fmt: on

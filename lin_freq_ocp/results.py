@@ -9,8 +9,10 @@ from lin_freq_ocp.api.runs import SavedRun
 from lin_freq_ocp.api.shaper import Shaper
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, BoundPeak
-from lin_freq_ocp.certificate.sensitivities import Sensitivities
 from lin_freq_ocp.certificate.verdict import Certificate
+from lin_freq_ocp.derivatives.derivatives import Derivative, Gradient, Side, SolutionDerivatives
+from lin_freq_ocp.derivatives.recursion import Gradients
+from lin_freq_ocp.derivatives.sensitivities import Sensitivities
 from lin_freq_ocp.files.solution_files import SavedSolution
 from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
@@ -23,7 +25,8 @@ from lin_freq_ocp.solving.outcome import Cure, Explanation
 # fmt: off
 __all__ = [
     "Attempt", "BetweenSamples", "BoundPeak", "Certificate", "CertifiedLog", "ClosedLoop", "Comparison", "Cure",
-    "Enclosure", "Explanation", "GeneratedController", "MinimumTime", "Multipliers", "Reading", "Reason", "Result",
-    "SavedRun", "SavedSolution", "Sensitivities", "Shaper", "Solutions", "Status", "Sweep", "Trajectory",
+    "Derivative", "Enclosure", "Explanation", "GeneratedController", "Gradient", "Gradients", "MinimumTime",
+    "Multipliers", "Reading", "Reason", "Result", "SavedRun", "SavedSolution", "Sensitivities", "Shaper", "Side",
+    "SolutionDerivatives", "Solutions", "Status", "Sweep", "Trajectory",
 ]
 # fmt: on

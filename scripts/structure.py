@@ -51,23 +51,23 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 46_486,
-    "code lines": 43_060,
-    "code lines, linear part": 21_660,
+    "shipped lines": 47_369,
+    "code lines": 43_943,
+    "code lines, linear part": 21_524,
     "code lines, hybrid": 8_675,
     SHARE_SAID: 19.5,  # at least
-    "files": 315,
-    "folders": 42,
-    "folders at the root": 18,
+    "files": 322,
+    "folders": 43,
+    "folders at the root": 19,
     "modules at the root": 11,
-    "names in __all__": 56,
+    "names in __all__": 57,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 11.8,
+    "functions used once [%]": 12.1,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,
-    "modules that tests import": 47,
+    "modules that tests import": 48,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
     "attributes that tests replace by path": 14,
@@ -80,7 +80,7 @@ LIMITS: dict[str, float] = {
     "names of a lone participle": 0,
     "isinstance on dynamics": 1,
     "isinstance on terms": 5,
-    "Any": 21,
+    "Any": 22,
 }
 """At most, but for the share of docstrings and comments."""
 

@@ -89,6 +89,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "names": 300,
     "jumps": 300,
     "uncontrollable": 1000,
+    "derivatives": 300,
     "pairs": None,
     "answers": None,
     "presented": None,

@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import report_progress, result_of
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.arrays import to_shape
+from lin_freq_ocp.base.errors import ProblemError, SolveError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source
 from lin_freq_ocp.batch.many import ManyOutcome, References, run_many
 from lin_freq_ocp.batch.sweep import SweepOutcome, run_sweep
@@ -28,6 +30,8 @@ from lin_freq_ocp.transform.reductions import Change
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from lin_freq_ocp.derivatives.recursion import Gradients
 
 
 class Solver:
@@ -127,6 +131,48 @@ class Solutions(ManyOutcome):
         if isinstance(change, ProblemError):
             raise change
         return result_of(self.resolver.solve(change), throw=False)
+
+    def vjp(self, x: ArrayLike | None = None, u: ArrayLike | None = None) -> Gradients:
+        """Return the derivatives of sum(x * states) + sum(u * controls) by every datum, and which exist.
+
+        Problems with constant matrices and bounds on controls alone are solved at once; others one by one.
+
+        Parameters
+        ----------
+        x : (N, T+1, n), u : (N, T, m), optional
+            Weights; zero if absent.
+
+        Returns
+        -------
+        Gradients
+            Initial states and references have a derivative for each problem; the others are summed.
+
+        Raises
+        ------
+        ProblemError
+            If weights have the wrong shape.
+        SolveError
+            If a problem is not solved.
+
+        Examples
+        --------
+        >>> solutions = lfo.solve_many(lfo.library.double_integrator(), [[0, 0], [0.1, 0]])
+        >>> solutions.vjp(u=[[[1.0]] * 200] * 2).exists.all()
+        True
+        """
+        from lin_freq_ocp.derivatives.recursion import gradients_of  # other uses need none of it
+
+        answers = self.states, self.controls
+        of_x, of_u = (
+            np.zeros(answer.shape) if given is None else to_shape(name, given, answer.shape)
+            for name, given, answer in zip("xu", (x, u), answers, strict=True)
+        )
+        changes = [change for change in self.changes if isinstance(change, Change)]
+        for i, status in enumerate(self.statuses):
+            if status != Status.OPTIMAL:
+                raise SolveError(f"Only optima have derivatives; problem {i} ended as '{status}'.")
+        references = [change.references or {} for change in changes]
+        return gradients_of(self.problem, references, answers, (of_x, of_u), lambda i: self[i].derivatives)
 
     @property
     def facts(self) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import html_table, term_rows
-from lin_freq_ocp.certificate.sensitivities import Sensitivities, sensitivities_of
+from lin_freq_ocp.derivatives.sensitivities import Sensitivities, sensitivities_of
 from lin_freq_ocp.files.conversions import to_frame, to_time_response
 from lin_freq_ocp.files.solution_files import save_csv, save_mat, save_trajectory
 from lin_freq_ocp.files.summary import result_summary, save_json
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from lin_freq_ocp.certificate.hybrid.tree import TreeBound
+    from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives
     from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
     from lin_freq_ocp.proof.proof import Proof
     from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
@@ -75,10 +76,27 @@ class Result(Outcome):
 
     @property
     def sensitivities(self) -> Sensitivities:
-        """Return the derivatives of the optimal cost by bounds, ends, bins and offsets; SolveError if not solved."""
-        if not self.status.solved or self.multipliers is None:
+        """Return the derivatives of the optimal cost by the data of the problem; SolveError if not solved."""
+        if not self.status.solved or self.trajectory is None or self.multipliers is None:
             raise SolveError(f"Only an optimum has sensitivities; this solve ended as '{self.status}'.", self)
-        return sensitivities_of(self.problem, self.multipliers)
+        return sensitivities_of(self.problem, self.trajectory, self.multipliers)
+
+    @cached_property
+    def derivatives(self) -> SolutionDerivatives:
+        """The derivatives of the optimum by the data of the problem; their equations are solved once.
+
+        Raises
+        ------
+        SolveError
+            If the solve did not end with an optimum that has multipliers.
+        UnsupportedError
+            If the dynamics have modes or are smooth, a mask holds at every frequency, or the multipliers are abnormal.
+        """
+        if not self.status.solved or self.trajectory is None or self.multipliers is None:
+            raise SolveError(f"Only an optimum has derivatives; this solve ended as '{self.status}'.", self)
+        from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives  # other uses need none of it
+
+        return SolutionDerivatives(self.problem, self.trajectory, self.multipliers)
 
     @property
     def tree(self) -> ModeTree | None:

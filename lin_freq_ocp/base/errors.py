@@ -173,6 +173,25 @@ class LimitError(SolveError):
         return getattr(self.result, "gap", None)
 
 
+class NoDerivativeError(LinFreqOCPError):
+    """An optimum without a derivative, asked for by a layer.
+
+    Attributes
+    ----------
+    rows : tuple of str
+        The rows in the way.
+
+    Examples
+    --------
+    >>> lfo.errors.NoDerivativeError("layer: no derivative", ("control set, t = 3",)).rows
+    ('control set, t = 3',)
+    """
+
+    def __init__(self, message: str, rows: tuple[str, ...] = ()):
+        self.rows = rows
+        super().__init__(f"{message} {'; '.join(rows)}".strip())
+
+
 class BandWarning(UserWarning):
     """A frequency band that, on this horizon, removes nothing or everything.
 

@@ -9,7 +9,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "hamiltonian": "diagonal_curvature extremal_at", "many": "batch_judge_takes judge_batch", "verdict": "JUDGES judge",
     "peaks": "Cells HALVINGS TERMS certified_peak certified_vibration proven_peak", "response_bound": "farkas_bound",
     "rays": "Conflict descent_direction infeasibility_certificate prove_infeasible unbounded_direction",
-    "reach": "Region implied_bounds reachable_bounds", "sensitivities": "bin_prices sensitivities_of",
+    "reach": "Region implied_bounds reachable_bounds",
     "sizes": "cost_scale trajectory_sizes", "conditions": "Condition",
     "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE RADIUS_MARGIN",
 })

@@ -13,7 +13,6 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
-from lin_freq_ocp.certificate.sensitivities import bin_prices
 from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, can_be_filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import Moves, shaper_obstacle, shortest_moves, why_not_shaped
 from lin_freq_ocp.comparison.shapers import COMPARED, SHAPERS
@@ -25,6 +24,7 @@ from lin_freq_ocp.comparison.trajectories import (
     replay_control,
     solution_label,
 )
+from lin_freq_ocp.derivatives.sensitivities import bin_prices
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.solving.families import family_of

@@ -78,6 +78,17 @@ def corrections(
     optimal deviations, which one more solve finds. UnsupportedError if the program does not fit into memory, or would
     take too long.
     """
+    for deviations, z, y in deviations_from(problem, trajectory, multipliers):
+        yield from filter(None, [deviations.correct(z, y)])
+
+
+def deviations_from(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+) -> Iterator[tuple[DeviationProgram, Array, Array]]:
+    """Yield the program of the deviations from a point, with that point and its duals, then the optimal ones.
+
+    UnsupportedError as for ``corrections``.
+    """
     if (needed := dense_rows(problem).factorisation_seconds) > LONGEST_FACTOR:
         raise UnsupportedError(f"a correction needs about {needed:.2g} s for one factorisation.")
     problem = at_frequencies(problem, multipliers.frequencies)
@@ -85,18 +96,17 @@ def corrections(
     linear = LinearProgram(problem, trajectory.extended)
     columns = linear.column_units(*_deviation_units(problem, trajectory))
     scaling = scale_rows_and_cost(linear, columns, columns)
-    deviations = _Deviations(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
-    z, y = scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
-    yield from filter(None, [deviations.correct(z, y)])
+    deviations = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
+    yield deviations, scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
     solution = backend("clarabel")(deviations.program, DEFAULT_TOLERANCE, None)
     if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
-        yield from filter(None, [deviations.correct(solution.z, solution.y)])
+        yield deviations, solution.z, solution.y
 
 
 def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Trajectory | None:
     """Return the trajectory with controls and first state at their references; None if it diverges.
 
-    Interior points approach it to the root of their tolerance only. Signals without a cost are those of ``near``.
+    Interior points approach it to the root of their tolerance only. Variables without a cost are those of ``near``.
     """
     cost = problem.quadratic
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
@@ -115,7 +125,7 @@ def simulate_from(problem: OptimalControlProblem, u: Array, start: Array) -> Tra
 
 
 @dataclass(frozen=True, eq=False)
-class _Deviations:
+class DeviationProgram:
     """The program of the deviations from a trajectory, in their units."""
 
     linear: LinearProgram

@@ -30,7 +30,7 @@ LAST_REFINEMENT = 1e-9  # last refinement, relative to the solution, of a solve 
 
 
 @dataclass(frozen=True, eq=False)
-class _Active:
+class ActiveRows:
     """The rows outside cones that hold with equality at their bounds, and the cones at whose edge or apex z lies."""
 
     above: Mask
@@ -43,12 +43,12 @@ class _Active:
         """Return the active rows that are equations; those of the program are at both bounds."""
         return np.flatnonzero(self.above | self.below | self.at_apex)
 
-    def same_as(self, other: _Active) -> bool:
+    def same_as(self, other: ActiveRows) -> bool:
         """Whether the same rows are active."""
         return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
-def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> _Active:
+def _active_at(program: Program, z: Array, y: Array, before: ActiveRows | None) -> ActiveRows:
     """Return the rows whose multipliers exceed their slacks; after a step, violated ones, and those that press."""
     values, equal = program.A @ z, program.equality & program.alone
     over, under = values - program.upper, program.lower - values
@@ -74,7 +74,7 @@ def _active_at(program: Program, z: Array, y: Array, before: _Active | None) -> 
     above = equal | (program.alone & above & np.isfinite(program.upper))
     below, at_apex = program.alone & ~above & below & np.isfinite(program.lower), np.zeros_like(equal)
     at_apex[program.in_cones] = apexes[program.cone_of]
-    return _Active(above, below, edges & (tails > 0) & ~apexes, at_apex)
+    return ActiveRows(above, below, edges & (tails > 0) & ~apexes, at_apex)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class ActiveSystem:
     """The conditions of active rows, linearised at a point: M z = b, with the Hessian H and their factor."""
 
     program: Program
-    active: _Active
+    active: ActiveRows
     M: sp.csc_array
     H: sp.csc_array
     factor: SuperLU
@@ -149,27 +149,17 @@ def solve_active(program: Program, z: Array, y: Array) -> tuple[Array, Array, Ac
 
 
 def _newton_step(
-    program: Program, z: Array, y: Array, active: _Active, least: float
+    program: Program, z: Array, y: Array, active: ActiveRows, least: float
 ) -> tuple[Array, Array, ActiveSystem] | None:
     """Return z and y after one step on the conditions of the active rows, and the system; None if it is singular.
 
     Smaller proximal weights than ``least`` are not tried.
     """
     rows, edges, in_cones = active.rows, active.edges, program.in_cones
-    at_edge, held, A = edges[program.cone_of], np.zeros_like(y), sp.csr_array(program.A)
-    weights, (normals, sizes) = np.maximum(-y[in_cones[program.heads]], 0.0), _normals(program, z)
-    held[rows], held[in_cones[at_edge]] = y[rows], (weights[program.cone_of] * normals)[at_edge]
-    M, H = A[rows], program.P
-    if edges.any():
-        tails = at_edge.copy()
-        tails[program.heads] = False
-        cone = (np.cumsum(edges) - 1)[program.cone_of[tails]]
-        N = sp.csr_array((normals[tails], (cone, np.arange(len(cone)))), shape=(int(edges.sum()), len(cone)))
-        along, across = N @ A[in_cones[tails]], A[in_cones[tails]]
-        across = across - N.T @ along
-        M = sp.vstack([M, along - A[in_cones[program.heads[edges]]]])
-        H = program.P + across.T @ sp.diags_array((weights[edges] / sizes[edges])[cone]) @ across
-    M, H = sp.csc_array(M), sp.csc_array(H)
+    at_edge, held = edges[program.cone_of], np.zeros_like(y)
+    weights = np.maximum(-y[in_cones[program.heads]], 0.0)
+    held[rows], held[in_cones[at_edge]] = y[rows], (weights[program.cone_of] * _normals(program, z)[0])[at_edge]
+    M, H = (sp.csc_array(part) for part in linearised_rows(program, z, y, active)[:2])
     slope = program.P @ z + program.q + program.A.T @ held
     system, dz, dy = None, z, y
     for proximal in (weight for weight in PROXIMAL_WEIGHTS if weight >= least):
@@ -187,6 +177,35 @@ def _newton_step(
     weights[edges] += dy[len(rows) :]
     held[in_cones[at_edge]] = (weights[program.cone_of] * _normals(program, z)[0])[at_edge]
     return z, held, system
+
+
+def linearised_rows(
+    program: Program, z: Array, y: Array, active: ActiveRows
+) -> tuple[sp.csr_array, sp.csc_array, sp.csr_array, sp.csr_array]:
+    """Return M = N A and H = P + A'W A at a point, and N and W.
+
+    N (active rows, rows) chooses the equations and the active rows, and takes |(s_1, ...)| - s_0 of a cone at its edge.
+    W is the curvature of edges, times their multipliers: the duals of all rows are N'y, and change by W A dz besides.
+    """
+    A, edges, in_cones, rows = sp.csr_array(program.A), active.edges, program.in_cones, active.rows
+    if not edges.any():
+        N = sp.csr_array((np.ones(len(rows)), rows, np.arange(len(rows) + 1)), shape=(len(rows), A.shape[0]))
+        return A[rows], program.P, N, sp.csr_array((A.shape[0], A.shape[0]))
+    (normals, sizes), at_edge, place = _normals(program, z), edges[program.cone_of], np.cumsum(edges) - 1
+    of_edges = sp.csr_array(
+        (normals[at_edge], (place[program.cone_of[at_edge]], in_cones[at_edge])), shape=(int(edges.sum()), A.shape[0])
+    )
+    tails = at_edge.copy()
+    tails[program.heads] = False
+    curvature = np.maximum(-y[in_cones[program.heads]], 0.0) / np.where(sizes > 0, sizes, 1.0)
+    of_tails, across = np.zeros(A.shape[0]), of_edges.copy()
+    of_tails[in_cones[tails]] = curvature[program.cone_of[tails]]
+    across.data[np.isin(across.indices, in_cones[program.heads])] = 0.0
+    W = sp.csr_array(sp.diags_array(of_tails) - across.T @ sp.diags_array(curvature[edges]) @ across)
+    N = sp.csr_array(sp.vstack([sp.eye_array(A.shape[0], format="csr")[rows], of_edges]))
+    touched = np.flatnonzero(of_tails)
+    H = program.P + A[touched].T @ W[touched][:, touched] @ A[touched]
+    return sp.csr_array(N @ A), sp.csc_array(H), N, W
 
 
 def _normals(program: Program, z: Array) -> tuple[Array, Array]:

@@ -73,8 +73,8 @@ class HalfSpaces(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -np.inf), np.broadcast_to(self.limit, shape)
 
-    def limit_multipliers(self, multipliers: Array) -> Array:
-        return multipliers
+    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
+        return multipliers if change is None else change
 
     def least_slacks(self, v: Array) -> Array:
         return np.zeros(0) if self.hard else np.maximum(v - self.limit, 0.0).ravel()[self._limited_entries(v.shape)]
@@ -90,7 +90,7 @@ class HalfSpaces(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     def absorbing(self, c: Array) -> tuple[Array, Penalty]:
@@ -135,7 +135,7 @@ class Within(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -self.reach), np.full(shape, self.reach)
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, reach=self.reach + amount)
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -187,8 +187,11 @@ class NormBall(Penalty):
         radius = np.broadcast_to(np.broadcast_to(self.radius, shape[:1])[:, None], shape)
         return -radius, radius
 
-    def limit_multipliers(self, multipliers: Array) -> Array:
-        return norm_of(multipliers, DUAL_ORDER[self.order])[:, None]
+    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
+        order = DUAL_ORDER[self.order]
+        if change is not None:
+            return slope_of_norm(multipliers, change, order, 0.0)[:, None]
+        return norm_of(multipliers, order)[:, None]
 
     def least_slacks(self, v: Array) -> Array:
         if self.hard:
@@ -219,8 +222,8 @@ class NormBall(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
-        return c, replace(self, radius=self.radius + amount)
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
+        return c, replace(self, radius=self.radius + np.reshape(amount, np.shape(amount)[:1]))
 
     def stacked(self, parts: list[Any]) -> Penalty:
         weights = np.array([np.asarray(part.weight, dtype=float) for part in parts])
@@ -266,7 +269,7 @@ class StandardCone(Penalty):
     def gap(self, v: Array, multipliers: Array, eta_C: float) -> Array:
         return -(multipliers * v).sum(1)[:, None]
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c + amount * (np.arange(len(c)) == 0), self
 
     def conic(self, groups: int, dim: int) -> ConicForm:
@@ -336,8 +339,8 @@ class LargestExcess(Penalty):
         limit = np.broadcast_to(self.limit[:, None], shape)
         return -limit, limit
 
-    def limit_multipliers(self, multipliers: Array) -> Array:
-        return norm_of(multipliers, 2)[:, None]
+    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
+        return (norm_of(multipliers, 2) if change is None else slope_of_norm(multipliers, change, 2, 0.0))[:, None]
 
     def least_slacks(self, v: Array) -> Array:
         return np.array([self._largest_violation(v) * self._unit])
@@ -354,7 +357,7 @@ class LargestExcess(Penalty):
     def softened(self, weight: Array) -> Penalty:
         return replace(self, weight=weight)
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
     @property

@@ -139,8 +139,11 @@ class Penalty(ABC):
         lower, upper = self.bounds(shape)
         return np.where(np.isinf(self.weights), lower, -np.inf), np.where(np.isinf(self.weights), upper, np.inf)
 
-    def limit_multipliers(self, multipliers: Array) -> Array | None:
-        """Return minus the derivatives of h by its limits, from the multipliers; None if h has no limits."""
+    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array | None:
+        """Return minus the derivatives of h by its limits, from the multipliers; None if h has no limits.
+
+        With a change of the multipliers, the change of these derivatives.
+        """
         return None
 
     def least_slacks(self, v: Array) -> Array:
@@ -151,7 +154,7 @@ class Penalty(ABC):
         """Return the penalty with another weight."""
         raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
 
-    def relaxed(self, c: Array, amount: float) -> tuple[Array, Penalty]:
+    def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         """Return the constant of the affine map and the penalty if the limits are higher by an amount."""
         raise UnsupportedError(f"{type(self).__name__} has no limits that could be higher.")
 

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.certificate import sensitivities_of
+from lin_freq_ocp.derivatives import sensitivities_of
 
 STEP = 1e-4
 """Of order-1 data: the cost is quadratic between changes of the active bounds, central differences of it are exact."""
@@ -156,7 +156,8 @@ def test_only_an_optimum_has_sensitivities():
 
 def test_abnormal_multipliers_price_nothing():
     problem = random_problem(0)
-    multipliers = lfo.solve(problem).multipliers
+    result = lfo.solve(problem)
+    multipliers = result.multipliers
     fields = {name: getattr(multipliers, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x", "stage")}
     with pytest.raises(lfo.errors.UnsupportedError, match="eta_C = 0"):
-        sensitivities_of(problem, lfo.results.Multipliers(eta_C=0.0, **fields))
+        sensitivities_of(problem, result.trajectory, lfo.results.Multipliers(eta_C=0.0, **fields))

@@ -1,4 +1,4 @@
-"""Derivatives of the optimal cost by the data of a problem, from its multipliers."""
+"""Derivatives of the optimal cost by the data of a problem, from its optimum and multipliers."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray
+from lin_freq_ocp.base.arrays import Array, ComplexArray, assign
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, shape_and_range
+from lin_freq_ocp.derivatives.data import Variables, slopes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.trajectory import Multipliers
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.reformulations import at_frequencies
 
 
@@ -40,12 +41,20 @@ class Sensitivities:
     control_bins : complex (T//2 + 1, m), state_bins : complex ((T+1)//2 + 1, n)
         Prices of removed bins, 0 at free ones: if a bin and its conjugate become z and conj(z) instead of 0, J* grows
         by Re(conj(price) z).
+    Q, R, S, P, q, r, p, x_ref, u_ref
+        By the quadratic cost, in the shapes of its fields: what is constant in time has the sum over time.
+    A, B : as in the dynamics, or None
+        Of linear dynamics; likewise.
+    response : complex (N//2 + 1, p, m), or None
+        By G of a FrequencyResponse: a change d of G_k adds Re(conj(response_k) d).
+    C, D : mapping from name to array
+        By the matrices of joint rows, in their shapes.
 
     Examples
     --------
     >>> result = lfo.solve(lfo.library.double_integrator())
-    >>> result.sensitivities.terminal_state.shape
-    (2,)
+    >>> result.sensitivities.terminal_state.shape, result.sensitivities.A.shape
+    ((2,), (2, 2))
     """
 
     initial_state: Array
@@ -59,17 +68,30 @@ class Sensitivities:
     offset: Array
     control_bins: ComplexArray
     state_bins: ComplexArray
+    Q: Array
+    R: Array
+    S: Array
+    P: Array
+    q: Array
+    r: Array
+    p: Array
+    x_ref: Array
+    u_ref: Array
+    A: Array | None
+    B: Array | None
+    response: ComplexArray | None
+    C: Mapping[str, Array]
+    D: Mapping[str, Array]
 
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Return the shape and the extremes of every array under its name."""
         arrays = dict[str, Array | ComplexArray]()
         for name, value in vars(self).items():
-            arrays |= (
-                {f"{name}: {key}": entry for key, entry in value.items()}
-                if isinstance(value, Mapping)
-                else {name: value}
-            )
+            if isinstance(value, Mapping):
+                arrays |= {f"{name}: {key}": entry for key, entry in value.items()}
+            elif value is not None:
+                arrays[name] = value
         return [(name, shape_and_range(values)) for name, values in arrays.items()]
 
     def __repr__(self) -> str:
@@ -79,12 +101,13 @@ class Sensitivities:
         return html_table("Derivatives of the optimal cost", self.rows)
 
 
-def sensitivities_of(problem: OptimalControlProblem, multipliers: Multipliers) -> Sensitivities:
-    """Return the derivatives of the optimal cost by the data, from the multipliers of an optimum.
+def sensitivities_of(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Sensitivities:
+    """Return the derivatives of the optimal cost by the data, the slopes of the Lagrangian at an optimum.
 
     Parameters
     ----------
     problem : OptimalControlProblem
+    trajectory : Trajectory
     multipliers : Multipliers
         Normal ones: eta_C = 1.
 
@@ -92,38 +115,22 @@ def sensitivities_of(problem: OptimalControlProblem, multipliers: Multipliers) -
     ------
     UnsupportedError
         If the multipliers are abnormal (eta_C = 0): then they are not prices.
-
-    Notes
-    -----
-    By the Lagrangian of the maximum principle: dJ*/dupper = -mu where mu > 0, dJ*/dlower = -mu where mu < 0,
-    dJ*/dx_0 = -mu_0, dJ*/dd_t = -eta_t, dJ*/d(bin k) = -rho_k.
     """
     if multipliers.eta_C != 1:
         raise UnsupportedError(
             f"sensitivities: got eta_C = {multipliers.eta_C:g}; only normal multipliers have prices."
         )
     problem = at_frequencies(problem, multipliers.frequencies)
-    fixed = problem.state_tube.fixed
-    ends = [np.where(fixed[t], -multipliers.mu[t], np.nan) for t in (0, -1)]
-    mu, nu = np.where(fixed, 0.0, multipliers.mu), multipliers.nu
-    return Sensitivities(
-        initial_state=ends[0],
-        terminal_state=ends[1],
-        state_upper=-np.maximum(mu, 0.0),
-        state_lower=-np.minimum(mu, 0.0),
-        control_upper=-np.maximum(nu, 0.0),
-        control_lower=-np.minimum(nu, 0.0),
-        stage_rows={rows.name: -multipliers.stage[rows.name] for rows in problem.stage_rows},
-        limits={
-            term.name: -np.asarray(term.per_limit)[..., None] * prices
-            for term in problem.terms
-            if not (term.kind.is_rows or term.kind.is_cost)
-            if (prices := term.penalty.limit_multipliers(multipliers.stage[term.name])) is not None
-        },
-        offset=-multipliers.eta,
-        control_bins=-multipliers.rho_u,
-        state_bins=-multipliers.rho_x,
-    )
+    found = slopes(problem, Variables.at(problem, trajectory, multipliers))
+    rows = [one.name for one in problem.stage_rows]
+    families = {
+        "stage_rows": {name: found.pop(name) for name in rows},
+        "limits": {term.name: found.pop(term.name) for term in problem.terms if term.name in found},
+        **{part: {name: found.pop(f"{name}.{part}") for name in rows if f"{name}.{part}" in found} for part in "CD"},
+    }
+    prices = object.__new__(Sensitivities)
+    assign(prices, **{**dict.fromkeys(("A", "B", "response")), **found, **families})
+    return prices
 
 
 def bin_prices(problem: OptimalControlProblem, multipliers: Multipliers) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate import bin_prices
+from lin_freq_ocp.derivatives import bin_prices
 
 T, STEP = 40, 1e-4
 PLANT = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]], sampling_time=0.1)

@@ -1,0 +1,215 @@
+"""The optimum of a problem as a differentiable function of its data, for PyTorch and JAX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.errors import NoDerivativeError, ProblemError, missing_extra
+from lin_freq_ocp.derivatives.data import data_for, data_of, with_data
+from lin_freq_ocp.derivatives.derivatives import WEAK, SolutionDerivatives
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+
+Foreign = Any  # tensors and modules of the other package, which may be absent
+Solutions = list[SolutionDerivatives]
+OF_EACH = ("initial_state", "terminal_state", "x_ref", "u_ref")  # data that may have a leading axis, for a batch
+MOST_KEPT = 8  # solutions that a layer keeps, for the way back
+
+
+@dataclass(eq=False)
+class Layer:
+    """A problem as a function of some of its data, with the derivatives of the last solutions."""
+
+    problem: OptimalControlProblem
+    names: tuple[str, ...]
+    kinks: str
+    _kept: dict[tuple[bytes, ...], Solutions] = field(default_factory=dict[tuple[bytes, ...], Solutions])
+
+    def __post_init__(self) -> None:
+        require_problem(self.problem)
+        if self.kinks not in ("error", "right"):
+            raise ProblemError("kinks", repr(self.kinks), "'error' or 'right'")
+        data_for(
+            self.problem, {name: data_of(self.problem).get(name, 0.0) for name in self.names if name not in OF_EACH}
+        )
+
+    def batch(self, data: Sequence[Array]) -> int | None:
+        """Return the number of problems that data of initial states and references are for; None for one."""
+        known = data_of(self.problem)
+        sizes = {len(d) for d, name in zip(data, self.names, strict=True) if self._has_batch(name, d, known)}
+        if len(sizes) > 1:
+            raise ProblemError("layer", f"batches of {sorted(sizes)}", "one size of the leading axis")
+        return sizes.pop() if sizes else None
+
+    def _has_batch(self, name: str, value: Array, known: dict[str, Array]) -> bool:
+        return name in OF_EACH and value.ndim == known[name].ndim + 1
+
+    def solutions(self, data: Sequence[Array]) -> Solutions:
+        """Return the derivatives of each problem of a batch, or of the only one."""
+        key = tuple(d.tobytes() for d in data)
+        if key not in self._kept:
+            count, known, found = self.batch(data), data_of(self.problem), Solutions()
+            for i in range(count or 1):
+                one = {
+                    name: d[i] if self._has_batch(name, d, known) else d
+                    for name, d in zip(self.names, data, strict=True)
+                }
+                found.append(solve(with_data(self.problem, data_for(self.problem, one))).derivatives)
+            self._kept[key] = found
+            while len(self._kept) > MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[key]
+
+    def outputs(self, data: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """Return x, u and the cost; of a batch, with a leading axis."""
+        points = [(one.trajectory, one.problem) for one in self.solutions(data)]
+        parts = [(at.x, at.u, np.asarray(problem.value(at.x, at.u))) for at, problem in points]
+        x, u, cost = (np.stack(part) if self.batch(data) is not None else part[0] for part in zip(*parts, strict=True))
+        return x, u, cost
+
+    def gradients(self, data: Sequence[Array], bars: Sequence[Array]) -> tuple[Array, ...]:
+        """Return the derivatives of <bars, outputs> by the data, in their shapes; NoDerivativeError where none is."""
+        count, known, parts = self.batch(data), data_of(self.problem), list[list[Array]]()
+        for i, one in enumerate(self.solutions(data)):
+            x, u, cost = bars if count is None else (bar[i] for bar in bars)
+            gradient, prices = one.vjp(x=x, u=u), one.prices
+            if not gradient.exists and not (self.kinks == "right" and gradient.reason.startswith(WEAK)):
+                raise NoDerivativeError(f"layer: no derivative: {gradient.reason}.", gradient.rows)
+            parts.append([np.nan_to_num(gradient[name] + float(cost) * prices[name]) for name in self.names])
+        found = list[Array]()
+        for name, given, values in zip(self.names, data, zip(*parts, strict=True), strict=True):
+            has_batch = self._has_batch(name, given, known)
+            stacked = np.stack([_of_shape(value, given.shape[int(has_batch) :]) for value in values])
+            found.append(stacked if has_batch else stacked.sum(axis=0))
+        return tuple(found)
+
+
+def _of_shape(value: Array, shape: tuple[int, ...]) -> Array:
+    """Return a derivative by a datum that holds at all times as the sum over time."""
+    while value.ndim > len(shape):
+        value = value.sum(axis=0)
+    return value
+
+
+def to_torch(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "error") -> Callable[..., Foreign]:
+    """Return the optimum as a differentiable function of some data: x, u, cost = layer(*tensors).
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+    data : sequence of str
+        The names of the data that the tensors state, in this order, those of a ``Gradient``. Initial states, terminal
+        states and references may have a leading axis, for a batch, which the answers then have, too.
+    kinks : {"error", "right"}
+        Where rows are active with multiplier zero and the loss sees them: an error, or the derivative with these rows
+        free, an element of the B-subdifferential.
+
+    Returns
+    -------
+    callable
+        Its backward pass raises NoDerivativeError where there is no derivative.
+
+    Raises
+    ------
+    MissingExtraError
+        If PyTorch is not installed.
+    ProblemError
+        If a datum is unknown.
+
+    References
+    ----------
+    docs/derivatives.md
+
+    Examples
+    --------
+    >>> from importlib.util import find_spec
+    >>> problem = lfo.library.double_integrator()
+    >>> find_spec("torch") is None or callable(lfo.to_torch(problem, ["initial_state"]))
+    True
+    """
+    torch, layer = _require("torch"), Layer(problem, tuple(data), kinks)
+
+    def forward(ctx: Foreign, *tensors: Foreign) -> tuple[Foreign, ...]:
+        ctx.data = [tensor.detach().cpu().numpy() for tensor in tensors]
+        ctx.like = tensors
+        return tuple(torch.tensor(np.array(part)) for part in layer.outputs(ctx.data))
+
+    def backward(ctx: Foreign, *bars: Foreign) -> tuple[Foreign, ...]:
+        found = layer.gradients(ctx.data, [bar.detach().cpu().numpy() for bar in bars])
+        return tuple(torch.tensor(np.array(one)).to(like) for one, like in zip(found, ctx.like, strict=True))
+
+    members = {"forward": staticmethod(forward)}
+    members["backward"] = staticmethod(torch.autograd.function.once_differentiable(backward))
+    return type("Optimum", (torch.autograd.Function,), members).apply
+
+
+def to_jax(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "error") -> Callable[..., Foreign]:
+    """Return the optimum as a differentiable function of some data for JAX; it works under jit, grad and vmap.
+
+    Parameters
+    ----------
+    problem, data, kinks
+        As for ``to_torch``. ``vmap`` makes batches.
+
+    Returns
+    -------
+    callable
+        x, u, cost = layer(*arrays). Errors of a solve come out of JAX as its own errors, with their text.
+
+    Raises
+    ------
+    MissingExtraError
+        If JAX is not installed.
+    ProblemError
+        If a datum is unknown.
+
+    References
+    ----------
+    docs/derivatives.md
+
+    Examples
+    --------
+    >>> from importlib.util import find_spec
+    >>> problem = lfo.library.double_integrator()
+    >>> find_spec("jax") is None or callable(lfo.to_jax(problem, ["initial_state"]))
+    True
+    """
+    jax, layer = _require("jax"), Layer(problem, tuple(data), kinks)
+    real = jax.numpy.result_type(float)
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+
+    def call_back(
+        function: Callable[..., tuple[Array, ...]], shapes: Sequence[Foreign], *arguments: Foreign
+    ) -> Foreign:
+        def on_arrays(*given: Foreign) -> tuple[Array, ...]:
+            parts = function(*jax.tree_util.tree_map(np.asarray, given))
+            return tuple(np.asarray(part, shape.dtype) for part, shape in zip(parts, shapes, strict=True))
+
+        return jax.pure_callback(on_arrays, tuple(shapes), *arguments, vmap_method="sequential")
+
+    @jax.custom_vjp
+    def optimum(*arrays: Foreign) -> Foreign:
+        batch = layer.batch(arrays)
+        axes = () if batch is None else (batch,)
+        shapes = [jax.ShapeDtypeStruct((*axes, *shape), real) for shape in ((T + 1, n), (T, m), ())]
+        return call_back(lambda *given: layer.outputs(given), shapes, *arrays)
+
+    def back(arrays: Foreign, bars: Foreign) -> Foreign:
+        shapes = [jax.ShapeDtypeStruct(array.shape, array.dtype) for array in arrays]  # JAX takes conjugates
+        return call_back(lambda one, two: tuple(np.conj(g) for g in layer.gradients(one, two)), shapes, arrays, bars)
+
+    optimum.defvjp(lambda *arrays: (optimum(*arrays), arrays), back)
+    return optimum
+
+
+def _require(package: str) -> Foreign:
+    try:
+        return import_module(package)
+    except ImportError:
+        raise missing_extra(f"to_{package}", package, package) from None

@@ -1,0 +1,236 @@
+"""The data of a problem: the slope of the Lagrangian by each, and problems with other data.
+
+L = J + sum <eta_t, x_{t+1} - A x_t - B u_t - d_t> + <mu, x - bound> + ... (docs/derivatives.md). Its slope at an
+optimum is that of the optimal cost; the derivative of its slope along a change of states, controls and multipliers
+gives that of the optimum. Bins and responses are complex: a change d of a datum with the slope g adds Re(conj(g) d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray, complex_array, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, suggestion
+from lin_freq_ocp.problem.costs.quadratic import AXES, SYMMETRY_TOLERANCE, CostSum
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.response import Response
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+
+Values = dict[str, Array]  # complex arrays for bins and responses
+ENDS = ("initial_state", "terminal_state")
+BINS = ("control_bins", "state_bins")
+MATRICES = ("Q", "R", "S", "P", "A", "B", "response")
+SYMMETRIC = ("Q", "R", "P")
+
+
+def is_matrix(name: str) -> bool:
+    """Whether a datum is a matrix, or one per time."""
+    return name in MATRICES or name.endswith((".C", ".D"))
+
+
+@dataclass(frozen=True, eq=False)
+class Variables:
+    """States and controls, their deviations a and b from the references, and multipliers; or a change of all."""
+
+    x: Array
+    u: Array
+    a: Array
+    b: Array
+    multipliers: Multipliers
+
+    @classmethod
+    def at(cls, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Variables:
+        """Return the signals of a point."""
+        x, u = trajectory.x, trajectory.u
+        return cls(x, u, *problem.quadratic.deviations(x, u), multipliers)
+
+    @classmethod
+    def along(cls, change: Trajectory, multipliers: Multipliers) -> Variables:
+        """Return a change of signals: that of the deviations is that of states and controls."""
+        return cls(change.x, change.u, change.x, change.u, multipliers)
+
+
+Factor = Callable[[Variables], Array]
+
+
+def slopes(problem: OptimalControlProblem, at: Variables, along: Variables | None = None) -> Values:
+    """Return the slope of the Lagrangian by every datum at a point, or the derivative of that slope along a change.
+
+    Matrices, q, r and references that are constant in time have one slope, the sum over time.
+    """
+    cost, one, T = problem.quadratic, along or at, problem.horizon
+    pairs = ((at, at),) if along is None else ((along, at), (at, along))
+
+    def product(left: Factor, right: Factor, datum: Array) -> Array:
+        """Return the sum of left right' over both orders, and over time where the datum is constant."""
+        form = "ti,tj->ij" if datum.ndim == 2 else "ti,tj->tij"
+        return sum((np.einsum(form, left(i), right(j)) for i, j in pairs), np.zeros(()))
+
+    def fit(datum: Array, values: Array) -> Array:
+        return values.sum(axis=0) if datum.ndim == 1 else values
+
+    def a(of: Variables) -> Array:
+        return of.a[:-1]
+
+    def b(of: Variables) -> Array:
+        return of.b
+
+    def x(of: Variables) -> Array:
+        return of.x[:-1]
+
+    def u(of: Variables) -> Array:
+        return of.u
+
+    def eta(of: Variables) -> Array:
+        return of.multipliers.eta
+
+    hessian = replace(cost, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
+    in_x, in_u = hessian.at_dimensions(problem.state_dim, problem.control_dim, T).gradient(one.a, one.b)
+    found: Values = {"Q": 0.5 * product(a, a, cost.Q), "R": 0.5 * product(b, b, cost.R), "S": product(a, b, cost.S)}
+    found |= {"P": 0.5 * product(lambda of: of.a[-1:], lambda of: of.a[-1:], cost.P), "p": one.x[-1]}
+    found |= {"q": fit(cost.q, one.x[:-1]), "r": fit(cost.r, one.u), "offset": -one.multipliers.eta}
+    found |= {"x_ref": fit(cost.x_ref, -in_x), "u_ref": fit(cost.u_ref, -in_u)}
+    if problem.response is not None:
+        of_G = sum(_response_slope(problem.response, i, j) for i, j in pairs)
+        found["response"] = cast("Array", of_G)
+    elif not problem.mode_names:
+        found |= {"A": -product(eta, x, problem.linear.A), "B": -product(eta, u, problem.linear.B)}
+    for rows in () if problem.path_constraints else problem.stage_rows:
+
+        def prices(of: Variables, name: str = rows.name) -> Array:
+            return of.multipliers.stage[name]
+
+        found |= {f"{rows.name}.C": product(prices, x, rows.C), f"{rows.name}.D": product(prices, u, rows.D)}
+    return found | _limit_slopes(problem, at.multipliers, None if along is None else along.multipliers)
+
+
+def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> ComplexArray:
+    """Return the slope by G, (bins, p, m), for the multipliers of one point and the controls of another."""
+    T, N, weights = response.horizon, response.record, of_eta.multipliers
+    signal = np.zeros((N, response.G.shape[1]))
+    np.add.at(signal, np.arange(1, T + 1) % N, weights.eta)
+    if not response.closed:
+        signal[0] += weights.stage["first output"][0]
+    eta, u = np.fft.rfft(signal, axis=0), np.fft.rfft(of_u.u, n=N, axis=0)
+    return -(response.weight / N)[:, None, None] * eta[:, :, None] * u[:, None, :].conj()
+
+
+def _limit_slopes(problem: OptimalControlProblem, at: Multipliers, along: Multipliers | None) -> Values:
+    """Return the slopes by ends, bounds, bins, and the limits of terms under their names."""
+    one, fixed = along or at, problem.state_tube.fixed
+    found: Values = {name: np.where(fixed[t], -one.mu[t], np.nan) for name, t in zip(ENDS, (0, -1), strict=True)}
+    for signal, weights, changes in (("state", np.where(fixed, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
+        found[f"{signal}_upper"] = -np.where(weights > 0, changes, 0.0)
+        found[f"{signal}_lower"] = -np.where(weights < 0, changes, 0.0)
+    found |= {"control_bins": cast("Array", -one.rho_u), "state_bins": cast("Array", -one.rho_x)}
+    for term in problem.terms:
+        weights = at.stage.get(term.name)
+        if weights is not None and not term.kind.is_cost:
+            changes = None if along is None else along.stage[term.name]
+            prices = term.penalty.limit_multipliers(weights, changes)
+            if prices is not None:
+                found[term.name] = -np.asarray(term.per_limit)[..., None] * prices
+    return found
+
+
+def data_of(problem: OptimalControlProblem) -> Values:
+    """Return all data with a slope, by their names.
+
+    Levels of removed bins, limits of terms but joint rows, and the offset of a frequency response are zeros: changes.
+    """
+    T, (first, last), (states, controls) = problem.horizon, problem.ends, (problem.state_boxes, problem.control_tube)
+    found: Values = {field: getattr(problem.quadratic, field) for field in AXES}
+    found |= {"initial_state": first.lower, "terminal_state": last.lower}
+    found |= {"state_upper": states.upper, "state_lower": states.lower}
+    found |= {"control_upper": controls.upper, "control_lower": controls.lower}
+    for term in problem.terms:
+        prices = None if term.kind.is_cost else term.penalty.limit_multipliers(np.zeros(term.shape))
+        if prices is not None:
+            found[term.name] = prices
+    for rows in problem.stage_rows:
+        e = np.broadcast_to(rows.e, (T, rows.rows))
+        found |= {rows.name: e, f"{rows.name}.C": rows.C, f"{rows.name}.D": rows.D}
+    for name, stop in zip(BINS, (problem.control_stop, problem.state_stop), strict=True):
+        found[name] = cast("Array", np.zeros(stop.shape, dtype=np.complex128))
+    if problem.response is not None:
+        found |= {"response": cast("Array", problem.response.G), "offset": np.zeros((T, problem.state_dim))}
+    else:
+        linear = problem.linear
+        found |= {"A": linear.A, "B": linear.B, "offset": np.broadcast_to(linear.offset, (T, problem.state_dim))}
+    return found
+
+
+def data_for(problem: OptimalControlProblem, data: Mapping[str, ArrayLike]) -> Values:
+    """Return data, or changes of data, as arrays of their shapes; ProblemError if one does not fit.
+
+    What depends on time may be given once for all times.
+    """
+    known, found = data_of(problem), Values()
+    for name, value in data.items():
+        if name not in known:
+            expected = f"one of {', '.join(known)}"
+            raise ProblemError("derivatives", f"the datum {name!r}", expected, suggestion(name, known))
+        shape, axes = known[name].shape, 1 + is_matrix(name)
+        real = known[name].dtype == np.float64
+        array = real_array(name, value) if real else cast("Array", complex_array(name, value))
+        if array.ndim < axes or array.shape != shape[len(shape) - array.ndim :]:
+            once = f", or {shape[1:]}" if len(shape) > axes else ""
+            raise ProblemError(name, f"shape {array.shape}", f"shape {shape}{once}")
+        asymmetry = np.abs(array - np.swapaxes(array, -1, -2)).max() if name in SYMMETRIC else 0.0
+        if asymmetry > SYMMETRY_TOLERANCE * np.abs(array).max():
+            got = f"a matrix that differs from its transpose by {asymmetry:g}"
+            advice = f"Only the symmetric part counts: pass ({name} + {name}')/2."
+            raise ProblemError(name, got, "a symmetric matrix", advice)
+        found[name] = np.broadcast_to(array, shape)
+    return found
+
+
+def with_data(problem: OptimalControlProblem, data: Mapping[str, Array]) -> OptimalControlProblem:
+    """Return the problem with other data, arrays of their shapes.
+
+    Raises
+    ------
+    UnsupportedError
+        If a datum has no single place in the problem.
+    """
+    fields: dict[str, object] = {end: data[end] for end in ENDS if end in data}
+    weights = {name: data[name] for name in AXES if name in data}
+    if weights:
+        quadratic, norms = replace(problem.quadratic, **weights), problem.cost.norms
+        fields["cost"] = CostSum([quadratic, *norms]) if norms else quadratic
+    homeless = {*BINS, *(term.name for term in problem.terms)}
+    if problem.response is not None:
+        homeless.add("offset")
+        if "response" in data:
+            fields["dynamics"] = replace(cast("FrequencyResponse", problem.dynamics), G=data["response"])
+    elif moved := {name: data[name] for name in ("A", "B", "offset") if name in data}:
+        fields["dynamics"] = replace(problem.linear, **moved)
+    for signal, box in (("state", problem.state_boxes), ("control", problem.control_tube)):
+        sides = {side: data.get(f"{signal}_{side}", getattr(box, side)) for side in ("lower", "upper")}
+        if any(sides[side] is not getattr(box, side) for side in sides):
+            sets = entries_of(getattr(problem, f"{signal}_set"))
+            if any(one is not None and one.members for one in sets):
+                got = f"a {signal}_set that is more than a Box"
+                raise UnsupportedError(f"{signal}_upper, {signal}_lower: got {got}; expected a Box, or none.")
+            fields[f"{signal}_set"] = Box(**sides)
+    rows, names = list[StageRows](), {one.name for one in problem.stage_rows}
+    for one in problem.stage_rows:
+        parts = [data.get(f"{one.name}{part}") for part in (".C", ".D", "")]
+        old = (one.C, one.D, one.e)
+        C, D, e = (was if new is None else new for new, was in zip(parts, old, strict=True))
+        rows.append(StageRows(C, D, e, one.name, one.penalty))
+    if any(name.removesuffix(".C").removesuffix(".D") in names for name in data):
+        fields["stage_rows"] = rows
+    for name in data:
+        if name in homeless - names:
+            raise UnsupportedError(f"{name}: it has no single place in the problem; state a problem with another one.")
+    return replace(problem, **fields)

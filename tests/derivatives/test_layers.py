@@ -1,0 +1,115 @@
+"""The layers for PyTorch and JAX; without these packages, the error that names the extra."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+
+T = 10
+PROBLEM = lfo.OptimalControlProblem(
+    lfo.LinearDynamics([[0.9, 0.3], [-0.2, 0.85]], [[0.1], [1.0]]),
+    T,
+    lfo.QuadraticCost(Q=1.0, R=0.2, P=2.0, x_ref=[1.0, 0.0]),
+    initial_state=[0.5, -0.2],
+    control_set=lfo.Box(-0.3, 0.3),
+    control_spectrum=lfo.stop_band(bins=[3]),
+)
+NAMES = ("A", "B", "Q", "R", "x_ref", "initial_state", "control_upper")
+A, B = PROBLEM.dynamics.A, PROBLEM.dynamics.B
+VALUES = (A, B, PROBLEM.cost.Q, PROBLEM.cost.R, PROBLEM.cost.x_ref, PROBLEM.initial_state.lower, np.array([0.3]))
+
+
+@pytest.mark.parametrize(("make", "package"), [(lfo.to_torch, "torch"), (lfo.to_jax, "jax")])
+def test_an_absent_package_is_named(monkeypatch, make, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(lfo.errors.MissingExtraError, match=rf"to_{package}: {package} is not installed.*\[{package}\]"):
+        make(PROBLEM, ["A"])
+
+
+def test_no_package_is_imported_unasked():
+    code = "import sys, lin_freq_ocp as lfo; lfo.solve(lfo.library.double_integrator()).derivatives.vjp()"
+    code += "; assert not {'torch', 'jax'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+class TestTorch:
+    @pytest.fixture
+    def torch(self):
+        return pytest.importorskip("torch")
+
+    def test_gradients_are_differences(self, torch):
+        layer = lfo.to_torch(PROBLEM, NAMES)
+        tensors = [torch.tensor(np.array(value), requires_grad=True) for value in VALUES]
+
+        def symmetric(*given):
+            A, B, Q, R, *others = given
+            return layer(A, B, 0.5 * (Q + Q.mT), R, *others)
+
+        assert torch.autograd.gradcheck(symmetric, tensors, eps=1e-5, atol=1e-4, rtol=1e-4)
+
+    def test_a_batch_of_states(self, torch):
+        layer = lfo.to_torch(PROBLEM, ["A", "initial_state"])
+        starts = torch.tensor([[0.5, -0.2], [0.3, 0.1]], dtype=torch.float64, requires_grad=True)
+        plant = torch.tensor(np.array(A), requires_grad=True)
+        x, u, cost = layer(plant, starts)
+        assert (x.shape, u.shape, cost.shape) == ((2, T + 1, 2), (2, T, 1), (2,))
+        (cost.sum() + (u**2).sum()).backward()
+        each = [lfo.solve(PROBLEM.with_ends(start)).derivatives for start in starts.detach().numpy()]
+        of_A = sum(one.vjp(u=2 * one.trajectory.u)["A"] + one.prices["A"] for one in each)
+        np.testing.assert_allclose(plant.grad.numpy(), of_A, rtol=1e-9)
+        assert starts.grad.shape == (2, 2)
+
+    def test_a_kink_raises_or_takes_a_side(self, torch):
+        free = lfo.solve(replace(PROBLEM, control_set=None)).derivatives.trajectory.u
+        bounds = np.full((T, 1), 9.0)
+        bounds[4] = free[4]
+        problem = replace(PROBLEM, control_set=lfo.Box(-9.0, bounds))
+        start = torch.tensor([0.5, -0.2], dtype=torch.float64, requires_grad=True)
+        with pytest.raises(lfo.errors.NoDerivativeError, match="active with multiplier zero") as caught:
+            lfo.to_torch(problem, ["initial_state"])(start)[1].sum().backward()
+        assert caught.value.rows == ("control set, t = 4, component 0, upper",)
+        lfo.to_torch(problem, ["initial_state"], kinks="right")(start)[1].sum().backward()
+        known = lfo.solve(replace(problem, control_set=None)).derivatives.vjp(u=np.ones((T, 1)))
+        np.testing.assert_allclose(start.grad.numpy(), known["initial_state"], rtol=1e-8)
+
+
+class TestJax:
+    @pytest.fixture
+    def jax(self):
+        jax = pytest.importorskip("jax")
+        jax.config.update("jax_enable_x64", True)
+        return jax
+
+    def test_gradients_under_jit_and_vmap(self, jax):
+        layer = lfo.to_jax(PROBLEM, ["A", "initial_state"])
+        weights = np.random.default_rng(0).standard_normal((T, 1))
+
+        def loss(A, start):
+            x, u, cost = layer(A, start)
+            return (weights * u).sum() + (x**2).sum() + 0.1 * cost
+
+        start = jax.numpy.array([0.5, -0.2])
+        of_A, of_start = jax.jit(jax.grad(loss, argnums=(0, 1)))(jax.numpy.array(A), start)
+        d = lfo.solve(PROBLEM).derivatives
+        known = d.vjp(x=2 * d.trajectory.x, u=weights)
+        for name, found in (("A", of_A), ("initial_state", of_start)):
+            np.testing.assert_allclose(found, known[name] + 0.1 * d.prices[name], rtol=1e-9)
+        many = jax.vmap(jax.grad(loss, argnums=1), in_axes=(None, 0))(
+            jax.numpy.array(A), jax.numpy.stack([start, start])
+        )
+        np.testing.assert_allclose(many[1], of_start, rtol=1e-12)
+
+
+@pytest.mark.parametrize("make", [lfo.to_torch, lfo.to_jax])
+def test_bad_calls(make):
+    pytest.importorskip(make.__name__.removeprefix("to_"))
+    with pytest.raises(lfo.errors.ProblemError, match="the datum 'Z'"):
+        make(PROBLEM, ["Z"])
+    with pytest.raises(lfo.errors.ProblemError, match="kinks: got 'left'"):
+        make(PROBLEM, ["A"], kinks="left")
