@@ -32,6 +32,12 @@ PAIRS = {
         {"state_set": lfo.Box({"speed": -1}, {"position": 3.0})},
         {"state_set": lfo.Box([None, -1], [3.0, None])},
     ),
+    "a lower bound": ({"state_set": lfo.Box(lower={"speed": -1})}, {"state_set": lfo.Box([None, -1])}),
+    "an upper bound": ({"state_set": lfo.Box(upper={"speed": 1})}, {"state_set": lfo.Box(None, [None, 1])}),
+    "a bound over time and a number": (
+        {"state_set": lfo.Box({"speed": (np.arange(7.0) - 9, 4.0)})},
+        {"state_set": lfo.Box([[None, t - 9] for t in range(7)], [None, 4.0])},
+    ),
     "the same lower bound": ({"state_set": lfo.Box(-2, {"speed": 1})}, {"state_set": lfo.Box([None, -2], [None, 1])}),
     "bounds over time": (
         {"state_set": lfo.Box({"speed": (np.arange(7.0) - 9, None)})},
@@ -127,6 +133,15 @@ def test_bounds_by_name_are_checked_before_there_is_a_problem(given, text):
         lfo.Box(*given)
 
 
+def test_a_mapping_given_as_one_side_is_that_side():
+    """Two numbers there are those of two times, and no pair."""
+    box = lfo.Box(lower={"speed": [-1, 2]})
+    assert box.lower.tolist() == [[-1], [2]]
+    assert np.isinf(box.upper).all()
+    with pytest.raises(lfo.errors.ProblemError, match=r"Box.lower: got two values; expected one"):
+        lfo.Box(0, lower=1)
+
+
 def test_bounds_by_name_bound_nothing_without_a_problem():
     """A box without names would have no bounds: nobody may take the named one for it."""
     named = lfo.Box({"speed": (-1, 1)})
@@ -164,7 +179,8 @@ schema = 2
 horizon = 6
 initial_state = { speed = 0.5, "position [m]" = 0 }
 terminal_state = { lower = { position = 1 }, upper = { position = 1 } }
-state_set = { upper = { speed = 4 } }
+state_set = { lower = { position = -3 } }
+control_set = { upper = { force = 4 } }
 [dynamics]
 A = [[1, 0.1], [0, 1]]
 B = [[0.005], [0.1]]
@@ -176,5 +192,5 @@ R = { force = 1.0 }
 """)
     read = lfo.read_problem(tmp_path / "cart.toml")
     ends = {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])}
-    plain = cart(**ends, state_set=lfo.Box(None, [None, 4]))
+    plain = cart(**ends, state_set=lfo.Box([-3, None]), control_set=lfo.Box(None, 4))
     assert lfo.solve(read).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
