@@ -238,8 +238,8 @@ class RecedingHorizon:
             As for ``step``; without the states that follow from the controls, a given plant has none of them either.
         steps : int
         plant : callable, control.StateSpace, dynamics, or None
-            A function from x (n,) and u (m,) to the next state; a function of three arguments takes the step first.
-            None for the model of the problem.
+            A function from x (n,) and u (m,) to the next state, in the order of its parameters if they have these
+            names; one that needs three arguments also takes the step, first. None for the model of the problem.
         references : mapping, optional
             "x_ref" and "u_ref", of steps + T samples or more; each step sees those of its horizon.
         disturbance : (steps, n), optional
