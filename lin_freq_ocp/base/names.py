@@ -25,7 +25,7 @@ def component_names(field: str, stated: str | Sequence[str] | None, count: int, 
     checked = tuple(printable(field, name, "") for name in listed)
     if len(checked) != count or len(set(checked)) != count:
         advice = 'One per component, such as "position [m]".'
-        raise ProblemError(field, brief(list(stated)), f"{count} different names", advice)
+        raise ProblemError(field, brief(list(listed)), f"{count} different names", advice)
     return checked
 
 

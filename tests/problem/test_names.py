@@ -194,3 +194,51 @@ R = { force = 1.0 }
     ends = {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])}
     plain = cart(**ends, state_set=lfo.Box([-3, None]), control_set=lfo.Box(None, 4))
     assert lfo.solve(read).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
+
+
+def test_rate_limits_by_name():
+    named = lfo.rate_limited(cart(), {"force": 0.5}, {"force [N]": 0}, {"force": 1.0}, {"force": 2.0})
+    plain = lfo.rate_limited(cart(), 0.5, 0, 1.0, 2.0)
+    assert lfo.solve(named).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
+    for field, given in (("rate_limit", ({"forse": 1},)), ("previous", (1, {"forse": 1}))):
+        with pytest.raises(lfo.errors.ProblemError, match=rf"{field}: got 'forse'.*Did you mean 'force'"):
+            lfo.rate_limited(cart(), *given)
+
+
+def test_a_rate_limit_by_name_in_a_file(tmp_path):
+    lfo.write_problem(cart(), tmp_path / "cart.toml")
+    table = "\n[rate_limit]\nlimit = {force = 0.5}\nprevious = {force = 0.25}\n"
+    with (tmp_path / "cart.toml").open("a") as file:
+        file.write(table)
+    read, plain = lfo.read_problem(tmp_path / "cart.toml"), lfo.rate_limited(cart(), 0.5, 0.25)
+    assert read.stage_rows[0].e.tolist() == plain.stage_rows[0].e.tolist()
+    assert read.initial_box.lower.tolist() == plain.initial_box.lower.tolist()
+
+
+def test_loops_have_states_controls_and_references_by_name():
+    """A state that follows from the controls alone may be left out, and then keeps its own reference."""
+    problem = lfo.rate_limited(cart(cost=lfo.QuadraticCost(Q=1.0, R=1.0)), 0.5, previous=0.0, price=1.0)
+    named, plain = lfo.RecedingHorizon(problem), lfo.RecedingHorizon(problem)
+    for k, x in enumerate(([0.1, 0.2], [0.12, 0.1])):
+        target, acted = {"speed": np.full(STEPS + 1, 0.3)}, None if k == 0 else {"force": 0.1}
+        found = named.step(
+            {"speed [m/s]": x[1], "position": x[0]}, {"x_ref": target, "u_ref": {"force": 1}}, applied=acted
+        )
+        references = {"x_ref": np.tile([0.0, 0.3], (STEPS + 1, 1)), "u_ref": [1.0]}
+        assert found == pytest.approx(plain.step(x, references, applied=None if k == 0 else [0.1]), abs=1e-12)
+    seen = np.linspace(0, 1, 2 + STEPS)
+    loops = [
+        lfo.RecedingHorizon(problem).run(start, 2, references={"x_ref": rows})
+        for start, rows in (
+            ({"position": 0.1, "speed": 0.0}, {"position": seen}),
+            ([0.1, 0.0], np.column_stack([seen, 0 * seen])),
+        )
+    ]
+    np.testing.assert_allclose(loops[0].states, loops[1].states, atol=1e-12)
+    with pytest.raises(lfo.errors.ProblemError, match=r"state: got 'sped'.*Did you mean 'speed'"):
+        named.step({"position": 0, "sped": 0})
+
+
+def test_too_many_names_are_shown_as_names():
+    with pytest.raises(lfo.errors.ProblemError, match=r"got \['a \[g\]', 'b'\]; expected 1 different names"):
+        lfo.LinearDynamics([[1]], [[1]], state_names="a [g], b")
