@@ -109,7 +109,9 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
                 raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
             return array
         if set(value) == {"csv"}:
-            return read_response(_path_inside(f"{field}.csv", value["csv"], folder))
+            path = _path_inside(f"{field}.csv", value["csv"], folder)
+            reading.require_file(f"{field}.csv", path)
+            return read_response(path)
         return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
         return [_resolve(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]

@@ -102,6 +102,18 @@ WRONG = {
     "a state twice": ({"state_set": lfo.Box({"speed": (-1, 1), "speed [m/s]": (0, 1)})}, "got 'speed [m/s]' twice"),
     "a state as a control": ({"control_set": lfo.Box({"speed": (-1, 1)})}, "expected one of 'force [N]'"),
     "too few times": ({"state_set": lfo.Box({"speed": ([0, 1], None)})}, "expected bounds for 7 times"),
+    "too few references": (
+        {"cost": lfo.QuadraticCost(Q=1.0, x_ref={"speed": 1.0, "position": range(6)})},
+        "cost.x_ref['position']: got 6 numbers; expected a number, or 7, one per time.",
+    ),
+    "soft bounds over time": (
+        {"state_set": lfo.sets.Soft(lfo.Box({"speed": (range(7), 9)}), 1.0)},
+        "state_set: got a box with one bound per time; expected one box. Give a list of Soft sets.",
+    ),
+    "a bound of a list": (
+        {"control_set": [lfo.Box({"force": (-1, 1)})] * 5 + [lfo.Box({"forse": (-1, 1)})]},
+        "control_set[5]: got 'forse'",
+    ),
     "several times": ({"cost": lfo.QuadraticCost(x_ref={"speed": range(7), "position": range(6)})}, "(6,) and (7,)"),
     "half a point": ({"initial_state": {"speed": 1}}, "initial_state: got no value of 'position [m]'"),
     "no number": ({"cost": lfo.QuadraticCost(Q={"speed": "fast"})}, "cost.Q['speed']: got 'fast'"),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, freeze, one_component, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.base.names import ByName, stack_components, values_by_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
@@ -241,11 +241,14 @@ class Everything(Box):
         assign(self, lower=freeze(np.array(-np.inf)), upper=freeze(np.array(np.inf)))
 
 
-def at_names(given: SetOrSets, names: Sequence[str]) -> SetOrSets:
+def at_names(field: str, given: SetOrSets, names: Sequence[str]) -> SetOrSets:
     """Return one set, a sequence of sets, or None, with bounds by name as those of components of these names."""
     if isinstance(given, (list, tuple)):
-        return type(given)(one.at_names(names) if isinstance(one, ConvexSet) else one for one in given)
-    return given.at_names(names) if isinstance(given, ConvexSet) else given
+        return type(given)(at_names(f"{field}[{t}]", one, names) for t, one in enumerate(given))
+    if not isinstance(given, ConvexSet):
+        return given
+    with located_at(field, type(given).__name__):
+        return given.at_names(names)
 
 
 def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
@@ -274,7 +277,8 @@ def end_set(field: str, given: End, names: Sequence[str]) -> ConvexSet:
     if isinstance(given, Mapping):
         convex_set = Point(values_by_name(field, given, names, absent=None))
     elif given is None or isinstance(given, ConvexSet):
-        convex_set = Everything() if given is None else given.at_names(names)
+        named = at_names(field, given, names)
+        convex_set = named if isinstance(named, ConvexSet) else Everything()
     else:
         expected = f"numbers, one for each of the {dimension} states, a set, or None"
         try:
