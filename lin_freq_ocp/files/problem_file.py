@@ -164,7 +164,8 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
     """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
 
     Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz next to it (``cart.problem.npz`` for ``cart.toml``).
-    Files of these names are replaced.
+    Files of these names are replaced, as by other functions that save: ``lin-freq-ocp init``, which writes a file to be
+    edited, refuses them.
 
     Parameters
     ----------
