@@ -32,7 +32,8 @@ def generate(
         Linear time-invariant dynamics, a quadratic cost that is strictly convex in the free controls, bounds, joint
         rows and rate limits, hard or soft, stop bands of controls, free or fixed ends; delay 0 or 1.
     folder : path
-        It is made if it does not exist; files of the same names are replaced.
+        It is made if it does not exist. Files that ``generate`` wrote there before are replaced, and what else has
+        come to be beside them, such as logs, stays. A folder with other files alone is refused.
     real : {"double", "float"}
         The numbers of the controller.
     changes : int, optional

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for, report_progress
-from lin_freq_ocp.base.arrays import Array, known_entries, positive_integer, real_array
+from lin_freq_ocp.base.arrays import Array, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.names import ByName
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.loop.controller import Controller
 from lin_freq_ocp.loop.record import LoopRecord, plant_of
@@ -175,13 +176,15 @@ class RecedingHorizon:
 
     def step(
         self,
-        state: ArrayLike,
-        references: Mapping[str, ArrayLike] | None = None,
+        state: ArrayLike | ByName,
+        references: Mapping[str, ArrayLike | ByName] | None = None,
         bounds: Mapping[str, SetOrSets] | None = None,
         disturbance: ArrayLike | None = None,
-        applied: ArrayLike | None = None,
+        applied: ArrayLike | ByName | None = None,
     ) -> Array:
         """Return the control (m,) for a measured state.
+
+        The state, references and ``applied`` may be mappings from the names of components to their values.
 
         Parameters
         ----------
@@ -223,10 +226,10 @@ class RecedingHorizon:
 
     def run(
         self,
-        initial_state: ArrayLike,
+        initial_state: ArrayLike | ByName,
         steps: int,
         plant: object = None,
-        references: Mapping[str, ArrayLike] | None = None,
+        references: Mapping[str, ArrayLike | ByName] | None = None,
         disturbance: ArrayLike | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> ClosedLoop:
@@ -238,8 +241,8 @@ class RecedingHorizon:
             As for ``step``; without the states that follow from the controls, a given plant has none of them either.
         steps : int
         plant : callable, control.StateSpace, dynamics, or None
-            A function from x (n,) and u (m,) to the next state; a function of three arguments takes the step first.
-            None for the model of the problem.
+            A function from x (n,) and u (m,) to the next state, in the order of its parameters if they have these
+            names; one that needs three arguments also takes the step, first. None for the model of the problem.
         references : mapping, optional
             "x_ref" and "u_ref", of steps + T samples or more; each step sees those of its horizon.
         disturbance : (steps, n), optional
@@ -260,6 +263,7 @@ class RecedingHorizon:
             If the initial state, the plant, the references or the disturbance do not fit the problem.
         """
         count, horizon = positive_integer("steps", steps), self.problem.horizon
+        initial_state = self._controller.at_names("initial_state", initial_state)
         x = self._controller.completed("initial_state", initial_state)
         if plant is not None and np.size(initial_state) == self._controller.unknown_dim:
             x = real_array("initial_state", initial_state).reshape(-1)
@@ -268,7 +272,7 @@ class RecedingHorizon:
         if noise.shape != (count, n):
             raise ProblemError("disturbance", f"shape {noise.shape}", f"shape {(count, n)}")
         tracked = dict[str, Array]()  # with a row for each sample that some step sees
-        for name, value in known_entries("references", references, ("x_ref", "u_ref")).items():
+        for name, value in self._controller.references_at_names(references).items():
             rows = real_array(f"references.{name}", value)
             if rows.ndim != 2 or len(rows) < count + horizon:
                 expected = f"at least {count + horizon} rows, one per sample"

@@ -1,8 +1,9 @@
-"""Names of the components of signals, and values that are stated by these names."""
+"""Names of the components of signals, values that are stated by these names, and arguments by their names."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from inspect import signature
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,7 @@ def component_names(field: str, stated: str | Sequence[str] | None, count: int, 
     checked = tuple(printable(field, name, "") for name in listed)
     if len(checked) != count or len(set(checked)) != count:
         advice = 'One per component, such as "position [m]".'
-        raise ProblemError(field, brief(list(stated)), f"{count} different names", advice)
+        raise ProblemError(field, brief(list(listed)), f"{count} different names", advice)
     return checked
 
 
@@ -36,6 +37,34 @@ def index_of_name(field: str, name: object, names: Sequence[str], others: str = 
         expected = f"{others}one of {', '.join(map(repr, names))}"
         raise ProblemError(field, brief(name), expected, suggestion(name, [*names, *short]))
     return matches[0]
+
+
+def argument_order(
+    function: Callable[..., object], values: Sequence[str] = ("x", "u"), on_request: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Return the order in which a function takes values: those that are names of its parameters, others by position.
+
+    Values ``on_request`` go only to parameters of their names; TypeError if it does not take the others, or
+    is no function.
+    """
+    try:
+        form = signature(function)
+    except ValueError:  # compiled functions may have no signature
+        return tuple(values)
+    parameters = [name for name, one in form.parameters.items() if one.kind <= one.POSITIONAL_OR_KEYWORD]
+    by_position = [value for value in values if value not in parameters]
+    order = list[str]()
+    for name in parameters:
+        if name not in (*values, *on_request):
+            if not by_position:
+                break  # it has a default
+            name = by_position.pop(0)
+        order.append(name)
+    order += by_position  # to *args
+    form.bind(*order)
+    if missing := {*values, *on_request}.intersection(parameters).difference(order):
+        raise TypeError(f"{', '.join(sorted(missing))} after a parameter with a default")
+    return tuple(order)
 
 
 def arrays_or_names(record: str, given: Mapping[str, ArrayLike | ByName]) -> dict[str, Array | ByName]:

@@ -162,7 +162,7 @@ class TableRecord:
 def _parameters(make: Callable[..., object]) -> dict[str, bool]:
     """Return the named arguments of a function, and whether each is required."""
     parameters = inspect.signature(make).parameters.values()
-    named = [part for part in parameters if part.kind not in (part.VAR_KEYWORD, part.VAR_POSITIONAL)]
+    named = [part for part in parameters if part.kind in (part.POSITIONAL_OR_KEYWORD, part.KEYWORD_ONLY)]
     return {part.name: part.default is part.empty for part in named}
 
 

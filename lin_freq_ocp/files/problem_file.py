@@ -109,7 +109,9 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
                 raise ProblemError(field, f"{array.dtype} in {path.name}", "an array of real numbers")
             return array
         if set(value) == {"csv"}:
-            return read_response(_path_inside(f"{field}.csv", value["csv"], folder))
+            path = _path_inside(f"{field}.csv", value["csv"], folder)
+            reading.require_file(f"{field}.csv", path)
+            return read_response(path)
         return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
         return [_resolve(entry, folder, f"{field}[{i}]") for i, entry in enumerate(value)]
@@ -162,7 +164,8 @@ def write_problem(problem: OptimalControlProblem, path: str | PathLike[str]) -> 
     """Write a problem to a TOML file, from which ``read_problem`` makes the same problem, to the last bit.
 
     Arrays of more than ``INLINE_LIMIT`` numbers go to an .npz next to it (``cart.problem.npz`` for ``cart.toml``).
-    Files of these names are replaced.
+    Files of these names are replaced, as by other functions that save: ``lin-freq-ocp init``, which writes a file to be
+    edited, refuses them.
 
     Parameters
     ----------

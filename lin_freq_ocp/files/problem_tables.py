@@ -244,7 +244,9 @@ SCHEMA = 2  # version of the layout; earlier ones are read, as what was added si
 
 SETS = Kinds("set", default="box")
 SETS.records |= {
-    "box": TableRecord(Box, classes=(Box, Point, Everything)),
+    "box": TableRecord(
+        Box, classes=(Box, Point, Everything), values=lambda box: {"lower": box.lower, "upper": box.upper}
+    ),
     "polyhedron": TableRecord(Polyhedron),
     "ball": TableRecord(Ball),
     "ellipsoid": TableRecord(Ellipsoid),

@@ -162,6 +162,9 @@ def environment(backend: str | None = None) -> FileTable:
     }
 
 
+DUMPED = "a file that lin-freq-ocp solve --dump wrote"
+
+
 def _unpack(path: Path, folder: Path) -> None:
     """Write the files that belong to a run to the folder; others are ignored."""
     reading.require_file(str(path), path)
@@ -176,11 +179,11 @@ def _unpack(path: Path, folder: Path) -> None:
                 if name in present:
                     (folder / name).write_bytes(archive.read(name))
                 elif name in (PROBLEM, RUN):
-                    raise ProblemError(f"{path.name}: {name}", "nothing", "this file in the archive")
+                    raise ProblemError(str(path), f"an archive without {name}", DUMPED)
     except ProblemError:
         raise
     except reading.DAMAGED as error:
-        raise ProblemError(str(path), f"unreadable ({error})", "a file that lin-freq-ocp solve --dump wrote") from None
+        raise ProblemError(str(path), f"unreadable ({error})", DUMPED) from None
 
 
 def _read_record(path: Path) -> FileTable:

@@ -15,6 +15,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, positive_integer, require_bool
 from lin_freq_ocp.base.errors import ProblemError, first_line, missing_extra
+from lin_freq_ocp.base.names import argument_order
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import LARGEST_POWER, Formula, extreme, norm, signals
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, POWER, SUM
@@ -98,12 +99,13 @@ def from_casadi(
     require_bool("from_casadi.smooth", smooth)
     native: type[Function] = casadi.Function
     if isinstance(function, native):
-        compiled = function
+        swapped = function.name_in() == ["u", "x"]
+        compiled = function.factory(function.name(), ["x", "u"], function.name_out()) if swapped else function
     elif callable(function):
         n, m = positive_integer("from_casadi.states", states), positive_integer("from_casadi.controls", controls)
         x, u = casadi.SX.sym("x", n), casadi.SX.sym("u", m)
         try:
-            outputs = function(x, u)
+            outputs = function(*((x, u) if argument_order(function) == ("x", "u") else (u, x)))
             column = casadi.vertcat(*outputs) if isinstance(outputs, (Sequence, np.ndarray)) else casadi.SX(outputs)
         except Exception as error:  # any error of a function that was not made for symbols
             got = f"{first_line(error)}, from the function"
@@ -120,7 +122,7 @@ def from_casadi(
     for i, (label, stated) in enumerate((("states", states), ("controls", controls))):
         if stated is not None and stated != compiled.size1_in(i):
             raise ProblemError(f"from_casadi.{label}", brief(stated), f"{compiled.size1_in(i)}, as the function has")
-    own_name = str(compiled.name() if compiled is function else getattr(function, "__name__", ""))
+    own_name = str(compiled.name() if isinstance(function, native) else getattr(function, "__name__", ""))
     title = name or (own_name if own_name.isidentifier() else "")  # a lambda has none
     with_derivatives = _Compiled(compiled, _serialize_function(compiled))
     value, jacobian, hessian = (partial(with_derivatives, what) for what in ("value", "jacobian", "hessian"))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, positive_integer, printable, real_array, require_bool
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
+from lin_freq_ocp.base.names import argument_order
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import EXTERNAL
 
@@ -101,6 +102,7 @@ class DifferentiableFunction:
     translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
     # The values at the points of the last call: several modes, f and regions evaluate it at the same points
     _recent: dict[str, tuple[Array, Array, tuple[Array, ...]]] = field(repr=False, compare=False)
+    _orders: dict[str, tuple[str, ...] | None] = field(repr=False, compare=False)  # of arguments
 
     def __init__(
         self,
@@ -114,10 +116,15 @@ class DifferentiableFunction:
         sizes: ArrayLike = 1.0,
         check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
     ):
+        orders = dict[str, tuple[str, ...] | None]()
         for label, function in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
-            if not callable(function) and not (label == "hessian" and function is None):
+            try:
+                orders[label] = None if label == "hessian" and function is None else argument_order(function)
+            except TypeError:
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
-                raise ProblemError(f"DifferentiableFunction.{label}", brief(function), "a function of (x, u)", advice)
+                raise ProblemError(
+                    f"DifferentiableFunction.{label}", brief(function), "a function of (x, u)", advice
+                ) from None
         printable("DifferentiableFunction.name", name)
         require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)
@@ -135,6 +142,7 @@ class DifferentiableFunction:
             dimensions=None,
             translation=None,
             _recent={},
+            _orders=orders,
         )
         if check_at is not None:
             self.check_derivatives(check_at)
@@ -318,7 +326,7 @@ class DifferentiableFunction:
 
     def _call_function(self, what: str, x: Array, u: Array) -> ArrayLike:
         try:
-            return getattr(self, what)(x, u)
+            return getattr(self, what)(*((x, u) if self._orders[what] == ("x", "u") else (u, x)))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a user's function

@@ -12,12 +12,12 @@ import operator
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from inspect import signature
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line, suggestion
+from lin_freq_ocp.base.names import argument_order
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
 from lin_freq_ocp.formulas.nodes import Formula, Value, post_order
@@ -62,7 +62,8 @@ def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -
     """Return formulas, texts and numbers, or those that a function of (x, u) returns for signals, as formulas."""
     if callable(formulas):
         try:
-            formulas = formulas(*_arguments(formulas, dimensions))
+            signals = dict(zip("xut", (*nodes.signals(*dimensions), nodes.time_of(dimensions)), strict=True))
+            formulas = formulas(*(signals[name] for name in argument_order(formulas, on_request="t")))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas
@@ -85,18 +86,6 @@ def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -
             raise ProblemError(f"{field}[{i}]", f"signals of {formula.dimensions}", expected)
         converted.append(formula)
     return tuple(converted)
-
-
-def _arguments(function: Callable[..., object], dimensions: tuple[int, int]) -> list[object]:
-    """Return what a function is called with: x and u, and the time where a parameter has the name t."""
-    given: list[object] = [*nodes.signals(*dimensions)]
-    try:
-        names = list(signature(function).parameters)
-    except (TypeError, ValueError):  # compiled functions may have no signature
-        return given
-    if "t" in names:
-        given.insert(names.index("t"), nodes.time_of(dimensions))
-    return given
 
 
 def formula_from_text(

@@ -14,9 +14,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, one_component, positive_integer, real_array
+from lin_freq_ocp.base.arrays import Array, brief, known_entries, one_component, positive_integer, real_array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ClosedLoopWarning, LinFreqOCPError, ProblemError, UnsupportedError, warn_user
+from lin_freq_ocp.base.names import ByName, values_by_name
+from lin_freq_ocp.base.phrases import short_name
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.record import LoopRecord, Source, Step
@@ -103,14 +105,15 @@ class Controller:
         return LoopRecord(self.problem, tuple(self._steps), acted=acted, delay=self.delay, known=self._known)
 
     def advance(
-        self, state: ArrayLike, preview: Change, applied: ArrayLike | None
+        self, state: ArrayLike | ByName, preview: Change, applied: ArrayLike | ByName | None
     ) -> tuple[Step | None, Outcome | None]:
         """Plan from a measured state; return the step, None if there is no control, and the answer of its problem.
 
         ``preview`` has the references, bounds and disturbance that the step foresees over its horizon. ``applied`` is
         the control that acted in the last step, if it was not the controller's.
         """
-        acted = None if applied is None else self.measured("applied", applied, self.problem.control_dim)
+        m = self.problem.control_dim
+        acted = None if applied is None else self.measured("applied", self.at_names("applied", applied), m)
         x = self.completed("state", state, acted)
         preview = replace(preview, references=self._completed_references(preview.references))
         if acted is not None and len(self._applied) > self.delay:
@@ -327,12 +330,31 @@ class Controller:
             return None
         return Trajectory(np.vstack([plan.x[1:], last]), _shift_controls(plan.u))
 
-    def completed(self, field: str, value: ArrayLike, acted: Array | None = None) -> Array:
+    def at_names(self, field: str, value: ArrayLike | ByName, absent: float | None = None) -> ArrayLike:
+        """Return the values of a field as numbers, also if they are stated by the names of states or controls.
+
+        States that follow from the controls alone are left out if no name is one of theirs.
+        """
+        if not isinstance(value, Mapping):
+            return value
+        if field in ("applied", "references.u_ref"):
+            return values_by_name(field, value, self.problem.control_names, absent)
+        names = self.problem.state_names
+        unknown = [name for name, known in zip(names, self._known, strict=True) if not known]
+        partial = set(value) <= {*unknown, *map(short_name, unknown)}
+        return values_by_name(field, value, unknown if partial else names, absent)
+
+    def references_at_names(self, given: Mapping[str, ArrayLike | ByName] | None) -> dict[str, ArrayLike]:
+        """Return references as numbers, also those by name, of which an absent component is 0."""
+        listed = known_entries("references", given, ("x_ref", "u_ref")).items()
+        return {name: self.at_names(f"references.{name}", value, absent=0.0) for name, value in listed}
+
+    def completed(self, field: str, value: ArrayLike | ByName, acted: Array | None = None) -> Array:
         """Return a measured state, (n,), with the states that follow from the controls alone if they are left out.
 
         ``acted`` is the control that acted in the last step, if it was not the controller's.
         """
-        n, left = self.problem.state_dim, self.unknown_dim
+        n, left, value = self.problem.state_dim, self.unknown_dim, self.at_names(field, value)
         if left == n:
             return self.measured(field, value, n)
         vector = one_component(real_array(field, value), left)
@@ -348,10 +370,15 @@ class Controller:
         state[~self._known] = vector
         return state
 
-    def _completed_references(self, references: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike] | None:
+    def _completed_references(
+        self, references: Mapping[str, ArrayLike | ByName] | None
+    ) -> Mapping[str, ArrayLike] | None:
         """Return references of which x_ref may leave out the states that follow from the controls alone."""
-        given = real_array("references.x_ref", (references or {}).get("x_ref", 0.0))
-        if references is None or not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
+        if references is None:
+            return None
+        references = self.references_at_names(references)
+        given = real_array("references.x_ref", references.get("x_ref", 0.0))
+        if not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references
         return {**references, "x_ref": complete_reference(self.problem, self._known, given)}
 

@@ -103,6 +103,9 @@ def log_header(states: int, controls: int, references: bool) -> str:
     return ",".join([f"{letter}{i + 1}" for letter, count in letters for i in range(count)] + ["status"])
 
 
+MARK = "Written by lin_freq_ocp"  # in the header of every controller
+
+
 def generate(
     problem: OptimalControlProblem,
     penalties: Mapping[str, float],
@@ -141,6 +144,11 @@ def generate(
     texts = _files(problem, tables, steps[:RECORDED], summary, limit)
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        header = folder / "controller.h"
+        own = header.is_file() and MARK in header.read_text(encoding="utf-8", errors="replace")
+        if any(folder.iterdir()) and not own:
+            expected = "a new or empty folder, or one that generate wrote before"
+            raise ProblemError(str(folder), "a folder with other files", expected, "They could be replaced.")
     except OSError as error:
         raise ProblemError(str(folder), reason(error), "a folder that can be written") from None
     write_each({folder / name: text.encode() for name, text in texts.items()})

@@ -13,7 +13,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.phrases import plural, runs_in_words, runs_of
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.loop.embedded import log_header, step_problem
 from lin_freq_ocp.loop.record import LoopRecord
@@ -138,8 +138,14 @@ class CertifiedLog(ControllerLog):
         counts = [f"{count} {finding}" for finding in LogFinding if (count := self.findings.count(finding))]
         lines, proven = [f"{plural(len(self), 'step')}: {', '.join(counts)}"], self.proven
         if proven.any():
-            gap, apart = np.abs(self.gaps[proven]).max(), self.differences[proven].max()
-            lines.append(f"largest gap {gap:.0e}; controls within {apart:.0e} of the optimal plans")
+            gap, apart = np.abs(self.gaps[proven]).max(), np.abs(self.controls - self.planned)[proven].max()
+            lines.append(f"proven steps: largest gap {gap:.0e}; controls within {apart:.0e} of the optimal plans")
+        deviating = np.flatnonzero([finding is LogFinding.DEVIATES for finding in self.findings])
+        if len(deviating):
+            apart = np.abs(self.controls - self.planned)[deviating]
+            furthest = apart.max(where=~np.isnan(apart), initial=0.0)  # not a number where there is no plan
+            where = runs_in_words(runs_of(deviating))
+            lines.append(f"steps that deviate, by {furthest:.0e} at most: {where}")
         lines += [f"applied windows of {one.name}: at most {one.ratios.max():.3f} of the limit" for one in self.windows]
         return "\n".join([*lines, *(["the last line was incomplete and is left out"] if self.cut_off else [])])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -11,6 +10,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, first_line
+from lin_freq_ocp.base.names import argument_order
 from lin_freq_ocp.base.phrases import count_all, number, plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.loop.step_problem import excess
@@ -326,13 +326,16 @@ def _plant_of_dynamics(field: str, dynamics: Dynamics, expected: tuple[int, int]
 
 def _plant_of_function(function: Callable[..., object], n: int) -> Plant:
     try:
-        takes = len(inspect.signature(function).parameters)
-    except ValueError:  # a function that does not say
-        takes = 2
+        try:
+            order = argument_order(function)
+        except TypeError:
+            order = argument_order(function, ("k", "x", "u"))
+    except TypeError as error:
+        raise ProblemError("plant", f"{brief(function)} ({error})", "a function of (x, u) or (k, x, u)") from None
 
     def step(k: int, x: Array, u: Array) -> Array:
         try:
-            returned = function(k, x, u) if takes == 3 else function(x, u)
+            returned = function(*({"k": k, "x": x, "u": u}[name] for name in order))
         except Exception as error:
             raise UnsupportedError(f"plant: at step {k} it raised {first_line(error)}") from error
         state = np.asarray(returned, dtype=float)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
 from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.names import ByName, values_by_name
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -291,10 +292,10 @@ RATE_LIMIT = "rate limit"  # of the added rows
 
 def rate_limited(
     problem: OptimalControlProblem,
-    limit: Bound = None,
-    previous: ArrayLike | None = None,
-    following: ArrayLike | None = None,
-    price: ArrayLike = 0.0,
+    limit: Bound | ByName = None,
+    previous: ArrayLike | ByName | None = None,
+    following: ArrayLike | ByName | None = None,
+    price: ArrayLike | ByName = 0.0,
 ) -> OptimalControlProblem:
     """Return the problem with |u_t - u_{t-1}| <= limit, or with a price on changes, in the states (x, u_{t-1}).
 
@@ -312,6 +313,7 @@ def rate_limited(
         The control after the last, u_T; without it, the last control is free of the limit.
     price : float or (m,)
         Of changes, zero or above: the cost has sum_t price/2 (u_t - u_{t-1})^2 of each control, t < T, in addition.
+        Each of these may be a mapping from names of controls; those that it leaves out have no limit, and no price.
 
     Returns
     -------
@@ -338,16 +340,22 @@ def rate_limited(
 
 def rate_limit(
     problem: OptimalControlProblem,
-    limit: Bound,
-    previous: ArrayLike | None = None,
-    following: ArrayLike | None = None,
-    price: ArrayLike = 0.0,
+    limit: Bound | ByName,
+    previous: ArrayLike | ByName | None = None,
+    following: ArrayLike | ByName | None = None,
+    price: ArrayLike | ByName = 0.0,
 ) -> OwnStates:
     """Return the problem of ``rate_limited``, and the way back to its own states.
 
     The limits keep their multipliers under their name: those of the rows for u_t - u_{t-1} itself.
     """
     m = problem.control_dim
+
+    def of_controls(field: str, value: Bound | ByName, absent: float | None = None) -> Bound:
+        by_name = isinstance(value, Mapping)
+        return values_by_name(field, value, problem.control_names, absent, allow_infinite=True) if by_name else value
+
+    limit, price = of_controls("rate_limit", limit, np.inf), of_controls("price", price, 0.0)
     given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
     limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
     if limits.shape not in ((), (m,)) or (limits < 0).any():
@@ -366,10 +374,10 @@ def rate_limit(
     k, chosen = len(limited), np.eye(m)[limited]
     before = after = Box(np.full(k, -np.inf), np.full(k, np.inf))
     if previous is not None:
-        first = _outer_control("previous", previous, m)[limited]
+        first = _outer_control("previous", of_controls("previous", previous), m)[limited]
         before = Box(first, first)
     if following is not None:
-        last = _outer_control("following", following, m)[limited]
+        last = _outer_control("following", of_controls("following", following), m)[limited]
         after = Box(last - limits[limited], last + limits[limited])
     labels = [split_unit(problem.control_names[j]) for j in limited]
     names = [f"{label} before [{unit}]" if unit else f"{label} before" for label, unit in labels]

@@ -71,6 +71,15 @@ BAD_CALLS = {
         "control_spectrum: got low_pass(0 .. 1 Hz); expected a sampling time",
     ),
     "cut-off twice": (lambda: lfo.low_pass(1.0, cutoff_hz=1.0), "low_pass.cutoff: got both of cutoff and cutoff_hz"),
+    "cut-off in words": (lambda: lfo.low_pass(cutoff_hz="30 Hz"), "low_pass.cutoff_hz: got '30 Hz'"),
+    "weather of another length": (
+        lambda: problem(
+            dynamics=lfo.LinearDynamics.from_continuous(
+                np.zeros((2, 2)), [[0], [1]], 0.1, disturbance=[[1], [0]], d=[1] * 7
+            )
+        ),
+        "dynamics.d: got 7 times; expected one for each of the 8 steps of the horizon",
+    ),
     "cut-off nowhere": (lambda: lfo.spectrum.high_pass(), "high_pass.cutoff: got neither of cutoff and cutoff_hz"),
     "cut-off beyond Nyquist": (lambda: lfo.spectrum.high_pass(3.2), "high_pass.cutoff: got 3.2 rad/sample"),
     "edges exchanged": (lambda: lfo.spectrum.band_pass(2, 1), "band_pass: got lower 2 above upper 1"),

@@ -183,6 +183,9 @@ def plants():
 
     yield "function", lambda x, u: A @ x + B @ u
     yield "function of the step", lambda k, x, u: A @ x + B @ u
+    yield "function of control and state", lambda u, x: A @ x + B @ u
+    yield "function with the step at last", lambda x, u, k: A @ x + B @ u + 0 * k
+    yield "function with an option", lambda x, u, gain=1.0: A @ x + gain * B @ u
     yield "dynamics", DYNAMICS
     yield "discrete model", control.ss(A, B, np.eye(2), 0, 0.1)
     yield "continuous model", control.ss([[0, 1], [0, 0]], [[0], [1]], np.eye(2), 0)
@@ -236,6 +239,7 @@ BAD = {
     "delay": (lambda: lfo.RecedingHorizon(problem(), delay=2), "delay"),
     "soft": (lambda: lfo.RecedingHorizon(problem(), soft={"control_set": 1.0}), "soft.control_set"),
     "plant": (lambda: lfo.RecedingHorizon(problem()).run([1, 0], 2, "plant"), "plant"),
+    "plant of the state alone": (lambda: lfo.RecedingHorizon(problem()).run([1, 0], 2, lambda x: x), "plant"),
     "plant's size": (lambda: lfo.RecedingHorizon(problem()).run([1, 0], 2, lfo.LinearDynamics([[1]], [[1]])), "plant"),
     "plant per time": (
         lambda: lfo.RecedingHorizon(problem(dynamics=replace(DYNAMICS, A=[A] * 15))).run([1, 0], 2),

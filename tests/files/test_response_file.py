@@ -48,6 +48,9 @@ def test_a_table_beside_the_file(tmp_path):
     problem = lfo.read_problem(tmp_path / "p.toml")
     assert problem.dynamics.G[:, 0, 0].tolist() == [1, 0.875, 0.75, 0.625, 0.5]
     assert lfo.solve(problem).certificate.globally_optimal
+    (tmp_path / "p.toml").write_text(FILE.replace("plant.csv", "missing.csv"))
+    with pytest.raises(ProblemError, match=r"p.toml: dynamics.table.csv: got no such file"):
+        lfo.read_problem(tmp_path / "p.toml")
     (tmp_path / "p.toml").write_text(FILE.replace("plant.csv", "../plant.csv"))
     with pytest.raises(ProblemError, match=re.escape("p.toml: dynamics.table.csv: got '../plant.csv'")):
         lfo.read_problem(tmp_path / "p.toml")

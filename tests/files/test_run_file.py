@@ -283,8 +283,12 @@ def dumped(folder):
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("run.json", lambda text: None, "run.zip: run.json: got nothing; expected this file in the archive"),
-        ("problem.toml", lambda text: None, "run.zip: problem.toml: got nothing"),
+        (
+            "run.json",
+            lambda text: None,
+            "run.zip: got an archive without run.json; expected a file that lin-freq-ocp solve --dump wrote",
+        ),
+        ("problem.toml", lambda text: None, "run.zip: got an archive without problem.toml"),
         ("run.json", lambda text: text[:-3], "run.zip: run.json: JSON syntax: got"),
         ("run.json", lambda text: b"[" * 10**6, "run.zip: run.json: JSON syntax: got"),
         ("run.json", lambda text: b"\xff", "run.zip: run.json: JSON syntax: got"),

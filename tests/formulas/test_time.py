@@ -83,3 +83,37 @@ def test_what_is_no_table_over_time_is_refused(f, got):
 
     with pytest.raises(lfo.errors.ProblemError, match=got):
         state()
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, u: x[0] - 2 * u[0],
+        lambda u, x: x[0] - 2 * u[0],
+        lambda state, control: state[0] - 2 * control[0],
+        lambda state, u: state[0] - 2 * u[0],
+        lambda u, state: state[0] - 2 * u[0],
+        lambda control, x: x[0] - 2 * control[0],
+        lambda u, t, x: x[0] - 2 * u[0] + 0 * t,
+        lambda state, t, control: state[0] - 2 * control[0] + 0 * t,
+        lambda u, x, factor=2: x[0] - factor * u[0],
+        lambda *signals: signals[0][0] - 2 * signals[1][0],
+        lambda x, *rest: x[0] - 2 * rest[0][0],
+    ],
+)
+def test_a_function_gets_signals_by_the_names_of_its_parameters_and_others_by_position(function):
+    np.testing.assert_allclose(values_of(listed_formulas("f", function, (1, 1)), np.array([[5.0, 1.0]])), [[3.0]])
+
+
+@pytest.mark.parametrize(
+    ("function", "got"),
+    [
+        (lambda x: x[0], "too many positional arguments"),
+        (lambda x, u, more: x[0], "missing a required argument: 'more'"),
+        (lambda x, u, factor=2, t=0: x[0] * factor + t, "t after a parameter with a default"),
+        (lambda x, factor=2, u=0: x[0] * factor + u, "u after a parameter with a default"),
+    ],
+)
+def test_a_function_that_takes_no_signals_is_refused(function, got):
+    with pytest.raises(lfo.errors.ProblemError, match=f"f: got TypeError: {got}, from the function"):
+        listed_formulas("f", function, (1, 1))

@@ -44,6 +44,23 @@ def test_another_control_deviates(log):
     assert lfo.certify_log(controller, write(), tolerance=1.0).proven.all()
 
 
+def test_the_words_have_the_largest_differences_of_the_steps_that_they_name(log):
+    controller, _, controls, write = log
+    controls[[1, 3, 4]] += np.array([[1e-5], [0.2], [0.3]])
+    text = str(lfo.certify_log(controller, write()))
+    assert "controls within 1e-05 of the optimal plans" in text
+    assert "steps that deviate, by 3e-01 at most: 3 to 4" in text
+
+
+def test_a_difference_that_counts_as_rounding_is_said(tmp_path):
+    """It moves the first state by no more than the rounding of its terms, and is as large as it is."""
+    plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([1, 0.1]), R=0.1, x_ref=[1e3, 0.0])
+    controller = lfo.RecedingHorizon(lfo.OptimalControlProblem(plant, 20, cost, initial_state=[1e3, 0]))
+    path = write_log(tmp_path / "log.csv", np.array([[1e3, 0.0]]), np.array([[1e-13]]), [0])
+    assert "controls within 1e-13 of the optimal plans" in str(lfo.certify_log(controller, path))
+
+
 NO_BOUND = {
     "none": None,
     "1e9 for none": lfo.Box(-1e9, 1e9),

@@ -402,3 +402,17 @@ def test_an_array_that_is_too_short_for_x_is_a_warning(tmp_path):
     assert compiles(tmp_path, use(4))
     assert compiles(tmp_path, "static controller c; int f(lfo_real *u) { return controller_step(&c, u, u); }", "-xc++")
     assert not compiles(tmp_path, use(3), "-O2", "-fno-syntax-only")
+
+
+def test_only_a_folder_of_its_own_gets_other_files(tmp_path):
+    """There, logs and what the compiler made stay; files of another project are not replaced."""
+    (tmp_path / "Makefile").write_text("all: mine")
+    with pytest.raises(lfo.errors.ProblemError, match="got a folder with other files; expected a new or empty folder"):
+        lfo.generate(controller(LOOPS["low pass"]()), tmp_path)
+    assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [("Makefile", "all: mine")]
+    (tmp_path / "Makefile").unlink()
+    for real in ("double", "float"):
+        lfo.generate(controller(LOOPS["low pass"]()), tmp_path, real)
+        (tmp_path / "log.csv").write_text("a log")
+        assert f"{real}." in (tmp_path / "controller.h").read_text()
+    assert (tmp_path / "log.csv").read_text() == "a log"

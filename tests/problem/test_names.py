@@ -32,6 +32,12 @@ PAIRS = {
         {"state_set": lfo.Box({"speed": -1}, {"position": 3.0})},
         {"state_set": lfo.Box([None, -1], [3.0, None])},
     ),
+    "a lower bound": ({"state_set": lfo.Box(lower={"speed": -1})}, {"state_set": lfo.Box([None, -1])}),
+    "an upper bound": ({"state_set": lfo.Box(upper={"speed": 1})}, {"state_set": lfo.Box(None, [None, 1])}),
+    "a bound over time and a number": (
+        {"state_set": lfo.Box({"speed": (np.arange(7.0) - 9, 4.0)})},
+        {"state_set": lfo.Box([[None, t - 9] for t in range(7)], [None, 4.0])},
+    ),
     "the same lower bound": ({"state_set": lfo.Box(-2, {"speed": 1})}, {"state_set": lfo.Box([None, -2], [None, 1])}),
     "bounds over time": (
         {"state_set": lfo.Box({"speed": (np.arange(7.0) - 9, None)})},
@@ -96,6 +102,18 @@ WRONG = {
     "a state twice": ({"state_set": lfo.Box({"speed": (-1, 1), "speed [m/s]": (0, 1)})}, "got 'speed [m/s]' twice"),
     "a state as a control": ({"control_set": lfo.Box({"speed": (-1, 1)})}, "expected one of 'force [N]'"),
     "too few times": ({"state_set": lfo.Box({"speed": ([0, 1], None)})}, "expected bounds for 7 times"),
+    "too few references": (
+        {"cost": lfo.QuadraticCost(Q=1.0, x_ref={"speed": 1.0, "position": range(6)})},
+        "cost.x_ref['position']: got 6 numbers; expected a number, or 7, one per time.",
+    ),
+    "soft bounds over time": (
+        {"state_set": lfo.sets.Soft(lfo.Box({"speed": (range(7), 9)}), 1.0)},
+        "state_set: got a box with one bound per time; expected one box. Give a list of Soft sets.",
+    ),
+    "a bound of a list": (
+        {"control_set": [lfo.Box({"force": (-1, 1)})] * 5 + [lfo.Box({"forse": (-1, 1)})]},
+        "control_set[5]: got 'forse'",
+    ),
     "several times": ({"cost": lfo.QuadraticCost(x_ref={"speed": range(7), "position": range(6)})}, "(6,) and (7,)"),
     "half a point": ({"initial_state": {"speed": 1}}, "initial_state: got no value of 'position [m]'"),
     "no number": ({"cost": lfo.QuadraticCost(Q={"speed": "fast"})}, "cost.Q['speed']: got 'fast'"),
@@ -125,6 +143,15 @@ def test_what_fits_no_name_is_refused(case):
 def test_bounds_by_name_are_checked_before_there_is_a_problem(given, text):
     with pytest.raises(lfo.errors.ProblemError, match=re.escape(text)):
         lfo.Box(*given)
+
+
+def test_a_mapping_given_as_one_side_is_that_side():
+    """Two numbers there are those of two times, and no pair."""
+    box = lfo.Box(lower={"speed": [-1, 2]})
+    assert box.lower.tolist() == [[-1], [2]]
+    assert np.isinf(box.upper).all()
+    with pytest.raises(lfo.errors.ProblemError, match=r"Box.lower: got two values; expected one"):
+        lfo.Box(0, lower=1)
 
 
 def test_bounds_by_name_bound_nothing_without_a_problem():
@@ -164,7 +191,8 @@ schema = 2
 horizon = 6
 initial_state = { speed = 0.5, "position [m]" = 0 }
 terminal_state = { lower = { position = 1 }, upper = { position = 1 } }
-state_set = { upper = { speed = 4 } }
+state_set = { lower = { position = -3 } }
+control_set = { upper = { force = 4 } }
 [dynamics]
 A = [[1, 0.1], [0, 1]]
 B = [[0.005], [0.1]]
@@ -176,5 +204,53 @@ R = { force = 1.0 }
 """)
     read = lfo.read_problem(tmp_path / "cart.toml")
     ends = {"initial_state": [0, 0.5], "terminal_state": lfo.Box([1, None], [1, None])}
-    plain = cart(**ends, state_set=lfo.Box(None, [None, 4]))
+    plain = cart(**ends, state_set=lfo.Box([-3, None]), control_set=lfo.Box(None, 4))
     assert lfo.solve(read).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
+
+
+def test_rate_limits_by_name():
+    named = lfo.rate_limited(cart(), {"force": 0.5}, {"force [N]": 0}, {"force": 1.0}, {"force": 2.0})
+    plain = lfo.rate_limited(cart(), 0.5, 0, 1.0, 2.0)
+    assert lfo.solve(named).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
+    for field, given in (("rate_limit", ({"forse": 1},)), ("previous", (1, {"forse": 1}))):
+        with pytest.raises(lfo.errors.ProblemError, match=rf"{field}: got 'forse'.*Did you mean 'force'"):
+            lfo.rate_limited(cart(), *given)
+
+
+def test_a_rate_limit_by_name_in_a_file(tmp_path):
+    lfo.write_problem(cart(), tmp_path / "cart.toml")
+    table = "\n[rate_limit]\nlimit = {force = 0.5}\nprevious = {force = 0.25}\n"
+    with (tmp_path / "cart.toml").open("a") as file:
+        file.write(table)
+    read, plain = lfo.read_problem(tmp_path / "cart.toml"), lfo.rate_limited(cart(), 0.5, 0.25)
+    assert read.stage_rows[0].e.tolist() == plain.stage_rows[0].e.tolist()
+    assert read.initial_box.lower.tolist() == plain.initial_box.lower.tolist()
+
+
+def test_loops_have_states_controls_and_references_by_name():
+    """A state that follows from the controls alone may be left out, and then keeps its own reference."""
+    problem = lfo.rate_limited(cart(cost=lfo.QuadraticCost(Q=1.0, R=1.0)), 0.5, previous=0.0, price=1.0)
+    named, plain = lfo.RecedingHorizon(problem), lfo.RecedingHorizon(problem)
+    for k, x in enumerate(([0.1, 0.2], [0.12, 0.1])):
+        target, acted = {"speed": np.full(STEPS + 1, 0.3)}, None if k == 0 else {"force": 0.1}
+        found = named.step(
+            {"speed [m/s]": x[1], "position": x[0]}, {"x_ref": target, "u_ref": {"force": 1}}, applied=acted
+        )
+        references = {"x_ref": np.tile([0.0, 0.3], (STEPS + 1, 1)), "u_ref": [1.0]}
+        assert found == pytest.approx(plain.step(x, references, applied=None if k == 0 else [0.1]), abs=1e-12)
+    seen = np.linspace(0, 1, 2 + STEPS)
+    loops = [
+        lfo.RecedingHorizon(problem).run(start, 2, references={"x_ref": rows})
+        for start, rows in (
+            ({"position": 0.1, "speed": 0.0}, {"position": seen}),
+            ([0.1, 0.0], np.column_stack([seen, 0 * seen])),
+        )
+    ]
+    np.testing.assert_allclose(loops[0].states, loops[1].states, atol=1e-12)
+    with pytest.raises(lfo.errors.ProblemError, match=r"state: got 'sped'.*Did you mean 'speed'"):
+        named.step({"position": 0, "sped": 0})
+
+
+def test_too_many_names_are_shown_as_names():
+    with pytest.raises(lfo.errors.ProblemError, match=r"got \['a \[g\]', 'b'\]; expected 1 different names"):
+        lfo.LinearDynamics([[1]], [[1]], state_names="a [g], b")

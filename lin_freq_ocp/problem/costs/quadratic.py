@@ -7,7 +7,7 @@ A new cost is a subclass of ``NonsmoothCost``; see ``norms``. Methods without a 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -31,7 +31,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.names import ByName, arrays_or_names, fields_by_name
-from lin_freq_ocp.base.phrases import datum
+from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.base.semidefinite import least_rise
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.terms.term import Term
@@ -204,6 +204,8 @@ class QuadraticCost(Cost):
     x_ref: Array
     u_ref: Array
 
+    _over_time: ClassVar[Mapping[str, list[str]]] = {}  # by field, the components that have one value per time
+
     def __init__(
         self,
         Q: ArrayLike | ByName = 0.0,
@@ -269,7 +271,12 @@ class QuadraticCost(Cost):
         if "S" in named:
             raise ProblemError("cost.S", "a mapping", "a matrix (n, m)")
         diagonals = {field: named[field][..., None] * np.eye(len(names[field])) for field in named if field in "QRP"}
-        return replace(self, **named | diagonals) if named else self
+        if not named:
+            return self
+        changed, given = replace(self, **named | diagonals), {field: getattr(self, field).items() for field in named}
+        over_time = {field: [name for name, value in each if np.ndim(value)] for field, each in given.items()}
+        assign(changed, _over_time=over_time)
+        return changed
 
     def at_dimensions(self, n: int, m: int, horizon: int) -> QuadraticCost:
         sizes, complete = {"n": n, "m": m}, dict[str, Array]()
@@ -277,6 +284,9 @@ class QuadraticCost(Cost):
             shape, value = tuple(sizes[axis] for axis in axes), np.asarray(getattr(self, field))
             times = {"P": None, "p": None, "x_ref": horizon + 1}.get(field, horizon)
             square, reference = len(set(axes)) < len(axes), field.endswith("_ref")
+            if (over_time := self._over_time.get(field)) and len(value) != times:
+                expected = "a number" if times is None else f"a number, or {times}, one per time"
+                raise ProblemError(f"cost.{field}[{over_time[0]!r}]", plural(len(value), "number"), expected)
             if square and value.ndim == 0:
                 value = value * np.eye(shape[0])
             elif value.ndim == 0 and value == 0:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,6 +91,7 @@ class LinearDynamics(StateEquations):
     control_names: tuple[str, ...]
     plant: ContinuousPlant | None = field(default=None, compare=False, repr=False)
     known_states: tuple[str, ...] | None = None
+    _offset_given_as: ClassVar[str] = "offset"  # in errors
 
     def __init__(
         self,
@@ -185,7 +187,9 @@ class LinearDynamics(StateEquations):
             return cls._sample_plant(ContinuousPlant(Ac, Bc, drift + E @ values), step, state_names, control_names)
         plain, acting, known = ContinuousPlant(Ac, np.hstack([Bc, E]), drift).sampled(step)
         controls, inputs = np.split(acting, [Bc.shape[1]], axis=1)
-        return cls(plain, controls, known + values @ inputs.T, step, state_names, control_names)
+        sampled = cls(plain, controls, known + values @ inputs.T, step, state_names, control_names)
+        assign(sampled, _offset_given_as="d")
+        return sampled
 
     @classmethod
     def _sample_plant(
@@ -337,7 +341,7 @@ class LinearDynamics(StateEquations):
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless everything given per time is given for ``horizon`` steps."""
-        for name, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), ("offset", self.offset, 1)):
+        for name, array, constant_ndim in (("A", self.A, 2), ("B", self.B, 2), (self._offset_given_as, self.offset, 1)):
             if array.ndim > constant_ndim and len(array) != horizon:
                 expected = f"one for each of the {horizon} steps of the horizon"
                 raise ProblemError(f"dynamics.{name}", f"{len(array)} times", expected)

@@ -11,6 +11,7 @@ import numpy as np
 
 from lin_freq_ocp.base.archives import FileValue, mat_variables
 from lin_freq_ocp.base.arrays import Array, brief, real_array
+from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 
 # What a column may hold, by the words of its name; a word may have its unit attached: magnitude_db
@@ -189,7 +190,7 @@ def _content(path: Path, expected: str) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ProblemError(str(path), f"{error}", expected) from None
+        raise ProblemError(str(path), reason(error), expected) from None
 
 
 def _structure(value: FileValue) -> dict[str, FileValue]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import NO_BOUND, Array, Bound, Mask, assign, brief, freeze, one_component, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.base.names import ByName, stack_components, values_by_name
 from lin_freq_ocp.base.phrases import MOST_TEXT, intervals, plural, short_name
 from lin_freq_ocp.problem.sets.base import Bounds, ConvexSet, Part
@@ -34,8 +34,10 @@ class Box(ConvexSet):
     lower, upper : float, (n,), (times, n), or mapping
         Bounds; None, the default, -inf and inf stand for no bound. A single number holds for every component. A bound
         of 1e20 or more in absolute value stands for none, and becomes infinite; two equal bounds are a point, however
-        large. A mapping has the bounds by the names of components, with or without their units, one mapping alone both
-        of each: ``Box({"speed [m/s]": (-1, 1)})``. A problem then knows which components are meant.
+        large. A mapping has the bounds by the names of components, with or without their units:
+        ``Box(lower={"speed": -1})``. A problem then knows which components are meant.
+    pairs : mapping
+        In place of both: ``Box({"speed [m/s]": (-1, 1)})``. Else the first argument is ``lower``.
 
     Raises
     ------
@@ -64,17 +66,24 @@ class Box(ConvexSet):
 
     components: tuple[str, ...] = field(default=(), repr=False)  # names, if it is stated by name
 
-    def __init__(self, lower: Bound | ByName = None, upper: Bound | ByName = None):
+    def __init__(self, pairs: Bound | ByName = None, /, upper: Bound | ByName = None, *, lower: Bound | ByName = None):
+        if pairs is not None and lower is not None:
+            raise ProblemError("Box.lower", "two values", "one")
+        if isinstance(pairs, Mapping) and upper is None:
+            lower, upper = _sides(pairs)
+        elif pairs is not None:
+            lower = pairs
         if isinstance(lower, Mapping) or isinstance(upper, Mapping):
             components, low, high = _bounds_by_name(lower, upper)
             assign(self, components=components)
         else:
             low, high = _bound("lower", lower, -np.inf), _bound("upper", upper, np.inf)
         try:
-            low, high = np.broadcast_arrays(low, high)
+            shape = np.broadcast_shapes(low.shape, high.shape)
         except ValueError:
             got = f"lower of shape {low.shape}, upper of shape {high.shape}"
             raise ProblemError("Box", got, "the same shape") from None
+        low, high = np.broadcast_to(low, shape), np.broadcast_to(high, shape)
         if low.ndim > 2:
             raise ProblemError("Box", f"bounds with {low.ndim} dimensions", "one bound per component, or (times, n)")
         wrong = low > high
@@ -232,11 +241,14 @@ class Everything(Box):
         assign(self, lower=freeze(np.array(-np.inf)), upper=freeze(np.array(np.inf)))
 
 
-def at_names(given: SetOrSets, names: Sequence[str]) -> SetOrSets:
+def at_names(field: str, given: SetOrSets, names: Sequence[str]) -> SetOrSets:
     """Return one set, a sequence of sets, or None, with bounds by name as those of components of these names."""
     if isinstance(given, (list, tuple)):
-        return type(given)(one.at_names(names) if isinstance(one, ConvexSet) else one for one in given)
-    return given.at_names(names) if isinstance(given, ConvexSet) else given
+        return type(given)(at_names(f"{field}[{t}]", one, names) for t, one in enumerate(given))
+    if not isinstance(given, ConvexSet):
+        return given
+    with located_at(field, type(given).__name__):
+        return given.at_names(names)
 
 
 def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -> Box:
@@ -265,7 +277,8 @@ def end_set(field: str, given: End, names: Sequence[str]) -> ConvexSet:
     if isinstance(given, Mapping):
         convex_set = Point(values_by_name(field, given, names, absent=None))
     elif given is None or isinstance(given, ConvexSet):
-        convex_set = Everything() if given is None else given.at_names(names)
+        named = at_names(field, given, names)
+        convex_set = named if isinstance(named, ConvexSet) else Everything()
     else:
         expected = f"numbers, one for each of the {dimension} states, a set, or None"
         try:
@@ -325,15 +338,18 @@ def _bound(side: str, value: object, absent: float) -> Array:
     return bound
 
 
+def _sides(pairs: ByName) -> tuple[ByName, ByName]:
+    """Return the lower and the upper bounds of a mapping that has both of each component."""
+    for name, pair in pairs.items():
+        if not isinstance(pair, (list, tuple)) or len(pair) != 2:
+            advice = "For one bound, the other is None."
+            raise ProblemError(f"Box[{name!r}]", brief(pair), "a pair (lower, upper)", advice)
+    lower, upper = ({name: pair[side] for name, pair in pairs.items()} for side in (0, 1))
+    return lower, upper
+
+
 def _bounds_by_name(lower: Bound | ByName, upper: Bound | ByName) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names and their bounds, (names,) or (times, names); one mapping alone has pairs."""
-    if upper is None and isinstance(lower, Mapping):
-        stated, lower, upper = lower, dict[str, object](), dict[str, object]()
-        for name, pair in stated.items():
-            if not isinstance(pair, (list, tuple)) or len(pair) != 2:
-                advice = "For one bound, the other is None."
-                raise ProblemError(f"Box[{name!r}]", brief(pair), "a pair (lower, upper)", advice)
-            lower[name], upper[name] = pair
+    """Return names and their bounds, (names,) or (times, names)."""
     components = tuple(dict.fromkeys(name for side in (lower, upper) if isinstance(side, Mapping) for name in side))
     if not components:
         raise ProblemError("Box", "a mapping without names", "bounds of at least one component")

@@ -388,10 +388,10 @@ def _edges(kind: str, **pairs: tuple[float | None, float | None]) -> tuple[tuple
         if (radians is None) == (hertz is None):
             got = f"{'neither' if radians is None else 'both'} of {name} and {name}_hz"
             raise ProblemError(f"{kind}.{name}", got, "exactly one of them")
-        value = real_array(f"{kind}.{name}", radians if hertz is None else hertz)
+        given, field = (radians, f"{kind}.{name}") if hertz is None else (hertz, f"{kind}.{name}_hz")
+        value = real_array(field, given)
         if value.ndim or value < 0:
-            got = brief(radians if hertz is None else hertz)
-            raise ProblemError(f"{kind}.{name}", got, "one number, zero or above")
+            raise ProblemError(field, brief(given), "one number, zero or above")
         if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
             got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
             raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")
