@@ -51,19 +51,19 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_369,
-    "code lines": 43_943,
-    "code lines, linear part": 21_524,
-    "code lines, hybrid": 8_675,
+    "shipped lines": 48_033,
+    "code lines": 44_607,
+    "code lines, linear part": 21_686,
+    "code lines, hybrid": 8_578,
     SHARE_SAID: 19.5,  # at least
-    "files": 322,
+    "files": 328,
     "folders": 43,
     "folders at the root": 19,
     "modules at the root": 11,
-    "names in __all__": 57,
+    "names in __all__": 59,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.1,
+    "functions used once [%]": 12.2,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,

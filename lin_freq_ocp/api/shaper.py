@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ALLOWANCE = 4e-3  # of the limit: how much impulses between two samples may add; the grid's step follows
-FINE = 1e4  # times that are told apart, in a period of the highest frequency
-FIRST, LONGEST = 1.2, 76.8  # periods of the lowest frequency: durations that are tried first, and at most
-NEAR = 8  # samples below the least horizon, where that of impulses at any times is looked for
+TIMES_IN_PERIOD = 1e4  # times that are told apart, in a period of the highest frequency
+FIRST_PERIODS, MOST_PERIODS = 1.2, 76.8  # periods of the lowest frequency: durations that are tried first, and at most
+SAMPLES_BELOW = 8  # samples below the least horizon, where that of impulses at any times is looked for
 
 
 @final
@@ -101,7 +101,7 @@ class Shaper(Impulses):
 
     def plot(self) -> Figure:
         """Return the vibration over the natural frequency, a line for each damping ratio, with bands and limit."""
-        from lin_freq_ocp.pages.figures.shaper import shaper_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.shaper_figure import shaper_figure  # Matplotlib is slow to import
 
         return shaper_figure(self, self.modes, self.limit)
 
@@ -150,7 +150,7 @@ def shaper(
     >>> len(found.times), bool(found.largest <= 0.05), bool(0.027 <= found.shortest < found.duration < 0.0271)
     (4, True, True)
     """
-    modes, limit = Modes(_bands(bands), _damping(damping)), positive_number("shaper.vibration", vibration)
+    modes, limit = Modes(_bands(bands), _damping_range(damping)), positive_number("shaper.vibration", vibration)
     if limit >= 1:
         raise ProblemError("shaper.vibration", brief(vibration), "a number below 1", "A single impulse has 1.")
     if positive_integer("shaper.impulses", impulses) == 1:
@@ -163,7 +163,7 @@ def shaper(
     horizon, control = on_grid.horizon, None if on_grid.result is None else on_grid.result.control
     assert horizon is not None
     assert control is not None
-    fine = rounded_down(2 * np.pi / (FINE * modes.highest))
+    fine = rounded_down(2 * np.pi / (TIMES_IN_PERIOD * modes.highest))
     found = few_impulses(control[:, 0], modes, limit, impulses, (step, fine))
     known = {name: one for name in SHAPERS if (one := shortest_known(name, modes, limit)) is not None}
     largest, shortest = modes.proven_vibration(found, fine), _shortest_at_any_times(modes, limit, step, horizon)
@@ -184,7 +184,7 @@ def _bands(bands: ArrayLike) -> tuple[tuple[float, float], ...]:
     return tuple((low, high) for low, high in sorted(given.tolist()))
 
 
-def _damping(damping: ArrayLike) -> tuple[float, float]:
+def _damping_range(damping: ArrayLike) -> tuple[float, float]:
     """Return the lowest and the highest damping ratio."""
     given = np.atleast_1d(real_array("shaper.damping", damping))
     if given.shape not in ((1,), (2,)) or not 0 <= given[0] <= given[-1] < 1:
@@ -214,20 +214,20 @@ def _impulse_problem(modes: Modes, limit: float, step: float, horizon: int) -> O
 
 def _shortest_on_grid(modes: Modes, limit: float, step: float) -> MinimumTime:
     """Return the least number of samples; InfeasibleError if the longest duration is too short."""
-    low, periods = 2, FIRST
+    low, periods = 2, FIRST_PERIODS
     while True:
         high = int(np.ceil(periods / modes.bands[0][0] / step)) + 2
         try:
             return minimum_time(_impulse_problem(modes, limit, step, high), (low, high))
         except InfeasibleError:
             low, periods = high, 2 * periods
-            if periods > LONGEST:
+            if periods > MOST_PERIODS:
                 raise
 
 
 def _shortest_at_any_times(modes: Modes, limit: float, step: float, horizon: int) -> float:
     """Return a duration up to which no impulses at any times keep the limit, proven; samples do from a horizon on."""
-    wider, near = limit + (modes.highest * step) ** 2 / 8, NEAR
+    wider, near = limit + (modes.highest * step) ** 2 / 8, SAMPLES_BELOW
     while True:
         low = max(horizon - near, 1)
         found = minimum_time(_impulse_problem(modes, wider, step, horizon), (low, horizon))

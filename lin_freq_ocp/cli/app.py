@@ -33,7 +33,7 @@ COMMANDS = {
     "compare": "solve",
     "sweep": "sweep",
     "minimum-time": "sweep",
-    "shaper": "shaper",
+    "shaper": "input_shaper",
     "explore": "explore",
     "certify": "solve",
     "rerun": "solve",

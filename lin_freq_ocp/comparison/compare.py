@@ -15,7 +15,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import Kink, kinks
 from lin_freq_ocp.comparison.filters import FILTERS, apply_filter, can_be_filtered, has_frequency_constraint
 from lin_freq_ocp.comparison.moves import Moves, shaper_obstacle, shortest_moves, why_not_shaped
-from lin_freq_ocp.comparison.shapers import COMPARED, SHAPERS
+from lin_freq_ocp.comparison.shapers import SHAPERS, USUAL_SHAPERS
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
@@ -219,7 +219,7 @@ def _chosen(problem: OptimalControlProblem, given: Sequence[str] | None) -> tupl
     """Return the names of filters and of shapers; by default all filters that apply, and the usual shapers."""
     obstacle = why_not_shaped(problem)
     if given is None:
-        return list(FILTERS) if can_be_filtered(problem) or obstacle else [], [] if obstacle else list(COMPARED)
+        return list(FILTERS) if can_be_filtered(problem) or obstacle else [], [] if obstacle else list(USUAL_SHAPERS)
     for name in given:
         if name not in FILTERS and name not in SHAPERS:
             raise ProblemError("filters", repr(name), f"some of {', '.join([*FILTERS, *SHAPERS])}")

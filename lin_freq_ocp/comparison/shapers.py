@@ -41,19 +41,21 @@ from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMa
 INSENSITIVITY = 0.05  # v of EI and its humps: the customary 5 %
 SHAPERS = ("ZV", "MZV", "ZVD", "EI", "2HUMP_EI", "3HUMP_EI")
 LONGEST_KNOWN = 2.0  # periods: the duration of 3HUMP_EI
-COMPARED = ("ZV", "ZVD", "EI")  # where no names are given
+USUAL_SHAPERS = ("ZV", "ZVD", "EI")  # where no names are given
 
-PER_BIN = 64  # modes on an edge for each bin of the impulses' spectrum, at which |V| is limited while impulses move
+MODES_PER_BIN = (
+    64  # modes on an edge for each bin of the impulses' spectrum, at which |V| is limited while impulses move
+)
 NEGLIGIBLE = 1e-6  # amplitudes, of a sum of 1, that belong to no impulse of the optimum but to its inaccuracy
-ROUNDS = 60  # linear programs; ten to thirty reach the smallest radius
+MOST_LINEAR_PROGRAMS = 60  # linear programs; ten to thirty reach the smallest radius
 LEAST_RADIUS = 1e-9  # of the duration: where the search ends
 FIRST_RADIUS = 0.1  # of the mean distance of impulses
-WATCHED = 0.5  # of the limit: modes that vibrate less are left out of a linear program
+WATCHED_SHARE = 0.5  # of the limit: modes that vibrate less are left out of a linear program
 REPAIRS = 20  # times that the limit at modes falls, at most; two or three reach the limit
-SLACK = 1e-4  # of a limit, by which impulses that linear programs bring below it exceed it at most
+LEFT_OVER = 1e-4  # of a limit, by which impulses that linear programs bring below it exceed it at most
 REPAIRED = 1e-6  # of the limit, by which it falls more than it is exceeded
-TRIED = 400  # frequencies over all bands at which a shaper of the literature is tried
-MARGIN = 0.05  # of its edges by which a measured band is widened
+FREQUENCIES_TRIED = 400  # frequencies over all bands at which a shaper of the literature is tried
+BAND_MARGIN = 0.05  # of its edges by which a measured band is widened
 PRICE = (
     10.0  # durations, for a vibration of twice the limit: more than a multiplier of the limit in every case measured
 )
@@ -135,7 +137,7 @@ class Modes:
     def eigenvalues(self, duration: float) -> ComplexArray:
         """Return s of modes on the edges of the boxes, where the largest |V| is, (k,)."""
         modes = [
-            box.points_on(edge, np.linspace(0.0, 1.0, int(np.ceil(PER_BIN * box.bins(edge))) + 1))
+            box.points_on(edge, np.linspace(0.0, 1.0, int(np.ceil(MODES_PER_BIN * box.bins(edge))) + 1))
             for box in self.boxes(2, duration / 2)
             for edge in box.edges
         ]
@@ -158,7 +160,7 @@ def clusters(samples: Array) -> list[Indices]:
     return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
 
 
-def joined(samples: Array, groups: Sequence[Indices], step: float) -> Impulses:
+def join_groups(samples: Array, groups: Sequence[Indices], step: float) -> Impulses:
     """Return one impulse for each group of samples, at its centre; times begin at zero."""
     amplitudes = np.array([samples[group].sum() for group in groups])
     times = step * np.array([group @ samples[group] for group in groups]) / amplitudes
@@ -187,7 +189,7 @@ def shorten(impulses: Impulses, s: ComplexArray, limit: float) -> Impulses:
         return candidate.duration + PRICE * impulses.duration * max(excess, 0.0)
 
     best, least = impulses, merit(impulses)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_LINEAR_PROGRAMS):
         step = _linear_step(best, s, limit, radius)
         if step is not None:
             A, T = best.amplitudes + step[:n], best.times + step[n:]
@@ -212,7 +214,7 @@ def _linear_step(at: Impulses, s: ComplexArray, limit: float, radius: float) -> 
     waves = np.exp(np.multiply.outer(s, at.duration - T))
     V = waves @ A
     size = np.abs(V)
-    watched = size > WATCHED * limit
+    watched = size > WATCHED_SHARE * limit
     waves, V, size, s = waves[watched], V[watched], size[watched], s[watched]
     turn, s = (V.conj() / (size * limit))[:, None], s * at.duration
     by_amplitude, by_time = (turn * waves).real, (-turn * s[:, None] * waves * A).real
@@ -244,22 +246,22 @@ def few_impulses(samples: Array, modes: Modes, limit: float, most: int, steps: t
     """
     step, fine = steps
     groups = clusters(samples)
-    found, keeps = _repaired(joined(samples, groups, step), modes, limit, fine)
+    found, keeps = _keep_limit(join_groups(samples, groups, step), modes, limit, fine)
     while not keeps and len(groups) < np.count_nonzero(samples > NEGLIGIBLE):  # an impulse cannot be what a cluster is
         groups = with_widest_split(samples, groups)
-        found, keeps = _repaired(joined(samples, groups, step), modes, limit, fine)
+        found, keeps = _keep_limit(join_groups(samples, groups, step), modes, limit, fine)
     reached = f"{len(found.times)} do." if keeps else ""
     while len(found.times) > most:
         kept = np.delete(np.arange(len(found.times)), found.amplitudes.argmin())
         amplitudes, times = found.amplitudes[kept], found.times[kept]
-        found, keeps = _repaired(Impulses(amplitudes / amplitudes.sum(), times - times[0]), modes, limit, fine)
+        found, keeps = _keep_limit(Impulses(amplitudes / amplitudes.sum(), times - times[0]), modes, limit, fine)
     if not keeps:
         got = f"{most}, and no shaper of so few that keeps the limit was found"
         raise ProblemError("shaper.impulses", got, "more impulses, or a larger vibration", reached)
     return found
 
 
-def _repaired(start: Impulses, modes: Modes, limit: float, step: float) -> tuple[Impulses, bool]:
+def _keep_limit(start: Impulses, modes: Modes, limit: float, step: float) -> tuple[Impulses, bool]:
     """Return the shortest impulses near the given ones at times on a fine grid, and whether they keep the limit.
 
     The limit at modes falls by what the rounding of times and the modes between add.
@@ -272,7 +274,7 @@ def _repaired(start: Impulses, modes: Modes, limit: float, step: float) -> tuple
         largest = float(np.abs(found.response(s)).max())
         if largest <= limit:
             largest = modes.proven_vibration(found, step)  # takes longer
-        if largest <= limit or float(np.abs(start.response(s)).max()) > (1 + SLACK) * at_modes:
+        if largest <= limit or float(np.abs(start.response(s)).max()) > (1 + LEFT_OVER) * at_modes:
             break  # in the second case, no impulses near these keep the limit
         at_modes *= limit / largest * (1 - REPAIRED)
     return found, largest <= limit
@@ -286,7 +288,7 @@ def shortest_known(name: str, modes: Modes, limit: float) -> tuple[float, Impuls
     found, (low, high) = list[tuple[float, Impulses]](), modes.damping
     s = modes.eigenvalues(LONGEST_KNOWN / modes.bands[0][0])
     for damping in sorted({low, (low + high) / 2, high}):
-        for frequency in np.linspace(modes.bands[-1][1], modes.bands[0][0], TRIED).tolist():
+        for frequency in np.linspace(modes.bands[-1][1], modes.bands[0][0], FREQUENCIES_TRIED).tolist():
             tried = known_shaper(name, frequency, damping, limit)
             if np.abs(tried.response(s)).max() <= limit:
                 found.append((frequency, tried))
@@ -301,7 +303,7 @@ def bands_of(frequencies: Array, power: Array, share: float) -> tuple[tuple[floa
     """
     bands = list[tuple[float, float]]()
     for first, last in runs_of(np.flatnonzero(power > share * power.max())):
-        low, high = frequencies[first] * (1 - MARGIN), frequencies[last] * (1 + MARGIN)
+        low, high = frequencies[first] * (1 - BAND_MARGIN), frequencies[last] * (1 + BAND_MARGIN)
         if bands and low <= bands[-1][1]:
             low = bands.pop()[0]
         bands.append((round(float(low), 1), round(float(high), 1)))

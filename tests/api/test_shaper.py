@@ -98,7 +98,7 @@ def test_a_cluster_that_one_impulse_cannot_replace_is_split():
 
 
 def test_a_longer_search_follows_where_the_first_durations_are_too_short(monkeypatch):
-    substitute(monkeypatch, "api.FIRST", 0.5)
+    substitute(monkeypatch, "api.FIRST_PERIODS", 0.5)
     shaper = lfo.shaper((35, 60), step=2e-3)
     assert shaper.duration > 0.5 / 35
     assert shaper.on_grid.horizons[0] > 2
