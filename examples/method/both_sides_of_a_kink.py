@@ -45,3 +45,4 @@ for t, axis in enumerate(axes):
     axis.legend()
 figure.tight_layout()
 figure.savefig("both_sides_of_a_kink.png")
+print("picture: both_sides_of_a_kink.png")

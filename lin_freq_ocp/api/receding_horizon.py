@@ -211,7 +211,8 @@ class RecedingHorizon:
         UnsupportedError
             If there is a ``max_changes``, and the condensed method does not take the problem.
         """
-        preview = Change(references=references, bounds=bounds, disturbance=disturbance)
+        tracked = None if references is None else self._controller.references_at_names(references)
+        preview = Change(references=tracked, bounds=bounds, disturbance=disturbance)
         step, outcome = self._controller.advance(state, preview, applied)
         if step is None:
             assert outcome is not None  # the problem was solved as a whole

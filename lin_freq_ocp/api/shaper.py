@@ -51,6 +51,12 @@ class Shaper(Impulses):
     known : dict of str to (float, Impulses)
         Shapers of the literature that keep the limit at some frequency, by name: the frequency in Hz at which each is
         shortest, and its impulses. Their vibration is that of modes on the edges of the bands: measured, not proven.
+
+    Examples
+    --------
+    >>> found = lfo.shaper((0.9, 1.1), vibration=0.3)
+    >>> len(found.times), sorted(found.known)[-1], bool(found.vibration(1.0, 0.1) <= found.largest <= 0.3)
+    (2, 'ZVD', True)
     """
 
     modes: Modes

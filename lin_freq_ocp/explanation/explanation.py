@@ -24,6 +24,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import map_constraints
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import Options, family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
@@ -202,11 +203,21 @@ def _least_by_delta(
     problem: OptimalControlProblem, limit: Limit, rows: StageRows, feasible: Feasible, time_limit: float | None
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
-    result = solve_judged(_elastic_problem(problem, limit, rows), Options(time_limit=time_limit), proof=False)
-    if result.trajectory is None:  # an inaccurate trajectory is good enough: the amount is tried below
-        return None
+    elastic = _elastic_problem(problem, limit, rows)
+    for method in ("auto", "convex"):  # the second is slower, and more accurate where an amount is tiny
+        found = solve_judged(elastic, Options(method, time_limit=time_limit), proof=False).trajectory
+        relaxation = None if found is None else _try_relaxation(problem, limit, found, feasible)
+        if relaxation is not None:
+            return relaxation
+    return None
+
+
+def _try_relaxation(
+    problem: OptimalControlProblem, limit: Limit, found: Trajectory, feasible: Feasible
+) -> tuple[float, Array] | None:
+    """Return the amount of an elastic problem's trajectory with which the problem is feasible, and the end reached."""
     n, of_x = problem.state_dim, stated_sizes(problem)[0]
-    least = np.maximum(result.trajectory.x[-1, n:], 0.0)
+    least = np.maximum(found.x[-1, n:], 0.0)
     least[least <= UNMOVED * least.sum()] = 0.0
     for margin in MARGINS:
         amount, reached = float(least.sum()) * (1 + margin), np.zeros(0)
@@ -216,7 +227,7 @@ def _least_by_delta(
             box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * of_x
             end = Box(box.lower - by, box.upper + by)
             relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
-            reached = end.project(result.trajectory.x[limit.end, :n])
+            reached = end.project(found.x[limit.end, :n])
             reached = np.where(np.abs(reached) < UNMOVED * least * of_x, 0.0, reached)
         if feasible(relaxed):
             return amount, reached

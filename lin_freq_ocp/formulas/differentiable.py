@@ -102,7 +102,7 @@ class DifferentiableFunction:
     translation: Callable[[Sequence[Formula], int], list[Formula]] | None = field(repr=False, compare=False)
     # The values at the points of the last call: several modes, f and regions evaluate it at the same points
     _recent: dict[str, tuple[Array, Array, tuple[Array, ...]]] = field(repr=False, compare=False)
-    _orders: dict[str, tuple[str, ...] | None] = field(repr=False, compare=False)  # of arguments
+    _orders: dict[str, tuple[str, ...]] = field(repr=False, compare=False)  # of arguments
 
     def __init__(
         self,
@@ -116,10 +116,10 @@ class DifferentiableFunction:
         sizes: ArrayLike = 1.0,
         check_at: Sequence[tuple[ArrayLike, ArrayLike]] | None = None,
     ):
-        orders = dict[str, tuple[str, ...] | None]()
-        for label, function in (("call", call), ("jacobian", jacobian), ("hessian", hessian)):
+        given, orders = {"call": call, "jacobian": jacobian}, dict[str, tuple[str, ...]]()
+        for label, function in (given if hessian is None else given | {"hessian": hessian}).items():
             try:
-                orders[label] = None if label == "hessian" and function is None else argument_order(function)
+                orders[label] = argument_order(function)
             except TypeError:
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
                 raise ProblemError(

@@ -78,8 +78,8 @@ class Controller:
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
-        for warning in filter(None, (limits_of_plans(problem), data_per_time(problem))):
-            warn_user(warning, ClosedLoopWarning)
+        if limits_of_plans(problem):
+            warn_user(limits_of_plans(problem), ClosedLoopWarning)
         self._problem = free_first_state(problem)
         plans_by_kernel = method in ("auto", "spectral")
         method = family_of(problem).in_loop if method == "auto" else method
@@ -95,6 +95,8 @@ class Controller:
         self._limits = ControlLimits.of(soften(self._problem, self.penalties))
         self._known = known_states(problem.linear) if self._hard.linear else np.zeros(problem.state_dim, dtype=bool)
         self._planner = self._windowed_planner() if plans_by_kernel else None
+        if data_per_time(problem):
+            warn_user(data_per_time(problem), ClosedLoopWarning)
         self.unknown_dim = int((~self._known).sum())  # how many states do not follow from the controls alone
 
     @property
@@ -346,8 +348,8 @@ class Controller:
 
     def references_at_names(self, given: Mapping[str, ArrayLike | ByName] | None) -> dict[str, ArrayLike]:
         """Return references as numbers, also those by name, of which an absent component is 0."""
-        listed = known_entries("references", given, ("x_ref", "u_ref")).items()
-        return {name: self.at_names(f"references.{name}", value, absent=0.0) for name, value in listed}
+        known_entries("references", given, ("x_ref", "u_ref"))
+        return {name: self.at_names(f"references.{name}", value, absent=0.0) for name, value in (given or {}).items()}
 
     def completed(self, field: str, value: ArrayLike | ByName, acted: Array | None = None) -> Array:
         """Return a measured state, (n,), with the states that follow from the controls alone if they are left out.
@@ -370,13 +372,10 @@ class Controller:
         state[~self._known] = vector
         return state
 
-    def _completed_references(
-        self, references: Mapping[str, ArrayLike | ByName] | None
-    ) -> Mapping[str, ArrayLike] | None:
+    def _completed_references(self, references: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike] | None:
         """Return references of which x_ref may leave out the states that follow from the controls alone."""
         if references is None:
             return None
-        references = self.references_at_names(references)
         given = real_array("references.x_ref", references.get("x_ref", 0.0))
         if not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references

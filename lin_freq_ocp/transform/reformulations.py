@@ -355,13 +355,13 @@ def rate_limit(
         by_name = isinstance(value, Mapping)
         return values_by_name(field, value, problem.control_names, absent, allow_infinite=True) if by_name else value
 
-    limit, price = of_controls("rate_limit", limit, np.inf), of_controls("price", price, 0.0)
+    limit = of_controls("rate_limit", limit, np.inf)
     given = [np.inf if one is None else one for one in limit] if isinstance(limit, (list, tuple)) else limit
     limits = real_array("rate_limit", np.inf if given is None else given, allow_infinite=True)
     if limits.shape not in ((), (m,)) or (limits < 0).any():
         expected = f"one number, zero or above, or one for each of the {m} controls"
         raise ProblemError("rate_limit", brief(limit), expected)
-    prices = real_array("price", price)
+    prices = real_array("price", of_controls("price", price, 0.0))
     if prices.shape not in ((), (m,)) or (prices < 0).any():
         raise ProblemError("price", brief(price), f"one number, zero or above, or one for each of the {m} controls")
     limits, prices = np.broadcast_to(limits, m), np.broadcast_to(prices, m)
@@ -416,7 +416,7 @@ def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, ho
     return replace(cost, Q=cost.Q + of_w, R=cost.R + P, S=cost.S - mixed, x_ref=x_ref)
 
 
-def _outer_control(field: str, value: ArrayLike, m: int) -> Array:
+def _outer_control(field: str, value: Bound, m: int) -> Array:
     """Return the control before the first or after the last sample, (m,)."""
     control = real_array(field, value)
     if control.shape not in ((), (m,)):

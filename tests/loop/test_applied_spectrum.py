@@ -305,7 +305,7 @@ def test_a_loop_costs_no_more_than_with_exact_cones(seed):
         costs[name], found[name] = total + 0.5 * x @ cost.P @ x, amplitudes(applied).max()
     assert found["kernel"] <= AMPLITUDE * (1 + 1e-6)
     assert found["cones"] == pytest.approx(AMPLITUDE, rel=1e-3)
-    assert costs["kernel"] == pytest.approx(costs["cones"], rel=0.01)
+    assert costs["kernel"] <= 1.01 * costs["cones"]
 
 
 def exact_control(x_0: np.ndarray, applied: np.ndarray, A: np.ndarray, B: np.ndarray, cost) -> float:

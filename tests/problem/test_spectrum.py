@@ -279,7 +279,7 @@ def test_a_band_that_removes_something_says_nothing(band):
         (lambda: low_pass(3.2), "low_pass.cutoff"),  # above pi: probably Hz
         (lambda: low_pass(-0.1), "low_pass.cutoff"),
         (lambda: low_pass(np.nan), "low_pass.cutoff"),
-        (lambda: low_pass(cutoff_hz=np.inf), "low_pass.cutoff"),
+        (lambda: low_pass(cutoff_hz=np.inf), "low_pass.cutoff_hz"),
         (lambda: low_pass("fast"), "low_pass.cutoff"),
         (lambda: low_pass([1.0, 2.0]), "low_pass.cutoff"),
         (lambda: high_pass(4.0), "high_pass.cutoff"),

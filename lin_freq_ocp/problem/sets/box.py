@@ -244,9 +244,14 @@ class Everything(Box):
 def at_names(field: str, given: SetOrSets, names: Sequence[str]) -> SetOrSets:
     """Return one set, a sequence of sets, or None, with bounds by name as those of components of these names."""
     if isinstance(given, (list, tuple)):
-        return type(given)(at_names(f"{field}[{t}]", one, names) for t, one in enumerate(given))
-    if not isinstance(given, ConvexSet):
-        return given
+        each = enumerate(given)
+        return type(given)(
+            _at_names(f"{field}[{t}]", one, names) if isinstance(one, ConvexSet) else one for t, one in each
+        )
+    return _at_names(field, given, names) if isinstance(given, ConvexSet) else given
+
+
+def _at_names(field: str, given: ConvexSet, names: Sequence[str]) -> ConvexSet:
     with located_at(field, type(given).__name__):
         return given.at_names(names)
 
@@ -340,11 +345,12 @@ def _bound(side: str, value: object, absent: float) -> Array:
 
 def _sides(pairs: ByName) -> tuple[ByName, ByName]:
     """Return the lower and the upper bounds of a mapping that has both of each component."""
+    lower, upper = dict[str, object](), dict[str, object]()
     for name, pair in pairs.items():
         if not isinstance(pair, (list, tuple)) or len(pair) != 2:
             advice = "For one bound, the other is None."
             raise ProblemError(f"Box[{name!r}]", brief(pair), "a pair (lower, upper)", advice)
-    lower, upper = ({name: pair[side] for name, pair in pairs.items()} for side in (0, 1))
+        lower[name], upper[name] = pair
     return lower, upper
 
 

@@ -391,7 +391,9 @@ def _edges(kind: str, **pairs: tuple[float | None, float | None]) -> tuple[tuple
         given, field = (radians, f"{kind}.{name}") if hertz is None else (hertz, f"{kind}.{name}_hz")
         value = real_array(field, given)
         if value.ndim or value < 0:
-            raise ProblemError(field, brief(given), "one number, zero or above")
+            raise ProblemError(
+                field, brief(given.item() if isinstance(given, np.generic) else given), "one number, zero or above"
+            )
         if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
             got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
             raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")

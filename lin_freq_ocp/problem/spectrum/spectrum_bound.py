@@ -229,7 +229,8 @@ class SpectrumBound(FrequencyConstraint, ABC):
     def remark(self, length: int, sampling_time: float | None, field: str) -> str:
         if self.levels is not None and np.isposinf(self.levels).all():
             return f"{field}: its limit is infinite."
-        if self.band.listed or self.band.at(self.oversampling * length, sampling_time, f"{field}.band").any():
+        everywhere = self.band.listed or self.every_frequency  # a held mask may be above the Nyquist frequency
+        if everywhere or self.band.at(self.oversampling * length, sampling_time, f"{field}.band").any():
             return ""
         return f"{field}.band: {self.band} bounds no bin of a signal of {length} samples."
 
