@@ -117,7 +117,8 @@ class Controller:
         m = self.problem.control_dim
         acted = None if applied is None else self.measured("applied", self.at_names("applied", applied), m)
         x = self.completed("state", state, acted)
-        preview = replace(preview, references=self._completed_references(preview.references))
+        if preview.references is not None:
+            preview = replace(preview, references=self._completed_references(preview.references))
         if acted is not None and len(self._applied) > self.delay:
             if self._planner is not None:
                 self._planner.correct(acted - self._applied[-1 - self.delay], 1 + self.delay)
@@ -132,8 +133,7 @@ class Controller:
             resolver.prepare(x)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
         if quick is not None:
-            control = self._limits.clip(begin, quick.control)
-            self._record(replace(quick, control=control, solve_seconds=now() - started), preview)
+            self._record(quick, preview)
             return self._steps[-1], None
         hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
@@ -242,11 +242,22 @@ class Controller:
         if plan is None:
             return None
         changes += plan.plan.changes
-        if plan.plan.settled:
-            return Step(x, plan.control, None, source, "condensed", changes=changes, pending=plan)
-        better = plan.better_of(self._steps[-1].planned)
-        source = Source.BEST_POINT if better is plan else Source.PREVIOUS_PLAN
-        return Step(x, better.control, Status.LIMIT, source, "condensed", changes=changes, plan=better.trajectory)
+        acting, status, last = plan, None, None
+        if not plan.plan.settled:
+            acting = plan.better_of(self._steps[-1].planned)
+            source = Source.BEST_POINT if acting is plan else Source.PREVIOUS_PLAN
+            status, last = Status.LIMIT, acting.trajectory
+        return Step(
+            state=x,
+            control=self._limits.clip(begin, acting.control),
+            status=status,
+            source=source,
+            method="condensed",
+            solve_seconds=now() - started,
+            changes=changes,
+            plan=last,
+            pending=None if last else plan,
+        )
 
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
@@ -372,10 +383,8 @@ class Controller:
         state[~self._known] = vector
         return state
 
-    def _completed_references(self, references: Mapping[str, ArrayLike] | None) -> Mapping[str, ArrayLike] | None:
+    def _completed_references(self, references: Mapping[str, ArrayLike]) -> Mapping[str, ArrayLike]:
         """Return references of which x_ref may leave out the states that follow from the controls alone."""
-        if references is None:
-            return None
         given = real_array("references.x_ref", references.get("x_ref", 0.0))
         if not given.ndim or not given.shape[-1] == self.unknown_dim < self.problem.state_dim:
             return references

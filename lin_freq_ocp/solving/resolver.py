@@ -123,6 +123,7 @@ class Resolver:
         """Share the programs of another problem, for those with the same matrices."""
         self._programs = other._programs
 
+    @one_blas_thread
     def cache_for(self, changed: OptimalControlProblem) -> SolverCache:
         """Return the solver state of the problem with its states counted from near those of a changed problem.
 
@@ -145,7 +146,6 @@ class Resolver:
         far = (np.abs(start - cache.origin) > reach) & (reach > 0)
         return bool((far if fixed is True else far & fixed).any())
 
-    @one_blas_thread
     def prepare(self, start: Array) -> None:
         """Set up the condensed method for states near this one, (n,), if the problem is one of the method."""
         if not self.spectral or not self.linear:
