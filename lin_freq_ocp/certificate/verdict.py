@@ -72,7 +72,7 @@ class Facts(ABC):
     @property
     @abstractmethod
     def stationary_on_rims(self) -> bool:
-        """Whether the trajectory touches rims of regions, where it does not, and is stationary within the regions."""
+        """Whether only touched rims prevent the theorem, and the trajectory is stationary within the regions."""
 
 
 @dataclass(frozen=True, eq=False)

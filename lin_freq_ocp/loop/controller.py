@@ -129,8 +129,9 @@ class Controller:
         if self._planner is not None:
             self._record(self._windowed_step(self._planner, x, begin, preview, started), preview)
             return self._steps[-1], None
-        for resolver in self._trees if plain and not self._remembers else ():
-            resolver.prepare(x)  # so that also the first step without a solution takes no longer than others
+        if plain and not self._remembers:
+            for resolver in self._trees:  # the hard problem, then the soft one
+                resolver.prepare(begin)  # so that also the first step without a solution takes no longer than others
         quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
         if quick is not None:
             self._record(quick, preview)

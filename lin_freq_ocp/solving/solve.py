@@ -145,7 +145,7 @@ class _Round(NamedTuple):
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by exchange, and judge the answer."""
     request = replace(request, cached=None, tree=None)
-    relaxed, end = replace(request, proof=False), now() + request.time_limit
+    of_round, end = replace(request, proof=False), now() + request.time_limit
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
     frequencies = {term.name: term.map.locations for term, _ in masks}
     seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
@@ -158,7 +158,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
 
     for _ in range(ROUNDS):
         reduced = sampled_masks(problem, frequencies)
-        outcome = method.solve(reduced.problem, relaxed.with_end(end))
+        outcome = method.solve(reduced.problem, of_round.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))
@@ -175,9 +175,9 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         rounds.append(_Round(reduced, outcome, largest))
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
-            if not problem.mode_names and (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
+            if (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
                 return answer
-            relaxed = request  # once more, with a proof
+            of_round = request  # once more, with a proof
             continue
         if converged or outcome.status == Status.LIMIT or outcome.interrupted:
             break

@@ -253,7 +253,7 @@ def _with_box(given: ConvexSet | None, bounds: Box, added: Box) -> ConvexSet:
 
 @dataclass(frozen=True, eq=False)
 class OwnStates(Reduced):
-    """The way back from a problem in the states (x, w), w without cost, to the one in x."""
+    """The problem with further states w after x, which the way back leaves out."""
 
     @property
     def own_values(self) -> dict[str, Mask]:

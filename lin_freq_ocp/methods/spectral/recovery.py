@@ -118,5 +118,5 @@ def in_units(problem: OptimalControlProblem, lti: Lti, units: LtiUnits, scaled: 
     sets = soft_sets(problem) if problem.terms else None
     if not sets:
         return multipliers
-    # the model includes the prices of soft sets: no problem with hard bounds was made
+    # the model includes the prices of soft sets, so that the problem was not replaced: only its multipliers are mapped
     return SoftBounds(problem, problem, sets).multipliers(multipliers)

@@ -223,8 +223,8 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
 class SoftBounds(Reduced):
     """The problem with soft sets as bounds at their limits, whose multipliers must not exceed the prices.
 
-    The model of the Fourier-domain method also contains the prices. A method without prices is right if they are high
-    enough; else the judge refuses its multipliers.
+    The model of the Fourier-domain method has the prices, and needs only the way back of the multipliers. A method
+    without prices is right if they are high enough; else the judge refuses its multipliers.
     """
 
     sets: tuple[SoftSet, ...]

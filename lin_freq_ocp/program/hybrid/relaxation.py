@@ -2,7 +2,7 @@
 
 Where one mode is left, its map and region are rows on (x_t, u_t). Where several are, y_{t,i} is the share of mode i in
 (x_t, u_t) and delta_{t,i} >= 0 its weight (the perspective formulation: Moehle and Boyd 2015, Marcucci and Tedrake
-2019), in the boxes of ``analysis.mode_reach``:
+2019), in the boxes of ``mode_reach``:
 
     SUM     x_t = sum_i y_x,  u_t = sum_i y_u,  sum_i delta_i = 1
     MAP     x_{t+1} = sum_i A_i y_x + B_i y_u + d_i delta_i
