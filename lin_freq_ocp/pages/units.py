@@ -37,14 +37,18 @@ class Scale:
     label: str
 
 
-def time_scale(problem: OptimalControlProblem) -> Scale:
-    """Return the scale from steps to a unit of seconds; without a sampling time, the unit is steps."""
-    step = problem.sampling_time
+TIMES = {"\N{MICRO SIGN}s": 1e-6, "ms": 1e-3, "s": 1.0, "h": 3600.0, "d": 86400.0}  # seconds of a unit
+LONGEST = {"\N{MICRO SIGN}s": 1e-3, "ms": 1.0, "s": 7200.0, "h": 10 * 86400.0, "d": inf}
+"""The least duration in seconds that is shown in the next unit: two hours, ten days."""
+
+
+def time_scale(problem: OptimalControlProblem, steps: int | None = None) -> Scale:
+    """Return the scale from steps to a unit of time for the horizon, or for so many steps; "steps" without seconds."""
+    step, steps = problem.sampling_time, problem.horizon if steps is None else steps
     if step is None:
         return Scale(1.0, "steps", "step t")
-    total = step * problem.horizon
-    factor, unit = (1e6, "\N{MICRO SIGN}s") if total < 1e-3 else (1e3, "ms") if total < 1 else (1.0, "s")
-    return Scale(factor * step, unit, f"time [{unit}]")
+    unit = next(unit for unit, longest in LONGEST.items() if step * steps < longest)
+    return Scale(step / TIMES[unit], unit, f"time [{unit}]")
 
 
 def frequency_scale(problem: OptimalControlProblem) -> Scale:

@@ -106,9 +106,16 @@ def test_a_function_gets_signals_by_the_names_of_its_parameters_and_others_by_po
 
 
 @pytest.mark.parametrize(
+    ("function", "expected"), [(lambda x: 3 * x[0], 15.0), (lambda u: 3 * u[0], 3.0), (lambda t, u: t + u[0], 1.0)]
+)
+def test_a_function_may_take_some_of_the_signals_by_their_names(function, expected):
+    np.testing.assert_allclose(values_of(listed_formulas("f", function, (1, 1)), np.array([[5.0, 1.0]])), [[expected]])
+
+
+@pytest.mark.parametrize(
     ("function", "got"),
     [
-        (lambda x: x[0], "too many positional arguments"),
+        (lambda state: state[0], "missing a required argument: 'state'"),
         (lambda x, u, more: x[0], "missing a required argument: 'more'"),
         (lambda x, u, factor=2, t=0: x[0] * factor + t, "t after a parameter with a default"),
         (lambda x, factor=2, u=0: x[0] * factor + u, "u after a parameter with a default"),

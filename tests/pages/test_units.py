@@ -22,10 +22,13 @@ def test_axes_have_readable_units():
     assert scales(1e-6) == ("\N{MICRO SIGN}s", "Hz")
     assert scales(1e-3) == ("ms", "Hz")
     assert scales(10.0) == ("s", "Hz")
+    assert scales(900.0) == ("h", "Hz")  # a day in quarters of an hour, in 100 steps
+    assert scales(86400.0) == ("d", "Hz")
     problem = double_integrator(horizon=100, sampling_time=1e-3, control_spectrum=notch(centre_hz=100, width_hz=50))
     scale = frequency_scale(problem)
     assert scale.factor * 2 * np.pi * 10 / 100 == pytest.approx(100)
     assert time_scale(problem).factor * 100 == pytest.approx(100)
+    assert (time_scale(problem, 10**7).unit, time_scale(problem, 10**7).factor * 10**7) == ("h", pytest.approx(25 / 9))
 
 
 @given(st.floats(-1e300, 1e300))

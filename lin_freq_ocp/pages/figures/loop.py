@@ -12,7 +12,7 @@ from lin_freq_ocp.base.arrays import NO_BOUND, Array
 from lin_freq_ocp.base.phrases import number, plural, short_name
 from lin_freq_ocp.loop.record import LoopRecord, Source
 from lin_freq_ocp.pages.figures import look
-from lin_freq_ocp.pages.units import frequency_scale
+from lin_freq_ocp.pages.units import frequency_scale, time_scale
 from lin_freq_ocp.problem.spectrum.base import EXCEEDED, WindowSpectra
 
 LONGEST_WINDOW = 64  # samples of a window of the spectrogram; an eighth of the loop, if that is less
@@ -63,10 +63,8 @@ def loop_figure(loop: LoopRecord) -> Figure:
 
 def _clock(loop: LoopRecord, count: int) -> tuple[Array, str]:
     """Return the first times of the loop, and the label of their axis."""
-    step = loop.problem.sampling_time
-    if step is None:
-        return np.arange(float(count)), "step"
-    return step * np.arange(float(count)), "time [s]"
+    scale = time_scale(loop.problem, len(loop.states))
+    return scale.factor * np.arange(float(count)), scale.label
 
 
 def _in_time(ax: Axes, loop: LoopRecord, i: int, of_state: bool = False) -> None:

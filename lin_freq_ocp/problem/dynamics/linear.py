@@ -148,7 +148,8 @@ class LinearDynamics(StateEquations):
         sampling_time : float
             Seconds per step.
         disturbance : (n, k), optional
-            E: how known inputs, such as the weather or the voltage of a grid, act on the states.
+            E: how known inputs, such as the weather or the voltage of a grid, act on the states. The sampled E is the B
+            of ``from_continuous(A, E, sampling_time)``.
         d : (T, k), (T,) of one input, or (k,) if constant
             Their values. With one per time, the model keeps no continuous plant.
         state_names, control_names : sequences of str, optional

@@ -13,7 +13,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
-from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.phrases import join_words, plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
@@ -33,7 +33,7 @@ from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import box_of
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
@@ -46,9 +46,9 @@ from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.starts import Start
 
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
-EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of the path constraints, which are convex"
+EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of convex path constraints ({})"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
-EXCLUDED_BY_RAY = "proven without the cost by formulas: no trajectory exists (explain names the constraints)"
+EXCLUDED_BY_RAY = "proven without formulas: no trajectory satisfies the other constraints (explain names them)"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
 GLOBAL_SECONDS = 10.0  # for the bound, without a time limit: enough for short horizons
@@ -362,7 +362,8 @@ def _proof_of_infeasibility(
             if not problem.path_constraints:
                 return EXCLUDED_BY_RAY
             if at is None or found.ray is None or tangents_exclude(problem, relaxed, at, found.ray):
-                return EXCLUDED_BY_TANGENTS
+                named = "" if at is None or found.ray is None else _named_in_conflict(problem, relaxed, at, found.ray)
+                return EXCLUDED_BY_TANGENTS.format(named) if named else EXCLUDED_BY_RAY
     try:
         none, loss = zero_multipliers(problem, 1.0), FEASIBILITY_LOSS
         hopeless = not intervals or _bounds_admit_trajectory(problem, deadline - now())
@@ -370,6 +371,20 @@ def _proof_of_infeasibility(
         return EXCLUDED_BY_INTERVALS if any(level.value == np.inf for level in levels) else ""
     except (UnsupportedError, OutOfTimeError):
         return ""
+
+
+def _named_in_conflict(
+    problem: OptimalControlProblem, tangents: OptimalControlProblem, at: Trajectory, ray: Multipliers
+) -> str:
+    """Return the names of the path constraints without whose tangents a ray proves nothing."""
+    names = list[str]()
+    for name in [one.name for one in problem.path_constraints if one.name in ray.stage]:
+        rest = replace(ray, stage={**ray.stage, name: np.zeros_like(ray.stage[name])})
+        if tangents_exclude(problem, tangents, at, rest):
+            ray = rest
+        else:
+            names.append(repr(name))
+    return join_words(names)
 
 
 def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> bool:

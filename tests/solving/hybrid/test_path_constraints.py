@@ -130,11 +130,23 @@ def test_a_fixed_end_that_violates_it_is_infeasible():
     assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
 
 
+def test_of_convex_ones_those_in_conflict_are_named():
+    free, thrust = (
+        lfo.sets.PathConstraint(h, name=name) for h, name in (("x_0**2 - 9", "free"), ("u_0**2 + 1", "thrust"))
+    )
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    problem = lfo.OptimalControlProblem(
+        dynamics, 5, lfo.QuadraticCost(R=1.0), lfo.Box(-1, 1), initial_state=[0, 0], stage_rows=[free, thrust]
+    )
+    message = lfo.solve(problem, throw=False).message
+    assert message == "proven by a ray: no trajectory satisfies tangents of convex path constraints ('thrust')"
+
+
 @turn(0)
 def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
     slow = lfo.solve(mass("x_2**2 + x_3**2 - 1"), throw=False)  # 2 m in 1.2 s
     assert slow.status == "infeasible"
-    assert slow.message.startswith("proven by a ray: no trajectory satisfies tangents of the path constraints")
+    assert slow.message == "proven by a ray: no trajectory satisfies tangents of convex path constraints ('path')"
     assert lfo.solve(mass("x_2**2 + x_3**2 - 1", price=9.0), throw=False).status == "optimal"
 
 
