@@ -127,6 +127,8 @@ class SwitchingFacts(Facts):
     unqualified : tuple of (str, int)
         The names of path constraints, and the times, at which their active gradients are dependent: their normal cone
         is then not known, and the theorem does not apply.
+    at_levels : bool
+        Whether the gaps are those between levels of the controls.
     """
 
     elsewhere: bool
@@ -144,6 +146,7 @@ class SwitchingFacts(Facts):
     gaps: tuple[int, ...] = ()
     rim_modes: tuple[int, ...] = ()
     unqualified: tuple[tuple[str, int], ...] = ()
+    at_levels: bool = False
 
     @property
     def applicable(self) -> bool:
@@ -183,6 +186,8 @@ class SwitchingFacts(Facts):
             parts.append(f"{self.touched_gaps}: the theorem does not apply")
         if self.unqualified:
             parts.append(f"{self.dependent_gradients}: the theorem does not apply there")
+        if self.at_levels and self.jumping is None:
+            return "levels of controls are isolated: the theorem does not apply, and the bound alone proves an optimum"
         parts += [kink.describe() for kink in self.norms]
         if not self.times and not self.norms:
             several = len(self.mode_names) > 1
@@ -352,6 +357,7 @@ def switching_facts(
         conditions=tuple(conditions),
         mode_names=piecewise_affine(problem).mode_names,
         gaps=tuple(gaps.tolist()),
+        at_levels=problem.form.levels is not None,
     )
 
 

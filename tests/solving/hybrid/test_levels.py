@@ -58,6 +58,7 @@ def test_whole_levels_are_those_of_enumeration(solved):
     assert solved.cost == pytest.approx(by_enumeration(solved.problem), rel=1e-9)
     assert abs(solved.gap) <= 1e-6
     assert solved.certificate.pmp == "not_applicable"  # a level is a region by itself
+    assert "levels of controls are isolated: the theorem does not apply" in str(solved.certificate)
     assert not solved.certificate.failed
     assert np.isin(np.round(solved.control, 9), LEVELS).all()
     assert solved.level_use.fractional == 0
