@@ -87,7 +87,7 @@ class Solver:
         ----------
         initial_state, terminal_state : (n,) or set, optional
         references : mapping, optional
-            "x_ref" and "u_ref", as in QuadraticCost.
+            "x_ref" and "u_ref", and the linear costs "q" and "r", as in QuadraticCost.
         time_limit, throw
             As for ``lfo.solve``. ``result.seconds`` lists "solve" and "certify" separately.
 
@@ -222,7 +222,7 @@ def solve_many(
     initial_states : (N, n), or a sequence of (n,), optional
         An entry of a sequence that is not a state gets an answer with the status "error".
     references : mapping, or a sequence of N mappings, optional
-        "x_ref" and "u_ref", as in QuadraticCost: one mapping for all problems, or one for each.
+        "x_ref", "u_ref", "q" and "r", as in QuadraticCost: one mapping for all problems, or one for each.
     executor : concurrent.futures.Executor, optional
         Where to solve: a ``ProcessPoolExecutor``, or ``distributed.Client(...).get_executor()`` for a Dask cluster.
         Default: in this process. It is not shut down. Problems lost with a worker are solved again.

@@ -193,8 +193,9 @@ class RecedingHorizon:
             controls alone may be left out, all or none, such as the last control that ``rate_limited`` adds. At the
             first step these are those of the problem's initial state, zero where it has none.
         references : mapping, optional
-            "x_ref" and "u_ref" over the coming horizon, as in QuadraticCost; x_ref may leave out the same states as
-            ``state``, whose references are then those of the problem.
+            "x_ref" and "u_ref", and the linear costs "q" and "r", such as prices of energy, over the coming horizon, as
+            in QuadraticCost; x_ref may leave out the same states as ``state``, whose references are then those of the
+            problem.
         bounds : mapping, optional
             "state_set" and "control_set" over the coming horizon, as in OptimalControlProblem.
         disturbance : (n,) or (T, n), optional
@@ -245,7 +246,7 @@ class RecedingHorizon:
             A function from x (n,) and u (m,) to the next state, in the order of its parameters if they have these
             names; one that needs three arguments also takes the step, first. None for the model of the problem.
         references : mapping, optional
-            "x_ref" and "u_ref", of steps + T samples or more; each step sees those of its horizon.
+            "x_ref", "u_ref", "q" and "r", of steps + T samples or more; each step sees those of its horizon.
         disturbance : (steps, n), optional
             Added to the state that the plant returns, with as many components; the controller does not know it.
         progress : callable, optional

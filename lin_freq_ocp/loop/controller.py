@@ -39,6 +39,7 @@ from lin_freq_ocp.loop.step_problem import (
 from lin_freq_ocp.loop.windows import WindowedPlan, WindowedPlanner, has_windows, without_first_plan
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget
+from lin_freq_ocp.problem.costs.quadratic import PREVIEWED
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.spectrum.base import EXCEEDED
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -351,16 +352,16 @@ class Controller:
         """
         if not isinstance(value, Mapping):
             return value
-        if field in ("applied", "references.u_ref"):
+        if field in ("applied", "references.u_ref", "references.r"):
             return values_by_name(field, value, self.problem.control_names, absent)
         names = self.problem.state_names
         unknown = [name for name, known in zip(names, self._known, strict=True) if not known]
-        partial = set(value) <= {*unknown, *map(short_name, unknown)}
+        partial = field != "references.q" and set(value) <= {*unknown, *map(short_name, unknown)}
         return values_by_name(field, value, unknown if partial else names, absent)
 
     def references_at_names(self, given: Mapping[str, ArrayLike | ByName] | None) -> dict[str, ArrayLike]:
         """Return references as numbers, also those by name, of which an absent component is 0."""
-        known_entries("references", given, ("x_ref", "u_ref"))
+        known_entries("references", given, PREVIEWED)
         return {name: self.at_names(f"references.{name}", value, absent=0.0) for name, value in (given or {}).items()}
 
     def completed(self, field: str, value: ArrayLike | ByName, acted: Array | None = None) -> Array:

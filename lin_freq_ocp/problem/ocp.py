@@ -13,7 +13,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
-from lin_freq_ocp.problem.costs.quadratic import Cost, CostSum
+from lin_freq_ocp.problem.costs.quadratic import PREVIEWED, Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.dynamics.base import Dynamics, Form, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -159,20 +159,20 @@ class OptimalControlProblem(ProblemData):
         return problem
 
     def with_references(self, references: Mapping[str, ArrayLike]) -> OptimalControlProblem:
-        """Return the same problem with other references of its quadratic cost.
+        """Return the same problem with other references and prices of its quadratic cost.
 
         Parameters
         ----------
         references : mapping
-            "x_ref" and "u_ref", as in QuadraticCost; an absent reference stays.
+            "x_ref", "u_ref", and the linear costs "q" and "r", as in QuadraticCost; an absent one stays.
 
         Raises
         ------
         ProblemError
             If a key is unknown, a reference does not fit the problem, or no part of the cost is quadratic.
         """
-        replaced = known_entries("references", references, ("x_ref", "u_ref"))
-        if self.quadratic.zero:
+        replaced = known_entries("references", references, PREVIEWED)
+        if self.quadratic.zero and not {"q", "r"}.intersection(replaced):
             raise ProblemError("references", f"some for {brief(self.cost)}", "a problem with a quadratic cost")
         quadratic = replace(self.quadratic, **replaced)
         cost = CostSum([quadratic, *self.cost.norms]) if self.cost.norms else quadratic

@@ -158,7 +158,7 @@ class SpectralSolver:
         initial_state, terminal_state : (n,) or set, optional
             Components that are fixed in the problem must be fixed, free ones free.
         references : mapping, optional
-            "x_ref" and "u_ref", as in QuadraticCost.
+            "x_ref", "u_ref", "q" and "r", as in QuadraticCost.
         bounds : mapping, optional
             "state_set" and "control_set", as in OptimalControlProblem.
         warm_start : SpectralSolution, optional

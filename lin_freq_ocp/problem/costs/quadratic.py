@@ -37,6 +37,7 @@ from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.terms.term import Term
 
 # Of each field, the axes of one time: n states, m controls
+PREVIEWED = ("x_ref", "u_ref", "q", "r")  # what a step of a loop, and each of many problems, may have of its own
 AXES = {"Q": "nn", "R": "mm", "S": "nm", "q": "n", "r": "m", "P": "nn", "p": "n", "x_ref": "n", "u_ref": "m"}
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")
 SYMMETRY_TOLERANCE = 1e-12  # largest relative asymmetry of Q, R or P that is rounding
