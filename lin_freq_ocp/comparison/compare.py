@@ -130,16 +130,17 @@ class ComparisonOutcome:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Return the name of every trajectory, with its origin and its measures in words."""
-        rows: list[tuple[str, str, Measures | None]] = [("classical", self.classical.status, self.classical_measures)]
+        first: MeasuredTrajectory | None = self.classical_solution
+        rows = [("classical", str(self.classical.status), first)]
         for entry in self.filtered:
             unstable = entry.replay.stopped or "not simulated: that would amplify rounding errors"
-            rows.append((entry.name, "simulated" if entry.replay.meaningful else unstable, entry.replay.measures))
+            rows.append((entry.name, "simulated" if entry.replay.meaningful else unstable, entry.replay))
         nothing = self.constrained.status == Status.LIMIT and self.constrained.trajectory is None
         status = f"{self.constrained.status}, no point found" if nothing else self.constrained.status
-        rows.append(("constrained", status, self.constrained_measures))
+        rows.append(("constrained", status, self.constrained_solution))
         moves = () if self.moves is None else self.moves.all
         return [
-            *((name, ", ".join([origin, *_measures_in_words(measures)])) for name, origin, measures in rows),
+            *((name, ", ".join([origin, *_measures_in_words(measured)])) for name, origin, measured in rows),
             *((move.name, str(move)) for move in moves),
             *([("input shapers", f"do not apply: {self.shaper_obstacle}")] if self.shaper_obstacle else []),
         ]
@@ -149,18 +150,24 @@ class ComparisonOutcome:
         return "\n".join([str(self.problem), *(f"{name:{width}}  {text}" for name, text in self.rows)])
 
 
-def _measures_in_words(measures: Measures | None) -> list[str]:
-    if measures is None:
+def _measures_in_words(measured: MeasuredTrajectory | None) -> list[str]:
+    """Return the measures of a trajectory; of limited spectra, the value nearest to its limit, in the unit of that."""
+    if measured is None:
         return []
+    measures, problem, plan = measured.measures, measured.problem, measured.trajectory
+    known = [term for term in problem.terms if measured.meaningful or term.kind.of == "controls"]
+    readings = [one for term in known for one in term.readings(plan.x, plan.u)]
+    stops = problem.control_stop.any() or problem.state_stop.any() or not readings
     figures = {
         "end missed by": measures.terminal_error,
         "controls out of bounds by": measures.control_violation,
         "states by": measures.state_violation,
-        "energy in control bands": measures.stopband_energy,
-        "in state bands": measures.state_stopband_energy,
+        "energy in control bands": measures.stopband_energy if stops else None,
+        "in state bands": measures.state_stopband_energy if stops else None,
     }
     cost = [] if measures.cost is None else [f"cost {measures.cost:.6g}"]
-    return cost + [f"{what} {value:.2g}" for what, value in figures.items() if value is not None]
+    nearest = [str(max(readings, key=lambda one: one.ratio))] if readings else []
+    return [*cost, *(f"{what} {value:.2g}" for what, value in figures.items() if value is not None), *nearest]
 
 
 @one_blas_thread

@@ -178,3 +178,25 @@ def test_without_a_frequency_constraint_both_are_the_same_solve():
     comparison = lfo.compare(lfo.library.pulse_pattern(kind="opp", switches=8))
     assert comparison.constrained.status == "optimal"
     assert comparison.classical is comparison.constrained
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        ({"rms": 0.1}, "bin 3 of force: 0.1 of 0.1 N RMS"),
+        ({"amplitude": 0.2}, "bin 3 of force: 0.2 of 0.2 N"),
+        ({"limit": 5.0}, "bin 3 of force: 5 of 5 N, sum of samples"),
+    ],
+)
+def test_rows_show_limited_spectra_in_the_unit_of_their_limit(limit, words):
+    mask = lfo.MagnitudeBound(**limit, bins=range(3, 10))
+    dynamics = lfo.LinearDynamics.from_continuous([[-5.0]], [[10.0]], 1e-2, control_names=["force [N]"])
+    problem = lfo.OptimalControlProblem(
+        dynamics, 100, lfo.QuadraticCost(R=1.0), initial_state=[0.0], terminal_state=[3.0], control_spectrum=mask
+    )
+    rows = dict(lfo.compare(problem).rows)
+    assert rows["constrained"].endswith(words)
+    assert not rows["classical"].endswith(words)
+    assert not any("energy" in text for text in rows.values())
+    banded = dict(lfo.compare(replace(problem, control_spectrum=lfo.stop_band(bins=[5]))).rows)
+    assert "energy in control bands" in banded["classical"]
