@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 48_048,
-    "code lines": 44_622,
-    "code lines, linear part": 21_693,
+    "shipped lines": 47_952,
+    "code lines": 44_526,
+    "code lines, linear part": 21_597,
     "code lines, hybrid": 8_578,
     SHARE_SAID: 19.5,  # at least
     "files": 328,
