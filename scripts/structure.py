@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_867,
-    "code lines": 44_441,
+    "shipped lines": 47_810,
+    "code lines": 44_384,
     "code lines, linear part": 21_597,
-    "code lines, hybrid": 8493,
+    "code lines, hybrid": 8436,
     SHARE_SAID: 19.5,  # at least
     "files": 328,
     "folders": 43,
