@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_810,
-    "code lines": 44_384,
-    "code lines, linear part": 21_597,
+    "shipped lines": 47_803,
+    "code lines": 44_377,
+    "code lines, linear part": 21_595,
     "code lines, hybrid": 8436,
     SHARE_SAID: 19.5,  # at least
     "files": 328,
