@@ -7,7 +7,7 @@ gives that of the optimum. Bins and responses are complex: a change d of a datum
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -30,6 +30,21 @@ ENDS = ("initial_state", "terminal_state")
 BINS = ("control_bins", "state_bins")
 MATRICES = ("Q", "R", "S", "P", "A", "B", "response")
 SYMMETRIC = ("Q", "R", "P")
+
+
+class ByDatum(Mapping[str, Array]):
+    """Derivatives by every datum, under its name."""
+
+    slopes: Values
+
+    def __getitem__(self, name: str) -> Array:
+        return self.slopes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.slopes)
+
+    def __len__(self) -> int:
+        return len(self.slopes)
 
 
 def is_matrix(name: str) -> bool:

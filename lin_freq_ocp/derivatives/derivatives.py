@@ -11,7 +11,6 @@ Jittorntrum 1984): lambda >= 0 minimises 1/2 lambda'S lambda - lambda'v, S = F P
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -22,7 +21,7 @@ from scipy.optimize import nnls
 from lin_freq_ocp.base.arrays import Array, Mask, to_shape
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
-from lin_freq_ocp.derivatives.data import Values, Variables, data_for, slopes
+from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, slopes
 from lin_freq_ocp.derivatives.equations import ChangedEquations, changed_equations
 from lin_freq_ocp.derivatives.exact_point import ExactPoint, exact_point
 from lin_freq_ocp.derivatives.kkt import MOST_SOLVE_ERROR
@@ -56,7 +55,7 @@ class Existence:
 
 
 @dataclass(frozen=True, eq=False)
-class Gradient(Existence, Mapping[str, Array]):
+class Gradient(Existence, ByDatum):
     """The derivative of <weights, optimum> by every datum, under its name.
 
     Attributes
@@ -78,15 +77,6 @@ class Gradient(Existence, Mapping[str, Array]):
     """
 
     slopes: Values = field(repr=False)
-
-    def __getitem__(self, name: str) -> Array:
-        return self.slopes[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.slopes)
-
-    def __len__(self) -> int:
-        return len(self.slopes)
 
     def __repr__(self) -> str:
         return f"Gradient({', '.join(f'{name} {text}' for name, text in self.facts)}, by {', '.join(self)})"

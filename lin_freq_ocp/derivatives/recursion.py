@@ -6,14 +6,14 @@ minimises 1/2 z'H z - <of_z, z> over z = (p, v); the multipliers of its rows are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.derivatives.data import Values
+from lin_freq_ocp.derivatives.data import ByDatum, Values
 from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives
 from lin_freq_ocp.derivatives.exact_point import FORWARD, SAFETY
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -74,7 +74,7 @@ class Regulators:
 
 
 @dataclass(frozen=True, eq=False)
-class Gradients(Mapping[str, Array]):
+class Gradients(ByDatum):
     """The derivatives of weighted sums of the optima of many problems by every datum, under its name.
 
     Initial states and references have a derivative for each problem, on the first axis; what the problems share has the
@@ -97,15 +97,6 @@ class Gradients(Mapping[str, Array]):
     slopes: Values
     exists: Mask
     reasons: tuple[str, ...]
-
-    def __getitem__(self, name: str) -> Array:
-        return self.slopes[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.slopes)
-
-    def __len__(self) -> int:
-        return len(self.slopes)
 
     def __repr__(self) -> str:
         return f"Gradients(exists {int(self.exists.sum())} of {len(self.exists)}, by {', '.join(self)})"

@@ -35,7 +35,6 @@ from lin_freq_ocp.methods.spectral.structure import (
     Ray,
     Signals,
     Structure,
-    UnconstrainedPoint,
     data_of,
     equation_ray,
     equation_residual,
@@ -103,23 +102,14 @@ class ExchangeOutcome:
 class Exchange:
     """One solve: the point, its working rows, and the rules of a round."""
 
-    def __init__(
-        self,
-        structure: Structure,
-        data: Data,
-        first: Rows | None,
-        tolerance: float,
-        stop: Stop,
-        violations: Violations | None = None,
-        first_point: UnconstrainedPoint | None = None,
-    ):
+    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
         self.structure, self.data, self.kkt = structure, data, structure.kkt
         self.working = WorkingSet(self.kkt)
-        self.violations = violations or Violations(data.lti)
+        self.violations = Violations(data.lti)
         self.whole = structure.whole_horizon(self.violations.rows)
         self.first_point = None
         if self.whole is not None:
-            self.first_point = first_point or unconstrained_point(structure, data, self.violations, self.whole)
+            self.first_point = unconstrained_point(structure, data, self.violations, self.whole)
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
@@ -340,12 +330,6 @@ class Exchange:
         self.violations.violation = np.zeros((0, 0))  # large; it is measured again before the next use
         point = self.signals, self.multipliers, self.working
         return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
-
-    def infeasible_by(self, ray: Ray) -> ExchangeOutcome:
-        """Return the outcome for a known ray."""
-        self.ray = ray
-        self._evaluate()
-        return self._outcome("infeasible", INFEASIBLE)
 
 
 def exchange_values(

@@ -84,15 +84,11 @@ class Lti:
         start, end = (_fixed_values(box) / x for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
-        changed = self.with_end_values(start, end)
+        changed = with_fields(self, start=start, end=end)
         if self.prices is None:  # else, the end is the same
             last_lower, last_upper = (side / x for side in ends[1].bounds)
             assign(changed, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
         return changed
-
-    def with_end_values(self, start: Array, end: Array) -> Lti:
-        """Return the problem with other values of the fixed components of its ends."""
-        return with_fields(self, start=start, end=end)
 
     def row_values(self, y: Array, t: Indices, f: Indices) -> Array:
         """Return F_f y_t of some rows at t < T, (count,), for y (n+m, T)."""

@@ -9,7 +9,6 @@ computed once (WholeHorizon).
 from __future__ import annotations
 
 from copy import copy
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -357,7 +356,6 @@ class WholeHorizon:
         self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
         self.through = kkt.inverse @ self.coupling
         self._spaces = kkt.kernels.of_rows(rows)
-        self.tabulated = False
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
         """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
@@ -370,20 +368,8 @@ class WholeHorizon:
         weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
         return ActiveSetDuals(indices, rows.sign[once], weights)
 
-    @cached_property
-    def table(self) -> Array:
-        """S of all values, (values, values), cached for many solves."""
-        T, S = self.kernels.lti.horizon, self.coupling.T @ self.through
-        lags = np.arange(T)[:, None] - np.arange(T)
-        for i, f in enumerate(self.rows):  # by blocks: twice as fast as to look up all values at once
-            for j, g in enumerate(self.rows):
-                S[i * T : (i + 1) * T, j * T : (j + 1) * T] += self.kernels.table[f, g][lags]
-        return (S + S.T) / 2
-
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
-        if self.tabulated:
-            return self.table.ravel().take(index[:, None] * len(self.t) + index)
         S = self.coupling[:, index].T @ self.through[:, index]
         return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
 
@@ -393,9 +379,6 @@ class WholeHorizon:
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers mu of the values ``index``."""
-        if self.tabulated:
-            acting = mu.nonzero()[0]
-            return mu[acting] @ self.table[index[acting]]
         pulses = np.zeros(len(self.t))
         pulses[index] = mu
         pulses = pulses[: self._inner].reshape(len(self.rows), -1)

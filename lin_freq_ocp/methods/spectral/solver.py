@@ -23,7 +23,7 @@ from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natu
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
-from lin_freq_ocp.methods.spectral.structure import EndsModel, Structure, data_of, ends_model
+from lin_freq_ocp.methods.spectral.structure import Structure, data_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
@@ -128,8 +128,6 @@ class SpectralSolver:
                     f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
                 ) from None
         self._coarser: dict[int, Structure] = {}
-        self._solves = 0
-        self._ends_model: EndsModel | None = None
         self.setup_seconds = now() - started
 
     @classmethod
@@ -266,22 +264,8 @@ class SpectralSolver:
         """
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
-        self._solves += 1
-        known, model = self._lti, None
-        if self._solves > 1 and lti.bounds.lower is known.bounds.lower and lti.linear is known.linear:
-            if self._solves == 2:
-                self._ends_model = ends_model(self._structure, known)
-            model = self._ends_model
-        if model is None or not model.has_end_bounds_of(lti):
-            exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
-            outcome = exchange.run()
-        else:
-            data, point = model.data_between(lti)
-            exchange = Exchange(self._structure, data, first, tolerance, stop, model.violations, point)
-            ray = model.cached_ray(data, point)
-            outcome = exchange.run() if ray is None else exchange.infeasible_by(ray)
-            if ray is None and outcome.ray is not None:
-                model.cache_ray(outcome.ray)
+        exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
+        outcome = exchange.run()
         return PricedOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
 
     def _solution(self, problem: OptimalControlProblem, answer: PricedOutcome, started: float) -> SpectralSolution:

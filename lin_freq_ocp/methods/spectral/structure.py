@@ -6,8 +6,7 @@ rays of infeasible data, and the data between other ends (docs/spectral.md, 1 to
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,8 +22,6 @@ from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, Violations, WholeHor
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
-MOST_TABULATED = 2500  # bounded values of which all responses are tabulated: 50 MB, in 0.1 s
-CACHED_RAYS = 8  # of infeasible problems between other ends
 
 
 class Structure:
@@ -275,72 +272,3 @@ def regularised_ray(
     Z, S = working.eliminated(kkt.regularised)
     d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
     return row_ray(structure, data, working, S, d, Z, True, tolerance, stop)
-
-
-def ends_model(structure: Structure, lti: Lti) -> EndsModel | None:
-    """Return the model, or None if x_0 has free components, or values are many."""
-    violations = Violations(lti)
-    if np.isnan(lti.start).any() or len(violations.rows) * lti.horizon > MOST_TABULATED:
-        return None
-    whole = structure.whole_horizon(violations.rows)
-    return None if whole is None else EndsModel(structure, lti, violations, whole)
-
-
-class EndsModel:
-    """Data and unconstrained points for any fixed ends of ``lti``; ``violations`` measures its bounds.
-
-    With p the fixed components of (x_0, x_T), the spectrum without forces, the right-hand sides of the bordered system,
-    and all bounded values without multipliers are affine in p: (value at p = 0) + (one response per component) p. No
-    bin is solved again.
-    """
-
-    def __init__(self, structure: Structure, lti: Lti, violations: Violations, whole: WholeHorizon):
-        self.violations, self._lti, self._whole, self._structure = violations, lti, whole, structure
-        self._rays = deque[Ray](maxlen=CACHED_RAYS)
-        whole.tabulated = True
-        self._fixed = ~np.isnan(np.concatenate([lti.start, lti.end]))
-        count, n = int(self._fixed.sum()), lti.state_dim
-        data, points = list[Data](), list[UnconstrainedPoint]()
-        for p in np.vstack([np.zeros(count), np.eye(count)]):
-            ends = np.full(2 * n, np.nan)
-            ends[self._fixed] = p
-            data.append(data_of(structure, lti.with_end_values(*np.split(ends, [n]))))
-            points.append(unconstrained_point(structure, data[-1], violations, whole))
-        self._linear = data[0].linear
-        self._base = _affine([at_p.base.view(np.float64) for at_p in data])
-        self._h, self._e = _affine([at_p.h for at_p in data]), _affine([at_p.e for at_p in data])
-        self._step, self._values = _affine([at_p.step for at_p in points]), _affine([at_p.values for at_p in points])
-
-    def has_end_bounds_of(self, lti: Lti) -> bool:
-        """Whether the free components of x_T have the same bounds in ``lti``."""
-        known, bounds, free = self._lti.bounds, lti.bounds, np.isnan(lti.end)
-        sides = (known.last_lower, bounds.last_lower), (known.last_upper, bounds.last_upper)
-        return all(np.array_equal(side[free], changed[free]) for side, changed in sides)
-
-    def data_between(self, lti: Lti) -> tuple[Data, UnconstrainedPoint]:
-        """Return the data between the ends of ``lti``, and the unconstrained point."""
-        p = np.append(1.0, np.concatenate([lti.start, lti.end])[self._fixed])
-        h, e, step, values = (p @ part for part in (self._h, self._e, self._step, self._values))
-        spectrum = np.tensordot(p, self._base, 1).view(np.complex128)
-        return Data(lti, spectrum, self._linear, h, e), UnconstrainedPoint(step, values)
-
-    def cache_ray(self, ray: Ray) -> None:
-        """Cache a ray of working rows: it may prove that problems between other ends are infeasible."""
-        if len(ray.working):
-            self._rays.appendleft(ray)
-
-    def cached_ray(self, data: Data, point: UnconstrainedPoint) -> Ray | None:
-        """Return a cached ray that proves that a problem with this unconstrained point is infeasible, or None."""
-        for ray in self._rays:
-            rows = ray.working
-            at_rows = rows.sign * point.values[self._whole.flat_indices(rows.t, rows.f)]
-            if float(rows.weights @ (rows.limits(self._lti) - at_rows)) < 0:  # probably a proof; the other rays are not
-                verified = verified_ray(self._structure, data, rows, ray.multipliers)
-                if verified is not None:
-                    return verified
-        return None
-
-
-def _affine(values: Sequence[Array]) -> Array:
-    """Return the value at zero and the responses, (1 + count, ...), from the values at zero and at unit vectors."""
-    return np.stack([values[0], *(value - values[0] for value in values[1:])])

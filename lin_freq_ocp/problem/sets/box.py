@@ -185,10 +185,6 @@ class Box(ConvexSet):
         bound = np.where(y > 0, self.upper, np.where(y < 0, self.lower, 0.0))
         return (y * bound).sum(axis=-1)
 
-    def normal_gap_terms(self, v: Array, y: Array) -> Array:
-        """Return per component sigma_i(y_i) - y_i v_i, computed as y_i (bound - v_i): zero iff y_i is normal at v_i."""
-        return np.abs(y) * np.where(y > 0, self.upper - v, np.where(y < 0, v - self.lower, 0.0))
-
     def describe(self, names: Sequence[str], signal: str) -> str:
         box = self.at_dimension(len(names), "names")
         bounds = np.atleast_2d(box.lower), np.atleast_2d(box.upper)

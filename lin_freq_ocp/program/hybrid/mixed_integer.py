@@ -8,13 +8,10 @@ with the bounds below, which are 0 for j = i: while mode i holds, its map and re
 others are void. One M for each pair of modes is at least as tight as M (1 - delta_{t,i}) with the largest of them. A
 row of several modes is written once, as an equation if all have it. Everything else is as in the linear program.
 
-The coefficients are the least bounds on maps and regions of a mode while another mode holds. While mode j holds at t,
-(x_t, u_t) lies in a domain D_tj: the region of j, the hard linear rows of the stage sets, the box of j in the forward
-reach (``mode_reach``), and f_j(x_t, u_t) in that of x_{t+1}. Over it,
+While mode j holds at t, (x_t, u_t) lies in the box of j in the forward reach (``mode_reach``). Interval arithmetic over
+it gives
 
     below_ij <= f_j - f_i <= above_ij,      G_i x + H_i u - h_i <= regions_ij.
-
-Every bound is a small linear program in units of the half widths of the box; those of one time are solved together.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.polyhedra import minimiser
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -40,10 +37,7 @@ from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, ModeReach
 from lin_freq_ocp.transform.sizes import stated_sizes
 
-# Of rows of a domain, in half widths: ten times the solvers' tolerances. A mode with an empty domain cannot hold.
-RELAXATION = 1e-6
-# Part of its range by which every bound is enlarged, for the tolerance (1e-7) of the linear program
-BIG_M_MARGIN = 1e-6
+BOUND_MARGIN = 1e-6  # relative, by which an implied bound is enlarged, for the tolerance (1e-7) of its linear program
 LEAST_HALF_WIDTH = 1e-9  # of an interval (that of a fixed state is a point), relative to the size of its component
 TERM_ROUNDING = 1e-12  # part of the absolute terms of a bound
 Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows y <= limits
@@ -62,46 +56,8 @@ class BigMBounds:
     regions: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Stage:
-    """One time and the modes that its reach leaves: maps F y + c, regions G y <= h, boxes, further rows, y = (x, u)."""
-
-    F: Array
-    c: Array
-    G: Array
-    h: Array
-    centres: Array
-    halves: Array
-    rows: Array
-    limits: Array
-    next_lower: Array
-    next_upper: Array
-
-    @property
-    def key(self) -> bytes:
-        """Return the data of the stage, to find equal stages."""
-        return b"".join(np.ascontiguousarray(part).tobytes() for part in vars(self).values())
-
-    def domain(self, j: int) -> Rows:
-        """Return the rows of mode j in v = (y - centre) / half widths, within [-1, 1], each of norm 1."""
-        region = np.isfinite(self.h[j])
-        above, below = np.abs(self.next_upper) < LARGEST_BOUND, np.abs(self.next_lower) < LARGEST_BOUND
-        rows = np.vstack([self.G[j][region], self.rows, self.F[j][above], -self.F[j][below]])
-        images = (self.next_upper - self.c[j])[above], (self.c[j] - self.next_lower)[below]
-        limits = np.concatenate([self.h[j][region], self.limits, *images]) - rows @ self.centres[j]
-        rows, limits = _normalise_rows(rows * self.halves[j], limits)
-        most = 2 * np.sqrt(rows.shape[1])  # a row of norm 1 is at most half of it
-        return rows, np.clip(limits, -most, most)
-
-
-def require_time(end: float) -> None:
-    """Raise TimeoutError if ``clock.now`` is after the end."""
-    if now() > end:
-        raise TimeoutError
-
-
-def big_m_bounds(problem: OptimalControlProblem, end: float = np.inf) -> BigMBounds:
-    """Return the big-M bounds of a problem with piecewise-affine dynamics; TimeoutError at ``end`` (``clock.now``).
+def big_m_bounds(problem: OptimalControlProblem) -> BigMBounds:
+    """Return the big-M bounds of a problem with piecewise-affine dynamics.
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
@@ -117,102 +73,38 @@ def big_m_bounds(problem: OptimalControlProblem, end: float = np.inf) -> BigMBou
     units = np.concatenate(stated_sizes(problem))
     reached = ModeReach(_with_implied_bounds(problem, further, units))
     arrays = reached.arrays
-    modes, rows = arrays.h.shape[1:]
-    reach = reached.from_start(np.ones((T, modes), dtype=bool))
-    bounds = BigMBounds(
-        possible=np.zeros((T, modes), dtype=bool) if reach is None else reach.allowed.copy(),
-        below=np.zeros((T, modes, modes, n)),
-        above=np.zeros((T, modes, modes, n)),
-        regions=np.zeros((T, modes, modes, rows)),
-    )
-    known: dict[bytes, tuple[Mask, Array, Array, Array]] = {}
-    for t in map(int, np.flatnonzero(bounds.possible.sum(axis=1) > 1)):
-        assert reach is not None  # a mode is possible
-        modes_here = np.flatnonzero(reach.allowed[t])
-        for limits, side in ((reach.mode_lower, "lower"), (reach.mode_upper, "upper")):
-            unbounded = (np.abs(limits[t, modes_here]) >= LARGEST_BOUND).any(axis=0)
+    possible = np.zeros(arrays.h.shape[:2], dtype=bool)
+    reach = reached.from_start(~possible)
+    lower = upper = np.zeros((*possible.shape, n + m))
+    if reach is not None:
+        possible, lower, upper = reach.allowed.copy(), reach.mode_lower, reach.mode_upper
+    several = possible & (possible.sum(axis=1, keepdims=True) > 1)
+    for t in map(int, np.flatnonzero(several.any(axis=1))):
+        for limits, side in ((lower, "lower"), (upper, "upper")):
+            unbounded = (np.abs(limits[t, several[t]]) >= LARGEST_BOUND).any(axis=0)
             if unbounded.any():
                 name = (*problem.state_names, *problem.control_names)[int(np.argmax(unbounded))]
                 raise UnsupportedError(
                     f"{name}: no {side} bound at t = {t}, where several modes are possible; a mixed-integer program "
                     "needs bounds that the state, control and initial sets state or imply."
                 )
-        lower, upper = reach.mode_lower[t, modes_here], reach.mode_upper[t, modes_here]
-        stage = _Stage(
-            F=arrays.maps[t, modes_here],
-            c=arrays.offset[t, modes_here],
-            G=arrays.rows[t, modes_here],
-            h=arrays.h[t, modes_here],
-            centres=(lower + upper) / 2,
-            halves=np.maximum((upper - lower) / 2, LEAST_HALF_WIDTH * units),
-            rows=further[t][0],
-            limits=further[t][1],
-            next_lower=reach.lower[t + 1],
-            next_upper=reach.upper[t + 1],
-        )
-        if stage.key not in known:
-            require_time(end)
-            known[stage.key] = _stage_bounds(stage)
-        bounds.possible[t, modes_here] = known[stage.key][0]
-        for part, figures in zip((bounds.below, bounds.above, bounds.regions), known[stage.key][1:], strict=True):
-            part[t][np.ix_(modes_here, modes_here)] = figures
-    return bounds
+    lower, upper = (np.where(several[..., None], side, 0.0)[:, None, ..., None] for side in (lower, upper))
+    centre, half = (lower + upper) / 2, np.maximum((upper - lower) / 2, LEAST_HALF_WIDTH * units[:, None])
+    pairs = (several[:, :, None] & several[:, None])[..., None]
 
+    def largest(rows: Array) -> Array:
+        """Return the largest rows y (T, modes i, modes j, ...) over the boxes of modes j."""
+        return (rows @ centre + np.abs(rows) @ (half + TERM_ROUNDING * np.abs(centre)))[..., 0]
 
-def _stage_bounds(stage: _Stage) -> tuple[Mask, Array, Array, Array]:
-    """Return possible (modes,), and below, above and regions for each pair (modes i, modes j, ...)."""
-    modes, n = stage.c.shape
-    domains = [stage.domain(j) for j in range(modes)]
-    # the least relaxation of the rows of each domain for which it is not empty, all by one linear program
-    blocks = [np.column_stack([rows, np.full(len(rows), -1.0)]) for rows, _ in domains]
-    columns, limits = blocks[0].shape[1], np.concatenate([limits for _, limits in domains])
-    cost = np.tile(np.append(np.zeros(columns - 1), 1.0), modes)
-    lower = np.tile(np.append(-np.ones(columns - 1), 0.0), modes)
-    upper = np.tile(np.append(np.ones(columns - 1), np.inf), modes)
-    matrix = sp.csr_array(sp.block_diag([sp.csr_array(block) for block in blocks]))
-    relaxations = _require_minimiser(minimiser(cost, matrix, limits, lower, upper))[columns - 1 :: columns]
-    possible, limited = relaxations <= RELAXATION, np.isfinite(stage.h)
-    below, above = np.zeros((2, modes, modes, n))
-    regions = np.zeros((modes, modes, stage.h.shape[1]))
-    asked: list[tuple[int, Array, tuple[sp.csr_array, Array]]] = []
-    for j in np.flatnonzero(possible):
-        rows, limits = domains[j]
-        differences = (stage.F[j] - stage.F).reshape(-1, stage.F.shape[-1])
-        objectives = np.vstack([differences, -differences, stage.G.reshape(-1, stage.G.shape[-1])])
-        asked.append((int(j), objectives, (sp.csr_array(rows), limits + RELAXATION + relaxations[j])))
-    if not asked:  # no mode can hold: the rows of MODES say so
-        return possible, below, above, regions
-    for (j, _, _), largest in zip(asked, _largest_values(stage, asked), strict=True):
-        up, down, region = np.split(largest, np.cumsum([modes * n, modes * n]))
-        offsets = stage.c[j] - stage.c
-        above[:, j], below[:, j] = up.reshape(modes, n) + offsets, offsets - down.reshape(modes, n)
-        region = region.reshape(stage.h.shape) - np.where(limited, stage.h, 0.0)
-        regions[:, j] = np.where(limited, region, 0.0)
-    return possible, below, above, regions
-
-
-def _largest_values(stage: _Stage, asked: Sequence[tuple[int, Array, tuple[sp.csr_array, Array]]]) -> list[Array]:
-    """Return the largest value of each objective'y over its domain, enlarged outward, except an exact 0."""
-    scaled = np.vstack([objectives * stage.halves[j] for j, objectives, _ in asked])
-    sizes, counts = np.abs(scaled).sum(axis=1), np.cumsum([len(objectives) for _, objectives, _ in asked])
-    parts = np.split(sizes > 0, counts[:-1])
-    blocks = [domain for (_, _, domain), live in zip(asked, parts, strict=True) for _ in range(int(live.sum()))]
-    largest, live = np.zeros(len(scaled)), sizes > 0
-    if blocks:
-        cost, ones = -scaled[live] / sizes[live, None], np.ones(scaled[live].size)
-        matrix = sp.csr_array(sp.block_diag([rows for rows, _ in blocks]))
-        limits = np.concatenate([limits for _, limits in blocks])
-        v = _require_minimiser(minimiser(cost.ravel(), matrix, limits, -ones, ones))
-        largest[live] = -(cost * v.reshape(cost.shape)).sum(axis=1) * sizes[live]
-    middles = np.concatenate([objectives @ stage.centres[j] for j, objectives, _ in asked])
-    terms = np.concatenate([np.abs(objectives) @ np.abs(stage.centres[j]) for j, objectives, _ in asked])
-    return np.split(largest + BIG_M_MARGIN * sizes + middles + TERM_ROUNDING * terms, counts[:-1])
-
-
-def _require_minimiser(minimiser: Array | None) -> Array:
-    if minimiser is None:
-        raise NumericalError("A linear program about the domains of modes was not solved.")
-    return minimiser
+    maps, offsets = (part[:, None] - part[:, :, None] for part in (arrays.maps, arrays.offset))  # f_j - f_i
+    limited = np.isfinite(arrays.h)[:, :, None]
+    regions = largest(arrays.rows[:, :, None]) - np.where(limited, arrays.h[:, :, None], 0.0)
+    return BigMBounds(
+        possible=possible,
+        below=np.where(pairs, offsets - largest(-maps), 0.0),
+        above=np.where(pairs, offsets + largest(maps), 0.0),
+        regions=np.where(pairs & limited, regions, 0.0),
+    )
 
 
 def _normalise_rows(rows: Array, limits: Array) -> Rows:
@@ -239,7 +131,7 @@ def _with_implied_bounds(
             for k in np.flatnonzero(~np.isfinite(side)):
                 point = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
                 if point is not None:
-                    side[k] = units[k] * (point[k] + sign * BIG_M_MARGIN * max(1.0, abs(float(point[k]))))
+                    side[k] = units[k] * (point[k] + sign * BOUND_MARGIN * max(1.0, abs(float(point[k]))))
     state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
     return replace(problem, dynamics=problem.form, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
 
@@ -293,9 +185,12 @@ class _Columns:
 
 
 def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedIntegerForm:
-    """Return the mixed-integer program of a problem with piecewise-affine dynamics; raises as ``big_m_bounds``."""
+    """Return the mixed-integer program of a problem with piecewise-affine dynamics.
+
+    Raises as ``big_m_bounds``, and TimeoutError if ``clock.now`` is after the end when the rows are known.
+    """
     dynamics, T = piecewise_affine(problem), problem.horizon
-    arrays, bounds = dynamics.arrays(T), big_m_bounds(problem, end)
+    arrays, bounds = dynamics.arrays(T), big_m_bounds(problem)
     hosts = [LinearProgram(problem.with_dynamics(dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))]
     n, m = problem.state_dim, problem.control_dim
     columns = _Columns(
@@ -312,7 +207,8 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
         Block.REGIONS: list(_region_rows(arrays, bounds, columns)),
         Block.MODES: mode_rows,
     }
-    require_time(end)
+    if now() > end:
+        raise TimeoutError
     joined, of_signals = _join_rows(rows, hosts[0], columns), common_scaling(hosts, stated_sizes(problem))
     # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
     units = np.append(of_signals.columns, np.ones(len(joined.q) - len(of_signals.columns)))

@@ -30,13 +30,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import THIN, Duals, PathModel
-from lin_freq_ocp.program.program import StandardForm
 from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, Reach
 
 
@@ -179,41 +177,6 @@ def _can_be_active(rows: Array) -> Mask:
     return (spread + at > 0) & (spread + np.abs(at) > THIN)
 
 
-def path_form(program: PathProgram) -> StandardForm:
-    """Return the standard form: the rows C w = b, the linear rows that are present, by edges, and the cones."""
-    (edges, width), q, equations = program.cost.shape, len(program.coupled), len(program.b)
-    variables, linear = np.arange(edges * width).reshape(edges, width), int(program.present.sum())
-    size = program.cone.shape[1]
-    coupled = program.coupled[:, program.t].swapaxes(0, 1) @ program.signals
-    cones = equations + linear + np.arange(edges * size).reshape(edges, size)
-    parts = (
-        (np.maximum(program.places, 0), variables, np.where(program.places[..., None] >= 0, program.C, 0.0)),
-        (np.broadcast_to(program.vertex_rows + np.arange(q), (edges, q)), variables, coupled),
-        (cones, variables, program.cone),
-        (equations + np.arange(linear), variables[np.nonzero(program.present)[0]], program.linear[program.present]),
-    )
-    row = np.concatenate([np.broadcast_to(rows[..., None], values.shape).ravel() for rows, _, values in parts])
-    column = np.concatenate(
-        [
-            np.broadcast_to(columns if values.ndim == 2 else columns[:, None], values.shape).ravel()
-            for _, columns, values in parts
-        ]
-    )
-    value = np.concatenate([values.ravel() for _, _, values in parts])
-    nonzero, count = np.flatnonzero(value), equations + linear + edges * size
-    return StandardForm(
-        P=sp.csc_array((edges * width, edges * width)),
-        q=program.cost.ravel(),
-        A=sp.csc_array((value[nonzero], (row[nonzero], column[nonzero])), shape=(count, edges * width)),
-        b=np.concatenate([program.b, np.zeros(count - equations)]),
-        equations=equations,
-        inequalities=linear,
-        cones=(size,) * edges,
-        row=np.arange(count),
-        sign=np.ones(count),
-    )
-
-
 # With more modes, nodes with more edges per time than these are solved by shares of modes: that takes less time
 MOST_MODES, MOST_EDGES = 4, 8
 
@@ -222,12 +185,11 @@ MOST_MODES, MOST_EDGES = 4, 8
 class PathMember:
     """The path relaxation of one reach: its program, None if there is no path."""
 
-    reach: Reach
     program: PathProgram | None
 
 
 class PathRelaxation(ModeRelaxation):
-    """The relaxations of one problem as paths; those of its base where that is not possible."""
+    """The relaxations of one problem as paths; those of its base where that is not possible, or not solved in C."""
 
     images = True  # whether the image of an edge has to lie in the box of the mode that follows
 
@@ -243,7 +205,7 @@ class PathRelaxation(ModeRelaxation):
         (T, modes), edges = reach.allowed.shape, np.count_nonzero(pairs)
         if modes > MOST_MODES and edges > MOST_EDGES * T:
             return None
-        return PathMember(reach, path_program(self._bounds.model, pairs, low, high, self.images))
+        return PathMember(path_program(self._bounds.model, pairs, low, high, self.images))
 
     def later(self, duals: Duals) -> Duals | None:
         """Return duals of paths moved to the time before, for a problem that begins one time later; None of others.
@@ -270,13 +232,6 @@ class PathRelaxation(ModeRelaxation):
             nearest = np.linalg.lstsq(rows.T, total.ravel(), rcond=None)[0].astype(np.float64)
             sides = np.append(nearest, sides[len(all_times) :])
         return Duals(adjoint, sides, regions, duals.eta_C, vertices, images)
-
-    def form_duals(self, program: PathProgram, y: Array, z: Array | None) -> Duals:
-        """Return the duals of the standard form of a program, with its point, or those of a ray."""
-        p, rest = np.split(y, [len(program.b)])
-        of_rows = np.zeros(program.present.shape)
-        of_rows[program.present] = rest[: np.count_nonzero(program.present)]
-        return self.path_duals(program, p, of_rows, None if z is None else z.reshape(program.cost.shape))
 
     def path_duals(self, program: PathProgram, p: Array, z: Array, w: Array | None) -> Duals:
         """Return the duals of C w = b and of linear rows, (E, R), with the weights of w (E, W), or those of a ray."""
@@ -307,8 +262,8 @@ class PathRelaxation(ModeRelaxation):
         return Duals(np.zeros((T, n)), np.zeros(len(self._sides.b)), regions, 0.0, vertices, images)
 
     def path_point(self, program: PathProgram, w: Array) -> tuple[Trajectory, Array]:
-        """Return (x, u) and the weights of modes, (T, modes), of variables (E, W), or of these one after the other."""
-        (T, modes), w = self._stages.limits.shape[:2], w.reshape(program.cost.shape)
+        """Return (x, u) and the weights of modes, (T, modes), of variables (E, W)."""
+        T, modes = self._stages.limits.shape[:2]
         y, weights = np.zeros((T + 1, program.middle.shape[1])), np.zeros((T + 1, modes))
         np.add.at(y, program.t, program.middle * w[:, -2:-1] + program.half * w[:, :-2])
         np.add.at(weights, (program.t, program.i), w[:, -2])

@@ -225,6 +225,11 @@ def compare_costs(
     return (Verdict.EXPLAINED if factor >= EXPLAINING else Verdict.UNEXPLAINED), why, difference
 
 
+def normal_gap_terms(box: lfo.Box, v: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return per component sigma_i(y_i) - y_i v_i, computed as y_i (bound - v_i): zero iff y_i is normal at v_i."""
+    return np.abs(y) * np.where(y > 0, box.upper - v, np.where(y < 0, v - box.lower, 0.0))
+
+
 def cost_errors(
     problem: lfo.OptimalControlProblem, at: lfo.Trajectory, multipliers: lfo.results.Multipliers, other: lfo.Trajectory
 ) -> dict[str, float]:
@@ -240,7 +245,7 @@ def cost_errors(
         (at.u, other.u, multipliers.nu, problem.control_tube, lifted.slopes[:-1, n:]),
     ):
         normal = np.where(np.isfinite(np.where(normal > 0, tube.upper, tube.lower)), normal, 0.0)
-        products.append(tube.normal_gap_terms(here, normal).ravel())
+        products.append(normal_gap_terms(tube, here, normal).ravel())
         slope += float(((residual + normal) * (there - here)).sum())
     bands = (multipliers.rho_x, at.x), (multipliers.rho_u, at.u)
     product = np.concatenate(products)

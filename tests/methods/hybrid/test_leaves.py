@@ -15,7 +15,7 @@ from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
-from lin_freq_ocp.methods.hybrid import TOLERANCES, solve_path_relaxation, solve_relaxation
+from lin_freq_ocp.methods.hybrid import solve_path_relaxation, solve_relaxation
 from lin_freq_ocp.program.hybrid import PathRelaxation
 from lin_freq_ocp.transform.hybrid import ModeReach
 
@@ -64,7 +64,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     for sequence in ((0, 1), (1, 0)):
         relaxation, reach = reached(problem, sequence)
         assert reach is not None
-        assert solve_path_relaxation(relaxation, reach, TOLERANCES, np.inf, None).bound == np.inf
+        assert solve_relaxation(relaxation, reach).bound == np.inf
     result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.sequence.tolist() == [1, 1]

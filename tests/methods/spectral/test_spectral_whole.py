@@ -60,11 +60,9 @@ def test_the_model_says_what_working_rows_say(model):
     size = np.abs(expected).max()
     some = np.random.default_rng(0).choice(len(indices), 7, replace=False)
     mu = np.random.default_rng(1).standard_normal(7)
-    for whole.tabulated in (False, True):
-        np.testing.assert_allclose(whole.gram(indices), expected, rtol=0, atol=1e-11 * size)
-        np.testing.assert_allclose(
-            whole.response(indices[some], mu)[indices], expected[:, some] @ mu, rtol=0, atol=1e-11 * size
-        )
+    np.testing.assert_allclose(whole.gram(indices), expected, rtol=0, atol=1e-11 * size)
+    response = whole.response(indices[some], mu)[indices]
+    np.testing.assert_allclose(response, expected[:, some] @ mu, rtol=0, atol=1e-11 * size)
 
 
 def test_rows_named_twice_count_once(model):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -110,13 +109,11 @@ def solve_relaxation(
     if now() > end:
         return NodeSolution(reach, -np.inf)
     if isinstance(relaxation, PathRelaxation):
-        answer = solve_path_relaxation(relaxation, reach, tolerances, end, cutoff)
+        answer = solve_path_relaxation(relaxation, reach, cutoff)
         checked = None if answer is None else _check_solution(relaxation, answer)
         if checked is not None and (checked is answer or (cutoff is not None and checked.bound >= cutoff)):
             return checked
-    member = relaxation.member(reach)
-    duals_of, point_of = partial(relaxation.duals, member), partial(relaxation.point, member)
-    answer = solve_by_clarabel(relaxation, reach, member.form, duals_of, point_of, tolerances, end, cutoff)
+    answer = solve_by_clarabel(relaxation, reach, tolerances, end, cutoff)
     return _check_solution(relaxation, answer or NodeSolution(reach, -np.inf))
 
 

@@ -1,14 +1,13 @@
 """One node of a search over modes: its relaxation is solved as accurately as the search needs it.
 
-Path relaxations are solved by compiled code if available; by Clarabel otherwise, or if it stalls. The duals of either
-enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bound closes a node.
+Compiled code solves path relaxations. Without it, and where it stalls, Clarabel solves shares of modes. The duals of
+either enter the bound over boxes (program/hybrid/path_relaxation.py), and only that bound closes a node.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.methods.hybrid.search.path_native import INFEASIBLE, STALLED, path_library, run_path
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.backends.base import Claim
-from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation, path_form
+from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.program.hybrid.rows import Duals
-from lin_freq_ocp.program.program import StandardForm
 from lin_freq_ocp.transform.hybrid.mode_reach import Reach
 
 # Relative residual and gap of a point at which a node is known to need a split
@@ -70,50 +68,35 @@ CLEAR = 0.7
 PROVEN = 2e-7  # distance of bound and cost, relative to the cost, at which a node is solved
 
 
-def solve_path_relaxation(
-    relaxation: PathRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
-) -> NodeSolution | None:
-    """Solve the path relaxation of a reach, as ``solve_relaxation``; None if there is none, or no solver solves it."""
-    member = relaxation.path_member(reach)
-    if member is None:
+def solve_path_relaxation(relaxation: PathRelaxation, reach: Reach, cutoff: float | None) -> NodeSolution | None:
+    """Solve the path relaxation of a reach in C, as ``solve_relaxation``; None if that is not possible."""
+    library = path_library()
+    member = None if library is None else relaxation.path_member(reach)
+    if library is None or member is None:
         return None
     if member.program is None:
         return NodeSolution(reach, np.inf, relaxation.no_path())
-    program, library = member.program, path_library()
-    if library is not None:
-        clear = 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
-        decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
-        run = run_path(library, program, COMPILED_TOLERANCE, PROVEN, decisive, clear)
-        w, p, z, tau = run.w, run.p, run.z, run.tau
-        ended = run.end != STALLED and bool(np.isfinite(p).all() and np.isfinite(z).all())
-        if ended and run.end != INFEASIBLE:
-            duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
-            return NodeSolution(reach, relaxation.cost(run.proven), duals, *relaxation.path_point(program, w / tau))
-        if ended:
-            unit = tau * run.bound
-            duals = relaxation.path_duals(program, p / unit, z / unit, None)
-            if relaxation.proven(reach, duals) == np.inf:
-                return NodeSolution(reach, np.inf, duals)
-    duals_of, point_of = partial(relaxation.form_duals, program), partial(relaxation.path_point, program)
-    return solve_by_clarabel(relaxation, reach, path_form(program), duals_of, point_of, tolerances, end, cutoff)
+    program, clear = member.program, 0.0 if cutoff is None else CLEAR * _is_undecided(reach)
+    decisive = np.inf if cutoff is None else relaxation.objective(cutoff)
+    run = run_path(library, program, COMPILED_TOLERANCE, PROVEN, decisive, clear)
+    w, p, z, tau = run.w, run.p, run.z, run.tau
+    if run.end == STALLED or not (np.isfinite(p).all() and np.isfinite(z).all()):
+        return None
+    if run.end != INFEASIBLE:
+        duals = relaxation.path_duals(program, p / tau, z / tau, w / tau)
+        return NodeSolution(reach, relaxation.cost(run.proven), duals, *relaxation.path_point(program, w / tau))
+    unit = tau * run.bound
+    duals = relaxation.path_duals(program, p / unit, z / unit, None)
+    return NodeSolution(reach, np.inf, duals) if relaxation.proven(reach, duals) == np.inf else None
 
 
 def solve_by_clarabel(
-    relaxation: ModeRelaxation,
-    reach: Reach,
-    form: StandardForm,
-    duals_of: Callable[[Array, Array | None], Duals],
-    point_of: Callable[[Array], tuple[Trajectory, Array]],
-    tolerances: Sequence[float],
-    end: float,
-    cutoff: float | None,
+    relaxation: ModeRelaxation, reach: Reach, tolerances: Sequence[float], end: float, cutoff: float | None
 ) -> NodeSolution | None:
-    """Return the solution of a node: to a tolerance, or a rough one that decides; None if Clarabel finds neither.
-
-    ``duals_of`` turns (y, z), or the ray y, into duals; ``point_of`` turns z into trajectory and weights.
-    """
+    """Return the solution by shares of modes: to a tolerance, or a rough one that decides; None if there is neither."""
     from lin_freq_ocp.program.backends.clarabel_ import solve_form  # slow to import
 
+    member = relaxation.member(reach)
     attempts: list[tuple[float, Decision | None]] = [(tolerance, None) for tolerance in tolerances]
     if cutoff is not None and relaxation.proves:
         attempts.insert(0, (tolerances[0], Decision(relaxation.objective(cutoff), _is_undecided(reach))))
@@ -121,21 +104,21 @@ def solve_by_clarabel(
         left = end - now()
         if left <= 0:
             return NodeSolution(reach, -np.inf)
-        solution = solve_form(form, tolerance, None if left == np.inf else left, enough)
+        solution = solve_form(member.form, tolerance, None if left == np.inf else left, enough)
         y, z = solution.y, solution.z
         if solution.claim is Claim.INTERRUPTED:
             raise KeyboardInterrupt
         if y is not None and enough is None and solution.claim is Claim.INFEASIBLE:
-            return NodeSolution(reach, np.inf, duals_of(y, None))
+            return NodeSolution(reach, np.inf, relaxation.duals(member, y, None))
         if y is None or z is None or solution.claim not in (Claim.SOLVED, Claim.STOPPED):
             continue
-        duals = duals_of(y, z)
+        duals, point = relaxation.duals(member, y, z), relaxation.point(member, z)
         if enough is None:
-            return NodeSolution(reach, relaxation.cost(form.dual_objective(z, y)), duals, *point_of(z))
+            return NodeSolution(reach, relaxation.cost(member.form.dual_objective(z, y)), duals, *point)
         # a rough solution may decide: the node is closed by its duals, or to be split
         bound = relaxation.proven(reach, duals)
         if (enough.several and solution.claim is Claim.STOPPED) or not relaxation.objective(bound) <= enough.cutoff:
-            return NodeSolution(reach, bound, duals, *point_of(z))
+            return NodeSolution(reach, bound, duals, *point)
     return None
 
 
