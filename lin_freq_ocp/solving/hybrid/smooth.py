@@ -113,7 +113,8 @@ class Nonsmooth:
             seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
             return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
         is_proven = partial(_is_proven, problem, self.gap or GLOBAL_GAP)
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven)
+        least = _least_cost(problem)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven, least)
         search.end = started + request.time_limit
         search.run()
         solved = now()
@@ -144,6 +145,14 @@ def _is_proven(problem: OptimalControlProblem, gap: float, local: LocalOptimum) 
     bound = convex_bound(problem, local.trajectory, local.multipliers)
     allowed = gap * cost_scale(problem, local.trajectory)
     return bound is not None and bound.kind == RIGOROUS and local.cost - bound.value <= allowed
+
+
+def _least_cost(problem: OptimalControlProblem) -> float:
+    """Return what a cost costs at least, whatever the trajectory is: a sum of squares by intervals of its formulas."""
+    if cost_is_never_negative(problem):
+        with suppress(UnsupportedError):
+            return least_by_formulas(problem)
+    return -np.inf
 
 
 def outcome_of_search(
@@ -284,10 +293,8 @@ class _Bounding:
     def run(self) -> str:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
         message = ""
-        if cost_is_never_negative(self.search.problem):
-            with suppress(UnsupportedError):
-                self.best = least_by_formulas(self.search.problem)
-                self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
+        self.best = self.search.least
+        self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
         known = self.judged.certificate.bound
         if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
             self.best, self.sets = known.value, known.sets

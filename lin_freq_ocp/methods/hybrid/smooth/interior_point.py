@@ -372,7 +372,7 @@ class Barrier:
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
                 return End.OPTIMAL
             if self.below < np.inf and local.bound(self._longest) >= self.below:
-                return End.STALLED
+                return End.DEARER
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
                 entries = Filter(entries.first, entries.far)

@@ -24,6 +24,7 @@ from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
@@ -264,8 +265,8 @@ class LocalSearch:
 
     ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``attempts`` say
     how each ended, and ``message`` why the search stopped early; ``progress`` is called after every start, the first
-    being ``start``. Of smooth problems, a local optimum that ``is_proven`` to be global ends the search, as does a
-    trajectory that grows without a bound.
+    being ``start``. No trajectory costs less than ``least``: one that costs no more ends the search. Of smooth
+    problems, a local optimum that ``is_proven`` to be global ends it, as does a trajectory that grows without a bound.
     """
 
     problem: OptimalControlProblem
@@ -273,6 +274,7 @@ class LocalSearch:
     progress: Callable[[SmoothProgress], None] | None = None
     start: Start | None = None
     is_proven: Callable[[LocalOptimum], bool] = lambda _: False
+    least: float = -np.inf
     best: LocalOptimum | None = None
     tried: int = 0
     message: str = ""
@@ -280,8 +282,8 @@ class LocalSearch:
 
     def __post_init__(self):
         self.end = now() + self.seconds
-        self._known: set[tuple[object, ...]] = set()
-        self._repeated, self.attempts = False, list[Attempt]()
+        self._known, self._decided = set[tuple[object, ...]](), set[bytes]()
+        self._repeated, self._proven, self.attempts = False, False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
         dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
         self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
@@ -299,7 +301,7 @@ class LocalSearch:
                 reason = self._try(start, sequence, warm=warm)
                 if self._late() or reason in (Reason.PROVEN, Reason.UNBOUNDED):
                     return self
-            while not self._late() and (self._on_grid(self.best) or self._improve_neighbours()):
+            while not (self._late() or self._proven) and (self._on_grid(self.best) or self._improve_neighbours()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
@@ -367,7 +369,7 @@ class LocalSearch:
         """Search from a start; return why another one may be tried, None if this one was tried before."""
         own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
         key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
-        if self._late() or key in self._known:
+        if self._late() or self._proven or key in self._known or sequence.tobytes() in self._decided:
             return None
         self._known.add(key)
         self.tried += 1
@@ -376,10 +378,13 @@ class LocalSearch:
             useful = self.best.cost + self._least_decrease(self.best)
         optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
         self.interrupted = ended is End.INTERRUPTED
+        if self._convex and ended in (End.OPTIMAL, End.DEARER):  # whatever the start is
+            self._decided.add(sequence.tobytes())
         reason = Reason.REFUSED if optimum is None else optimum.reason
         if optimum is not None and self._improves(optimum):
             self.best = optimum
-            if self._smooth and reason is Reason.LOCALLY_OPTIMAL and self.is_proven(optimum):
+            self._proven = reason is Reason.LOCALLY_OPTIMAL and self._is_least(optimum)
+            if self._proven:
                 reason = Reason.PROVEN
             elif self._smooth and reason is Reason.FEASIBLE and self._diverges(optimum.trajectory):
                 reason = Reason.UNBOUNDED
@@ -388,6 +393,20 @@ class LocalSearch:
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
         return reason
+
+    @cached_property
+    def _convex(self) -> bool:
+        """Whether a mode sequence is a convex problem: maps and regions are affine, and there are no other formulas."""
+        modes, given = piecewise_smooth(self.problem).modes, self.problem
+        formulas = [one for mode in modes for one in (*mode.f, *mode.region)]
+        others = given.path_constraints or given.cost.has_formulas or any(mode.domain for mode in modes)
+        return not others and all(affine_row(one) is not None for one in formulas)
+
+    def _is_least(self, optimum: LocalOptimum) -> bool:
+        """Whether an optimum is proven to be global: of one map by ``is_proven``, else by ``least``."""
+        if self._smooth:
+            return self.is_proven(optimum)
+        return optimum.cost - self._least_decrease(optimum) <= self.least
 
     def _improves(self, optimum: LocalOptimum) -> bool:
         """Whether an optimum is preferred to the best one, by its reason, then with less violation or cost."""
