@@ -28,7 +28,7 @@ from lin_freq_ocp.methods.candidate import Attempt, require_convex, zero_multipl
 from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, is_smooth
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -43,6 +43,7 @@ from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
 from lin_freq_ocp.transform.limits import BOXES, SPECTRA, map_sets
 from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import search_scale
 from lin_freq_ocp.transform.starts import Start
 
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
@@ -206,7 +207,9 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     given = with_adjoint(local.multipliers)
     first = reduced.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     plain = best_multipliers(problem, local.trajectory, first)
-    resting = trajectory_at_rest(problem, local.trajectory) if plain.certificate.failed else None
+    # a cost that no search tells from zero may be what an iteration leaves of rest
+    rests = plain.certificate.failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
+    resting = trajectory_at_rest(problem, local.trajectory) if rests else None
     if resting is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting, first)
         allowed = plain.certificate.cost + plain.certificate.allowed_gap
