@@ -62,6 +62,7 @@ class End(Enum):
     TIME = "time limit"
     INTERRUPTED = "interrupted"
     UNDEFINED = "undefined"  # the smooth dynamics have no value at the first point
+    DEARER = "dearer"  # a bound of the cost has reached what is known
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from lin_freq_ocp.methods.candidate import Attempt, require_convex, zero_multipl
 from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, is_smooth
-from lin_freq_ocp.methods.hybrid.smooth.local_search import LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearch, SmoothProgress
 from lin_freq_ocp.methods.hybrid.smooth.newton import newton
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -43,6 +43,7 @@ from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
 from lin_freq_ocp.transform.limits import BOXES, SPECTRA, map_sets
 from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.sizes import search_scale
 from lin_freq_ocp.transform.starts import Start
 
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
@@ -113,7 +114,8 @@ class Nonsmooth:
             seconds = {"setup": 0.0, "solve": now() - started, "certify": 0.0}
             return outcome_of_search(problem, "nonsmooth", judged, (Status.OPTIMAL, ""), seconds, False)
         is_proven = partial(_is_proven, problem, self.gap or GLOBAL_GAP)
-        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven)
+        least = _least_cost(problem)
+        search = LocalSearch(problem, request.time_limit, request.progress, request.start, is_proven, least)
         search.end = started + request.time_limit
         search.run()
         solved = now()
@@ -144,6 +146,14 @@ def _is_proven(problem: OptimalControlProblem, gap: float, local: LocalOptimum) 
     bound = convex_bound(problem, local.trajectory, local.multipliers)
     allowed = gap * cost_scale(problem, local.trajectory)
     return bound is not None and bound.kind == RIGOROUS and local.cost - bound.value <= allowed
+
+
+def _least_cost(problem: OptimalControlProblem) -> float:
+    """Return what a cost costs at least, whatever the trajectory is: a sum of squares by intervals of its formulas."""
+    if cost_is_never_negative(problem):
+        with suppress(UnsupportedError):
+            return least_by_formulas(problem)
+    return -np.inf
 
 
 def outcome_of_search(
@@ -197,7 +207,9 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     given = with_adjoint(local.multipliers)
     first = reduced.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
     plain = best_multipliers(problem, local.trajectory, first)
-    resting = trajectory_at_rest(problem, local.trajectory) if plain.certificate.failed else None
+    # a cost that no search tells from zero may be what an iteration leaves of rest
+    rests = plain.certificate.failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
+    resting = trajectory_at_rest(problem, local.trajectory) if rests else None
     if resting is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting, first)
         allowed = plain.certificate.cost + plain.certificate.allowed_gap
@@ -284,10 +296,8 @@ class _Bounding:
     def run(self) -> str:
         """Bound until the gap is proven or the time is over; return the message of the answer."""
         message = ""
-        if cost_is_never_negative(self.search.problem):
-            with suppress(UnsupportedError):
-                self.best = least_by_formulas(self.search.problem)
-                self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
+        self.best = self.search.least
+        self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
         known = self.judged.certificate.bound
         if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
             self.best, self.sets = known.value, known.sets

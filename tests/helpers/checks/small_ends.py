@@ -17,9 +17,13 @@ APART = 1e-5  # of the costs of two answers, which are of order 1
 STEEPEST = 30.0  # change of the cost by a change of all small numbers
 METHODS = "quick", "quick", "structured", "convex"
 NO_POINT = {"initial box", "initial ball", "free initial state", "periodic ends"}  # features without a given start
-NEVER_AT_REST = {  # within rounding of rest, their optima are not proven, or found by a method without correction
-    "part of the fundamental", "convex path constraint", "piecewise-smooth dynamics", "piecewise-affine dynamics",
-}  # fmt: skip
+NEAREST_TO_REST = {  # the distance from which their optima near rest are found and proven
+    "convex path constraint": 1e-13,
+    "piecewise-smooth dynamics": 1e-13,
+    "piecewise-affine dynamics": 1e-6,
+    "part of the fundamental": np.inf,
+}
+KINKS = {"piecewise-smooth dynamics", "cost by formulas with a kink"}  # no multipliers are found for both, at rest
 LEVELS = {"levels", "duty cycles"}  # they satisfy exact equations from rest alone, and reach balls of ends on the rim
 
 
@@ -76,7 +80,9 @@ def check(seed: int) -> Outcome:
             continue
         if problem.state_dim == 2 and isinstance(problem.initial_state, lfo.sets.Point):
             break
-    small, count = float(10.0 ** rng.uniform(-15, -1)), 4 + int(rng.random() < 0.5 and not NEVER_AT_REST & set(names))
+    small, wanted = float(10.0 ** rng.uniform(-15, -1)), rng.random() < 0.5
+    near = max((NEAREST_TO_REST.get(name, 0.0) for name in names), default=0.0)
+    count = 4 + int(wanted and small >= near and not set(names) >= KINKS)
     values = small * rng.choice([-1.0, 0.0, 1.0], count) * rng.uniform(0.1, 1, count)
     method = str(rng.choice(METHODS))
     statuses, costs = list[str](), list[float]()

@@ -243,3 +243,20 @@ def test_a_price_that_nothing_costs_leaves_multipliers_of_zero(h):
     )
     result = lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False))
     assert (result.cost, result.certificate.pmp) == (0.0, "satisfied")
+
+
+@pytest.mark.parametrize("away", [0.0, 1e-10, 1e-6])
+def test_what_begins_at_its_reference_or_near_is_globally_optimal(away):
+    """An iteration leaves a cost of rounding at rest, next to which no gap is small; the rest itself costs nothing."""
+    problem = lfo.OptimalControlProblem(
+        dynamics=lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.5], [1.0]], sampling_time=1.0),
+        horizon=6,
+        cost=lfo.QuadraticCost(Q=0.5, R=0.2, P=1.0, x_ref=[0.6, 0.0]),
+        initial_state=[0.6 + away, 0.0],
+        control_set=lfo.Box(-1, 1),
+        state_set=lfo.Box(-5, 5),
+        stage_rows=[lfo.sets.PathConstraint("x_1**2 + u_0**2", "convex path", 0.2)],
+    )
+    result = lfo.solve(problem, global_bound=False)
+    assert result.status == "optimal"
+    assert result.cost <= away**2 * 10

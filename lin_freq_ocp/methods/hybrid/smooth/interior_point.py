@@ -140,11 +140,11 @@ class BarrierPoint:
     """A barrier problem near a point."""
 
     def __init__(
-        self, model: SmoothModel, objective: Objective, loops: Loops, point: EmbeddedPoint, derivatives: Derivatives
+        self, model: SmoothModel, objective: Objective, system: System, point: EmbeddedPoint, derivatives: Derivatives
     ):
-        self._model, self._objective, self._loops = model, objective, loops
+        self._model, self._objective, self._loops = model, objective, system.loops
         self.point, self._derivatives = point, derivatives
-        self.system = System(model.linearised(point.y, derivatives), loops)
+        self.system = system.exchanged(model.linearised(point.y, derivatives))
         self.system.stages.H[:] = objective.H
         rows = zip(self.system.rows(point.y), self.system.b, strict=True)
         self.left: Values = [values - right for values, right in rows]
@@ -175,8 +175,9 @@ class BarrierPoint:
 
     def bound(self, reach: float) -> float:
         """Return what the objective costs at least within a reach, as far as the Lagrangian is convex."""
-        rows = zip(self.point.z, self.system.rows(self.point.y), self.system.b, strict=True)
-        lagrangian = self.phi(self.point.y, self.point.s, 0.0) + sum(float(np.vdot(z, A - b)) for z, A, b in rows)
+        point = self.point
+        lagrangian = self.phi(point.y, point.s, 0.0) - sum(float(np.vdot(point.z[i], s)) for i, s in point.s.items())
+        lagrangian += sum(float(np.vdot(z, left)) for z, left in zip(point.z, self.left, strict=True))
         return lagrangian - reach * float(np.abs(self._dual).sum())
 
     def measure(self, mu: float) -> Measure:
@@ -330,7 +331,7 @@ class Barrier:
             # the null-space solver, which detects convexity on stop bands, is slower with few rows: it comes second
             null_space = (NullSpaceSolver(stages, self.loops, DenseReduced),) if sort_rows(stages)[0] else ()
             self._solvers = range_space_solver(stages, self.loops), *null_space
-        self._steps, self._shift = 0, 0.0
+        self._steps, self._shift, self._system = 0, 0.0, System(stages, self.loops)
         coupled = self.model.stages.coupling
         self.unequal = bool(stages.present.any() or coupled.inequalities or coupled.balls)
         self._last: BarrierPoint | None = None
@@ -352,7 +353,7 @@ class Barrier:
         return BarrierResult(ended, last.point, largest(last.left), last.error(0.0), self._steps)
 
     def _iterate_newton(self, y: Array) -> End:
-        mu, last, system = self.mu, 0.0, System(self.model.stages_at(y), self.loops)
+        mu, last, system = self.mu, 0.0, self._system.exchanged(self.model.stages_at(y))
         rows, z = system.rows(y), [np.zeros_like(right) for right in system.b]
         s = {i: cone.raised((system.b[i] - rows[i]) * cone.present, MARGIN) for i, cone in system.cones.items()}
         for i, cone in system.cones.items():
@@ -372,7 +373,7 @@ class Barrier:
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
                 return End.OPTIMAL
             if self.below < np.inf and local.bound(self._longest) >= self.below:
-                return End.STALLED
+                return End.DEARER
             while mu > LEAST_MU and local.error(mu) <= SOLVED * mu:
                 mu = max(LEAST_MU, min(MU_FACTOR * mu, mu**MU_POWER))
                 entries = Filter(entries.first, entries.far)
@@ -396,7 +397,7 @@ class Barrier:
         objective = objective or self._cost
         if not derivatives.finite or not objective.defined_at(point.y):
             return None
-        return BarrierPoint(self.model, objective, self.loops, point, derivatives)
+        return BarrierPoint(self.model, objective, self._system, point, derivatives)
 
     def _filter_step(self, local: BarrierPoint, entries: Filter, mu: float) -> BarrierPoint | None:
         """Return the next point by a step that the filter takes; None if it takes none."""

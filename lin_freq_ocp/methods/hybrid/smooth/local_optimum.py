@@ -98,11 +98,13 @@ def smooth_optimum(
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
     cost, before = (problem.value(one.x, one.u) for one in (trajectory, start))
+    multipliers = zero_multipliers(problem, 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            multipliers = model.multipliers(answer.point.y, answer.point.z)
+            if answer.end is not End.DEARER:  # then no one asks for them
+                multipliers = model.multipliers(answer.point.y, answer.point.z)
     except ProblemError:  # the duals grew until they overflowed
-        return LocalOptimum(sequence, trajectory, zero_multipliers(problem, 1.0), cost, np.inf), answer.end
+        return LocalOptimum(sequence, trajectory, multipliers, cost, np.inf), answer.end
     if before <= cost and model.violation(model.assembly.point(start)) <= answer.violation:
         trajectory, cost = start, before  # no step improves it: the iteration has left it by rounding
     converged = answer.end is End.OPTIMAL or answer.error <= ACCEPTABLE

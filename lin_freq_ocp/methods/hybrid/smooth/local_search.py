@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
@@ -23,6 +24,7 @@ from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
+from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
@@ -33,10 +35,6 @@ from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import search_scale, stated_sizes
 from lin_freq_ocp.transform.starts import Start
 
-if TYPE_CHECKING:
-    from scipy.interpolate import RegularGridInterpolator
-
-
 # Grid points of each state and of each control, by the numbers of states and controls: some 10^5 pairs
 POINTS = {(1, 1): (301, 401), (1, 2): (201, 25), (2, 1): (61, 51), (2, 2): (41, 11)}
 FINER = 4  # times as many control points in the forward pass
@@ -46,67 +44,99 @@ SAMPLES = 64  # random control sequences, for the range of states without bounds
 END_PRICES = (2.0, 10.0, 50.0)
 
 
-def grid_trajectories(
-    problem: OptimalControlProblem, multipliers: Multipliers | None = None, deadline: float = np.inf
-) -> Iterator[Trajectory]:
-    """Yield trajectories of the grid's values until ``deadline``.
+@dataclass(frozen=True, eq=False)
+class ValueGrid:
+    """Pairs of states and controls of a problem's grid, with the weights that interpolate values at their successors.
 
-    There are none with more than two states, without bounds, or where the map depends on time. The frequency
-    multipliers are in the cost.
+    ``axes`` are those of states, ``pairs`` (states * controls, n + m), ``outside`` those whose successors are not
+    within the grid.
     """
-    from scipy.interpolate import RegularGridInterpolator  # slow to import
 
-    n, m = problem.state_dim, problem.control_dim
-    tube = problem.control_tube
-    bounded = np.isfinite([tube.lower, tube.upper]).all()
-    if (n, m) not in POINTS or not bounded or piecewise_smooth(problem).depends_on_time:
-        return
-    of_states, of_controls = POINTS[n, m]
-    lower, upper = _state_range(problem)
-    axes = [np.linspace(low, high, of_states) for low, high in zip(lower, upper, strict=True)]
-    states = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    controls = _controls(problem, of_controls)
-    pairs = np.hstack(
-        [np.repeat(states.reshape(-1, n), len(controls), axis=0), np.tile(controls, (states[..., 0].size, 1))]
-    )
-    after, costs = _successors(problem, pairs), _StageCosts(problem, multipliers)
-    spread = float(np.ptp(costs.at(0, pairs)))
-    far = 10 * (1 + spread) * problem.horizon
-    end = problem.ends[1]
-    distance = np.maximum(np.maximum(end.lower - states, states - end.upper), 0.0) / np.maximum(upper - lower, 1e-300)
-    last, distance_cost = costs.last(states.reshape(-1, n)).reshape(states.shape[:-1]), spread * distance.sum(axis=-1)
-    for price in END_PRICES if distance_cost.any() else END_PRICES[:1]:
-        value = last + price * distance_cost
-        following: list[RegularGridInterpolator] = []
-        for t in range(problem.horizon - 1, -1, -1):
+    problem: OptimalControlProblem
+    axes: list[Array]
+    pairs: Array
+    weights: sp.csr_array
+    outside: Mask
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem) -> ValueGrid | None:
+        """Return the grid; None with more than two states, without bounds, or where the map depends on time."""
+        n, m = problem.state_dim, problem.control_dim
+        bounded = np.isfinite(problem.control_tube.bounds).all()
+        if (n, m) not in POINTS or not bounded or piecewise_smooth(problem).depends_on_time:
+            return None
+        of_states, of_controls = POINTS[n, m]
+        axes = [np.linspace(low, high, of_states) for low, high in zip(*_state_range(problem), strict=True)]
+        states, controls = _combinations(axes), _controls(problem, of_controls)
+        pairs = np.hstack([np.repeat(states, len(controls), axis=0), np.tile(controls, (len(states), 1))])
+        return cls(problem, axes, pairs, *_interpolate(axes, _successors(problem, pairs)))
+
+    def trajectories(self, multipliers: Multipliers | None, deadline: float = np.inf) -> Iterator[Trajectory]:
+        """Yield trajectories of the grid's values until ``deadline``. Frequency multipliers are in the cost."""
+        problem, states = self.problem, _combinations(self.axes)
+        costs, end = _StageCosts(problem, multipliers), problem.ends[1]
+        cost = costs.at(problem.horizon - 1, self.pairs)
+        spread = float(np.ptp(cost))
+        far = 10 * (1 + spread) * problem.horizon
+        distance = np.maximum(np.maximum(end.lower - states, states - end.upper), 0.0)
+        to_end = spread * (distance / np.maximum(np.ptp(self.axes, axis=1), 1e-300)).sum(axis=1)
+        prices = np.array(END_PRICES if to_end.any() else END_PRICES[:1])
+        value = costs.last(states)[:, None] + prices * to_end[:, None]
+        following = [value]  # of each state and price, from the last time to the first
+        for t in range(problem.horizon - 1, 0, -1):
             if now() > deadline:
                 return
-            following.append(RegularGridInterpolator(axes, value, bounds_error=False, fill_value=far))
-            total = costs.at(t, pairs) + np.nan_to_num(following[-1](after), nan=far)
-            value = np.minimum(total.reshape(-1, len(controls)).min(axis=1), far).reshape(value.shape)
-        trajectory = _follow_values(problem, costs, following[::-1], far)
-        if trajectory is not None:
-            yield trajectory
+            total = cost[:, None] + np.where(self.outside[:, None], far, self.weights @ value)
+            value = np.minimum(total.reshape(len(states), -1, len(prices)).min(axis=1), far)
+            following.append(value)
+            cost = cost if costs.are_same(t - 1, t) else costs.at(t - 1, self.pairs)
+        for price in range(len(prices)):
+            trajectory = self._follow(costs, [values[:, price] for values in following[::-1]], far)
+            if trajectory is not None:
+                yield trajectory
+
+    def _follow(self, costs: _StageCosts, following: list[Array], far: float) -> Trajectory | None:
+        problem = self.problem
+        controls = _controls(problem, FINER * POINTS[problem.state_dim, problem.control_dim][1])
+        box = problem.ends[0]
+        x = [np.clip(np.zeros(problem.state_dim), box.lower, box.upper)]
+        u: list[Array] = []
+        for t in range(problem.horizon):
+            pairs = np.hstack([np.tile(x[-1], (len(controls), 1)), controls])
+            after = _successors(problem, pairs)
+            weights, outside = _interpolate(self.axes, after)
+            total = costs.at(t, pairs) + np.where(outside, far, weights @ following[t])
+            total = np.where(np.isfinite(after).all(axis=1), total, np.inf)
+            best = int(np.argmin(total))
+            if not np.isfinite(total[best]):
+                return None
+            u.append(controls[best])
+            x.append(after[best])
+        return Trajectory(np.array(x), np.array(u))
 
 
-def _follow_values(
-    problem: OptimalControlProblem, costs: _StageCosts, following: list[RegularGridInterpolator], far: float
-) -> Trajectory | None:
-    controls = _controls(problem, FINER * POINTS[problem.state_dim, problem.control_dim][1])
-    box = problem.ends[0]
-    x = [np.clip(np.zeros(problem.state_dim), box.lower, box.upper)]
-    u: list[Array] = []
-    for t in range(problem.horizon):
-        pairs = np.hstack([np.tile(x[-1], (len(controls), 1)), controls])
-        after = _successors(problem, pairs)
-        total = costs.at(t, pairs) + np.nan_to_num(following[t](after), nan=far)
-        total = np.where(np.isfinite(after).all(axis=1), total, np.inf)
-        best = int(np.argmin(total))
-        if not np.isfinite(total[best]):
-            return None
-        u.append(controls[best])
-        x.append(after[best])
-    return Trajectory(np.array(x), np.array(u))
+def _combinations(axes: list[Array]) -> Array:
+    """Return all points with a coordinate of each axis, (points, axes)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _interpolate(axes: list[Array], x: Array) -> tuple[sp.csr_array, Mask]:
+    """Return the weights of ``_combinations`` that interpolate linearly at x (points, n), and which x are outside.
+
+    The rows of points outside, and of those that are no numbers, are zero.
+    """
+    outside, numbers = np.isnan(x).any(axis=1), np.zeros((len(x), 1), dtype=np.int32)
+    weights = np.ones((len(x), 1))
+    for axis, values in zip(axes, np.nan_to_num(x).T, strict=True):
+        outside |= (values < axis[0]) | (values > axis[-1])
+        cell = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, len(axis) - 2).astype(np.int32)
+        share = ((values - axis[cell]) / (axis[cell + 1] - axis[cell]))[:, None]
+        numbers = np.hstack([numbers * len(axis) + cell[:, None], numbers * len(axis) + cell[:, None] + 1])
+        weights = np.hstack([weights * (1 - share), weights * share])
+    weights[outside] = 0.0
+    first = np.arange(0, weights.size + 1, weights.shape[1])
+    shape = len(x), int(np.prod([len(axis) for axis in axes]))
+    return sp.csr_array((weights.ravel(), numbers.ravel(), first), shape=shape), outside
 
 
 class _StageCosts:
@@ -115,7 +145,7 @@ class _StageCosts:
     def __init__(self, problem: OptimalControlProblem, multipliers: Multipliers | None):
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         self._cost, self._n = problem.quadratic, n
-        self._hessians = np.broadcast_to(self._cost.stage_hessians(), (T, n + m, n + m))
+        self._hessians = np.broadcast_to(self._cost.stage_hessians(), (T, n + m, n + m)).copy()  # BLAS takes no views
         x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
         self._formulas = problem.cost.formulas
         self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]
@@ -126,16 +156,22 @@ class _StageCosts:
             self._linear = linear + np.hstack([of_x[:-1], of_u])
             self.end = self.end + of_x[-1]
 
+    def are_same(self, *times: int) -> bool:
+        """Whether the costs at two times are the same function; formulas do not depend on time."""
+        return all(
+            np.array_equal(*(data[t] for t in times)) for data in (self._hessians, self._references, self._linear)
+        )
+
     def at(self, t: int, pairs: Array) -> Array:
         """Return the costs at a time, (points,)."""
         y = pairs - self._references[t]
-        values = 0.5 * np.einsum("pi,ij,pj->p", y, self._hessians[t], y) + y @ self._linear[t]
+        values = 0.5 * np.einsum("pi,pi->p", y @ self._hessians[t], y) + y @ self._linear[t]
         return values + _values_of_cost(self._formulas[0], pairs, t)
 
     def last(self, states: Array) -> Array:
         """Return the costs of the last state, (points,)."""
         a, pairs = states - self._last, np.pad(states, ((0, 0), (0, self._linear.shape[1] - self._n)))
-        values = 0.5 * np.einsum("pi,ij,pj->p", a, self._cost.P, a) + a @ self.end
+        values = 0.5 * np.einsum("pi,pi->p", a @ self._cost.P, a) + a @ self.end
         return values + _values_of_cost(self._formulas[1], pairs, len(self._linear))
 
 
@@ -161,8 +197,7 @@ def _controls(problem: OptimalControlProblem, points: int) -> Array:
     """Return a grid over the bounds of the controls, (points, m)."""
     tube = problem.control_tube
     lower, upper = tube.lower.min(axis=0), tube.upper.max(axis=0)
-    axes = [np.linspace(low, high, points) for low, high in zip(lower, upper, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return _combinations([np.linspace(low, high, points) for low, high in zip(lower, upper, strict=True)])
 
 
 def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
@@ -173,14 +208,12 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
         return lower, upper
     start = np.clip(np.zeros(problem.state_dim), problem.ends[0].lower, problem.ends[0].upper)
     low, high = problem.control_tube.lower, problem.control_tube.upper
-    reached = [start[None]]
-    for i in range(SAMPLES):
-        share = rng.random(low.shape) if i % 2 else np.full(low.shape, rng.random())
-        try:
-            reached.append(simulate(problem, low + share * (high - low), start).x)
-        except NumericalError:
-            continue
-    states = np.vstack(reached)
+    shares = np.array([rng.random(low.shape) if i % 2 else np.full(low.shape, rng.random()) for i in range(SAMPLES)])
+    reached = [np.tile(start, (SAMPLES, 1))]
+    for controls in (low + shares * (high - low)).swapaxes(0, 1):
+        reached.append(_successors(problem, np.hstack([reached[-1], controls])))
+    complete = np.isfinite(reached).all(axis=(0, 2))
+    states = np.vstack([start, *(x[complete] for x in reached)])
     margin = 0.05 * np.ptp(states, axis=0) + 1e-3
     return (
         np.where(np.isfinite(lower), lower, states.min(axis=0) - margin),
@@ -232,8 +265,8 @@ class LocalSearch:
 
     ``best`` is the cheapest trajectory, else the point of least violation; ``tried`` counts starts; ``attempts`` say
     how each ended, and ``message`` why the search stopped early; ``progress`` is called after every start, the first
-    being ``start``. Of smooth problems, a local optimum that ``is_proven`` to be global ends the search, as does a
-    trajectory that grows without a bound.
+    being ``start``. No trajectory costs less than ``least``: one that costs no more ends the search. Of smooth
+    problems, a local optimum that ``is_proven`` to be global ends it, as does a trajectory that grows without a bound.
     """
 
     problem: OptimalControlProblem
@@ -241,6 +274,7 @@ class LocalSearch:
     progress: Callable[[SmoothProgress], None] | None = None
     start: Start | None = None
     is_proven: Callable[[LocalOptimum], bool] = lambda _: False
+    least: float = -np.inf
     best: LocalOptimum | None = None
     tried: int = 0
     message: str = ""
@@ -248,8 +282,8 @@ class LocalSearch:
 
     def __post_init__(self):
         self.end = now() + self.seconds
-        self._known: set[tuple[object, ...]] = set()
-        self._repeated, self.attempts = False, list[Attempt]()
+        self._known, self._decided = set[tuple[object, ...]](), set[bytes]()
+        self._repeated, self._proven, self.attempts = False, False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
         dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
         self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
@@ -267,7 +301,7 @@ class LocalSearch:
                 reason = self._try(start, sequence, warm=warm)
                 if self._late() or reason in (Reason.PROVEN, Reason.UNBOUNDED):
                     return self
-            while not self._late() and (self._on_grid(self.best) or self._improve_neighbours()):
+            while not (self._late() or self._proven) and (self._on_grid(self.best) or self._improve_neighbours()):
                 pass
         except KeyboardInterrupt:
             self.interrupted, self.message = True, "interrupted"
@@ -303,14 +337,18 @@ class LocalSearch:
             pass
         return self.best is not before and self.best is not None and self.best.feasible
 
+    @cached_property
+    def _grid(self) -> ValueGrid | None:
+        return ValueGrid.of(self.problem)
+
     def _on_grid(self, local: LocalOptimum | None) -> bool:
         """Try the trajectory of a grid, with the frequency multipliers of a local optimum; return if it is better."""
         before = self.best
         constrained = self.problem.control_stop.any() or self.problem.state_stop.any()
-        if self._smooth or (local is not None and (not constrained or not local.feasible)):
+        if self._smooth or (local is not None and (not constrained or not local.feasible)) or self._grid is None:
             return False
         multipliers = None if local is None else local.multipliers
-        for trajectory in grid_trajectories(self.problem, multipliers, self.end):
+        for trajectory in self._grid.trajectories(multipliers, self.end):
             self._try(trajectory, piecewise_smooth(self.problem).sequence_of(trajectory.x, trajectory.u))
         return self.best is not before
 
@@ -331,7 +369,7 @@ class LocalSearch:
         """Search from a start; return why another one may be tried, None if this one was tried before."""
         own = (start.x.tobytes(), warm) if self._smooth else ()  # of one map, states need not follow from the controls
         key = sequence.tobytes(), np.round(start.u / self._units, 6).tobytes(), own
-        if self._late() or key in self._known:
+        if self._late() or self._proven or key in self._known or sequence.tobytes() in self._decided:
             return None
         self._known.add(key)
         self.tried += 1
@@ -340,10 +378,13 @@ class LocalSearch:
             useful = self.best.cost + self._least_decrease(self.best)
         optimum, ended = smooth_optimum(self.problem, start, sequence, self.end, warm, useful)
         self.interrupted = ended is End.INTERRUPTED
+        if self._convex and ended in (End.OPTIMAL, End.DEARER):  # whatever the start is
+            self._decided.add(sequence.tobytes())
         reason = Reason.REFUSED if optimum is None else optimum.reason
         if optimum is not None and self._improves(optimum):
             self.best = optimum
-            if self._smooth and reason is Reason.LOCALLY_OPTIMAL and self.is_proven(optimum):
+            self._proven = reason is Reason.LOCALLY_OPTIMAL and self._is_least(optimum)
+            if self._proven:
                 reason = Reason.PROVEN
             elif self._smooth and reason is Reason.FEASIBLE and self._diverges(optimum.trajectory):
                 reason = Reason.UNBOUNDED
@@ -352,6 +393,20 @@ class LocalSearch:
         if self.progress is not None:
             self.progress(SmoothProgress(self._cost, -np.inf, self.tried))
         return reason
+
+    @cached_property
+    def _convex(self) -> bool:
+        """Whether a mode sequence is a convex problem: maps and regions are affine, and there are no other formulas."""
+        modes, given = piecewise_smooth(self.problem).modes, self.problem
+        formulas = [one for mode in modes for one in (*mode.f, *mode.region)]
+        others = given.path_constraints or given.cost.has_formulas or any(mode.domain for mode in modes)
+        return not others and all(affine_row(one) is not None for one in formulas)
+
+    def _is_least(self, optimum: LocalOptimum) -> bool:
+        """Whether an optimum is proven to be global: of one map by ``is_proven``, else by ``least``."""
+        if self._smooth:
+            return self.is_proven(optimum)
+        return optimum.cost - self._least_decrease(optimum) <= self.least
 
     def _improves(self, optimum: LocalOptimum) -> bool:
         """Whether an optimum is preferred to the best one, by its reason, then with less violation or cost."""

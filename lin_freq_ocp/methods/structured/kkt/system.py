@@ -18,6 +18,7 @@ if it is soft). C > 0 is block diagonal: tiny for equations, squares of scalings
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -40,14 +41,13 @@ class System:
     """The operators of one problem, and the cones of its rows by their index in the list."""
 
     def __init__(self, stages: Stages, loops: Loops):
-        self.stages, self.loops, coupling = stages, loops, stages.coupling
-        self.coupling = coupling
-        present, fixed = stages.present, stages.fixed
+        self.loops, coupling, fixed, present = loops, stages.coupling, stages.fixed, stages.present
+        self.coupling, self._fixed = coupling, fixed
         limits = [part.limits for part in coupling.inequalities]
         self.b: Values = [
             stages.d,
             np.where(fixed, stages.initial, 0.0),
-            np.where(present, stages.g, 0.0),
+            stages.g,
             np.concatenate([coupling.terminal_state, *(part.right for part in coupling.equations)]),
             np.concatenate([np.zeros(0), *limits])[:, None],
             *(part.right for part in coupling.balls),
@@ -58,8 +58,19 @@ class System:
         for i, part in enumerate(coupling.balls):
             shape = len(part.radius), 1 + part.dim
             self.cones[BALLS + i] = Cone(np.ones(shape, dtype=bool), (1 + part.dim,))
-        self._AB = np.concatenate([stages.A, stages.B], axis=2)
-        self._G, self._fixed = stages.G * present[:, :, None], fixed
+        self._set_stages(stages)
+
+    def _set_stages(self, stages: Stages) -> None:
+        present = self.cones[STAGES].present
+        self.stages, self._AB = stages, np.concatenate([stages.A, stages.B], axis=2)
+        self._G = stages.G * present[:, :, None]
+        self.b = [stages.d, self.b[INITIAL], np.where(present, stages.g, 0.0), *self.b[EQUATIONS:]]
+
+    def exchanged(self, stages: Stages) -> System:
+        """Return the operators of stages with other numbers; the cones, with their scalings, are the same objects."""
+        other = copy(self)
+        other._set_stages(stages)
+        return other
 
     def rows(self, y: Array) -> Values:
         """Return A y."""

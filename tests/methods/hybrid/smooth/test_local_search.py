@@ -152,3 +152,28 @@ def test_an_answer_of_modes_is_of_use_if_it_costs_less_than_the_best_local_optim
     assert len(limits) > 3
     expected = np.inf if formulas is None else 4.0
     assert limits[3:] == pytest.approx([expected] * len(limits[3:]), rel=1e-6)
+
+
+@pytest.mark.parametrize(("curved", "again"), [("", False), (" + 0.01*x_1**2", True)], ids=["affine", "curved"])
+@pytest.mark.parametrize("ended", [End.OPTIMAL, End.DEARER, End.STALLED])
+def test_a_sequence_of_affine_modes_is_decided_by_one_start(curved, again, ended, monkeypatch):
+    """It is a convex problem: an optimum, and a bound above a known cost, hold whatever the start is."""
+    kinked = lfo.PiecewiseSmoothDynamics.from_formulas([KINK[0], KINK[1] + curved], 2, 1, sampling_time=0.1)
+    sequences = list[bytes]()
+
+    def answer(problem, start, sequence, end, warm, below):
+        sequences.append(sequence.tobytes())
+        return optimum(), ended
+
+    substitute(monkeypatch, "methods.hybrid.smooth_optimum", answer)
+    LocalSearch(replace(PROBLEM, dynamics=kinked)).run()
+    assert (len(set(sequences)) < len(sequences)) is (again or ended is End.STALLED)
+
+
+@pytest.mark.parametrize(("least", "ends"), [(1.0, True), (0.9, False)])
+def test_an_optimum_that_costs_no_more_than_any_trajectory_ends_the_search(least, ends, monkeypatch):
+    kinked = lfo.PiecewiseSmoothDynamics.from_formulas(KINK, 2, 1, sampling_time=0.1)
+    starts = script(monkeypatch, [optimum()])
+    search = LocalSearch(replace(PROBLEM, dynamics=kinked), least=least).run()
+    assert (len(starts) == 1) is ends
+    assert (search.attempts[-1].reason is Reason.PROVEN) is ends
