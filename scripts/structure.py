@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 48_104,
-    "code lines": 44_678,
+    "shipped lines": 48_105,
+    "code lines": 44_679,
     "code lines, linear part": 21_702,
-    "code lines, hybrid": 8_625,
+    "code lines, hybrid": 8_626,
     SHARE_SAID: 19.5,  # at least
     "files": 328,
     "folders": 43,
