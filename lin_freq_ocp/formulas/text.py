@@ -58,20 +58,16 @@ def known_signals(dimensions: tuple[int, int]) -> dict[str, Formula]:
     return names | {"t": nodes.time_of(dimensions)}
 
 
-def _signals_of(function: Callable[..., object]) -> tuple[str, ...]:
-    """Return which of x, u and t a function takes: x and u, also by position, or some by name; else TypeError."""
-    try:
-        return argument_order(function, on_request="t")
-    except TypeError:
-        return argument_order(function, (), "xut")
-
-
 def listed_formulas(field: str, formulas: object, dimensions: tuple[int, int]) -> tuple[Formula, ...]:
     """Return formulas, texts and numbers, or those that a function of signals returns, as formulas."""
     if callable(formulas):
         try:
             signals = dict(zip("xut", (*nodes.signals(*dimensions), nodes.time_of(dimensions)), strict=True))
-            formulas = formulas(*(signals[name] for name in _signals_of(formulas)))
+            try:
+                order = argument_order(formulas, on_request="t")
+            except TypeError:  # it may take some of the signals by their names
+                order = argument_order(formulas, (), "xut")
+            formulas = formulas(*(signals[name] for name in order))
         except LinFreqOCPError:
             raise
         except Exception as error:  # any error of a function that was not made for formulas

@@ -125,12 +125,13 @@ def _interpolate(axes: list[Array], x: Array) -> tuple[sp.csr_array, Mask]:
 
     The rows of points outside, and of those that are no numbers, are zero.
     """
-    outside, numbers = np.isnan(x).any(axis=1), np.zeros((len(x), 1), dtype=np.int32)
+    outside, numbers = np.zeros(len(x), dtype=bool), np.zeros((len(x), 1), dtype=np.int32)
     weights = np.ones((len(x), 1))
-    for axis, values in zip(axes, np.nan_to_num(x).T, strict=True):
-        outside |= (values < axis[0]) | (values > axis[-1])
+    for axis, values in zip(axes, x.T, strict=True):
+        outside |= np.isnan(values) | (values < axis[0]) | (values > axis[-1])
         cell = np.clip(np.searchsorted(axis, values, side="right") - 1, 0, len(axis) - 2).astype(np.int32)
-        share = ((values - axis[cell]) / (axis[cell + 1] - axis[cell]))[:, None]
+        within = np.nan_to_num(np.clip(values, axis[0], axis[-1]))
+        share = ((within - axis[cell]) / (axis[cell + 1] - axis[cell]))[:, None]
         numbers = np.hstack([numbers * len(axis) + cell[:, None], numbers * len(axis) + cell[:, None] + 1])
         weights = np.hstack([weights * (1 - share), weights * share])
     weights[outside] = 0.0
