@@ -51,16 +51,16 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 48_048,
-    "code lines": 44_622,
-    "code lines, linear part": 21_693,
+    "shipped lines": 49_247,
+    "code lines": 45_821,
+    "code lines, linear part": 21_803,
     "code lines, hybrid": 8_578,
     SHARE_SAID: 19.5,  # at least
-    "files": 328,
-    "folders": 43,
-    "folders at the root": 19,
+    "files": 337,
+    "folders": 44,
+    "folders at the root": 20,
     "modules at the root": 11,
-    "names in __all__": 59,
+    "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
     "functions used once [%]": 12.2,
