@@ -5,6 +5,7 @@ The names of everyday use stand here; all names stand in namespaces by subject:
 ``dynamics``   linear, piecewise affine, piecewise smooth
 ``costs``      quadratic, L1 and L-infinity
 ``sets``       boxes, polyhedra, balls, cones, soft constraints, joint rows
+``uncertainty``  loads and plants, of which a plan must bear all
 ``spectrum``   bands, magnitude and energy bounds, bounds on outputs
 ``formulas``   signals, maximum, minimum, norm, functions of CasADi
 ``solvers``    the methods of ``solve``, with their options
@@ -26,7 +27,19 @@ from lin_freq_ocp.base.kinds import register_later
 leave_silently()
 
 if TYPE_CHECKING:
-    from lin_freq_ocp import costs, dynamics, errors, formulas, io, library, results, sets, solvers, spectrum
+    from lin_freq_ocp import (
+        costs,
+        dynamics,
+        errors,
+        formulas,
+        io,
+        library,
+        results,
+        sets,
+        solvers,
+        spectrum,
+        uncertainty,
+    )
     from lin_freq_ocp.api.batch import Solver, solve_many, sweep
     from lin_freq_ocp.api.compare import compare
     from lin_freq_ocp.api.generate import certify_log, generate
@@ -65,10 +78,25 @@ if TYPE_CHECKING:
     from lin_freq_ocp.transform.filtered_control import filtered_control
     from lin_freq_ocp.transform.reformulations import rate_limited
     from lin_freq_ocp.transform.simulation import simulate
+    from lin_freq_ocp.uncertainty import Disturbance, Plants, robust, worst_case
 
 __version__ = "0.1.0"
 
-NAMESPACES = ("dynamics", "costs", "sets", "spectrum", "formulas", "solvers", "io", "results", "errors", "library")
+NAMESPACES = (
+    *(
+        "dynamics",
+        "costs",
+        "sets",
+        "spectrum",
+        "uncertainty",
+        "formulas",
+        "solvers",
+        "io",
+        "results",
+        "errors",
+        "library",
+    ),
+)
 
 # fmt: off
 _names, _import_name = lazy_exports(__name__, {
@@ -82,6 +110,7 @@ _names, _import_name = lazy_exports(__name__, {
     "transform.reformulations": "rate_limited", "transform.simulation": "simulate", "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows", "solvers": "SpectralSolver", "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
+    "uncertainty": "Disturbance Plants robust worst_case",
 })
 # fmt: on
 
@@ -89,15 +118,14 @@ register_later(lambda: import_module("lin_freq_ocp.solving.hybrid"))  # what has
 
 # fmt: off
 __all__ = [
-    "AffineMode", "Box", "DifferentiableFunction", "FiniteSet", "FrequencyResponse", "LinearDynamics", "MagnitudeBound",
-    "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "QuadraticCost",
-    "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows", "Trajectory", "certify",
-    "certify_log", "compare", "costs", "dynamics", "errors", "explain", "filtered_control", "formulas", "from_casadi",
-    "from_time_response", "generate", "io", "library", "load", "load_run", "load_sweep", "low_pass", "maximum",
-    "minimum", "minimum_time", "norm", "rate_limited", "read_csv", "read_mat", "read_problem", "results", "sets",
-    "shaper", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy",
-    "to_jax", "to_torch",
-    "write_problem",
+    "AffineMode", "Box", "DifferentiableFunction", "Disturbance", "FiniteSet", "FrequencyResponse", "LinearDynamics",
+    "MagnitudeBound", "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics",
+    "Plants", "QuadraticCost", "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows",
+    "Trajectory", "certify", "certify_log", "compare", "costs", "dynamics", "errors", "explain", "filtered_control",
+    "formulas", "from_casadi", "from_time_response", "generate", "io", "library", "load", "load_run", "load_sweep",
+    "low_pass", "maximum", "minimum", "minimum_time", "norm", "rate_limited", "read_csv", "read_mat", "read_problem",
+    "results", "robust", "sets", "shaper", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum",
+    "stop_band", "sweep", "to_cvxpy", "to_jax", "to_torch", "uncertainty", "worst_case", "write_problem",
 ]
 # fmt: on
 

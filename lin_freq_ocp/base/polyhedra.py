@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from math import comb
 from typing import Any
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError, ProblemError
 
 # Of the linear programs' rows and slopes: the least that HiGHS takes, far below the radii below
 HIGHS_TOLERANCE = 1e-10
@@ -29,6 +31,7 @@ LARGEST_BALL = 1.0  # the largest radius sought: in an unbounded polyhedron ther
 SMALLEST_PIECE = 1e-10  # radius of the largest ball, in natural units, from which a piece has an interior
 SAME_FUNCTION = 16 * float(np.finfo(np.float64).eps)  # relative difference of coefficients that is rounding
 FLAT = 1e-9  # a row whose normal, or the part of it that counts, is shorter has no direction: rounding
+MOST_CORNERS = 100_000  # combinations of rows of which some are the vertices of a polyhedron
 OPTIMAL, INFEASIBLE = 0, 2  # statuses of ``linprog``
 
 
@@ -259,6 +262,41 @@ def _interval(cell: Cell, start: Array, direction: Array) -> tuple[float, float]
     first = float((slack[falling] / rate[falling]).max(initial=-np.inf))
     last = float((slack[rising] / rate[rising]).min(initial=np.inf))
     return (first, last) if first <= last else (np.inf, -np.inf)
+
+
+def vertices(matrix: Array, limits: Array) -> tuple[Array, Array]:
+    """Return the vertices of a bounded polyhedron, (vertices, d), and bounds of their rounding errors, (d,).
+
+    Raises
+    ------
+    ProblemError
+        If it is empty or unbounded, or has too many combinations of d rows.
+    """
+    from scipy.optimize import linprog  # slow to import
+
+    finite = np.isfinite(limits)
+    F, g, d = matrix[finite], limits[finite], matrix.shape[1]
+    field, whole = "disturbance.set", "a bounded polyhedron that is not empty"
+    for direction in (*np.eye(d), *-np.eye(d)):
+        solved = linprog(direction, A_ub=F, b_ub=g, bounds=(None, None), method="highs") if len(F) else None
+        if solved is None or solved.status != OPTIMAL:
+            raise ProblemError(field, "a polyhedron without bounds, or without points", whole)
+    if comb(len(F), d) > MOST_CORNERS:
+        expected = f"at most {MOST_CORNERS} combinations of rows"
+        raise ProblemError(field, f"{comb(len(F), d)}", expected, "Give the vertices as an array (vertices, k).")
+    scale = 1.0 / np.abs(F).max(axis=0)
+    chosen = np.array(list(combinations(range(len(F)), d)))
+    rows = F[chosen] * scale
+    regular = np.abs(np.linalg.det(rows / np.linalg.norm(rows, axis=2, keepdims=True).clip(min=FLAT**2))) > FLAT
+    corners, inverse = chosen[regular], np.linalg.inv(rows[regular]) * scale[:, None]
+    found = (inverse @ g[corners][..., None])[..., 0]
+    terms = np.abs(found) @ np.abs(F).T + np.abs(g)
+    inside = (found @ F.T <= g + HIGHS_TOLERANCE * terms).all(axis=1)
+    found, inverse, corners = found[inside], np.abs(inverse[inside]), corners[inside]
+    residual = np.abs(g[corners] - (F[corners] @ found[..., None])[..., 0])
+    rounding = (d + 3) * np.finfo(float).eps * np.take_along_axis(terms[inside], corners, axis=1)
+    errors = (1 + SAME_FACET) * (inverse @ (residual + rounding)[..., None])[..., 0]
+    return found, errors.max(axis=0)
 
 
 def hull_weights(points: Array, rays: Array) -> Array:

@@ -78,6 +78,9 @@ class Controller:
             raise ProblemError("max_changes", brief(max_changes), 'certify="later" with it', advice)
         if delay not in (0, 1) or isinstance(delay, bool):
             raise ProblemError("delay", brief(delay), "0, or 1 for a control that acts one step after its measurement")
+        if delay and problem.uncertainty is not None:
+            text = "delay: got 1, for a problem of robust, whose feedback acts on the measured state at once"
+            raise UnsupportedError(f"{text}; expected 0. State the delay as a state of the model.")
         self.problem, self.penalties, self.delay = problem, checked_penalties(soft), int(delay)
         if limits_of_plans(problem):
             warn_user(limits_of_plans(problem), ClosedLoopWarning)

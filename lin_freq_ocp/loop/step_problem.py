@@ -159,7 +159,8 @@ def data_per_time(problem: OptimalControlProblem) -> str:
     """Return which data are given per time, and what a loop makes of them, in a sentence; empty if there are none."""
     cost, sets = problem.quadratic, {"state_set": problem.state_set, "control_set": problem.control_set}
     given = {f"cost.{name}": getattr(cost, name).ndim > 1 for name in PREVIEWED}
-    given |= {field: any(one.bounds[0].ndim > 1 for one in entries_of(entry)) for field, entry in sets.items()}
+    if problem.uncertainty is None:  # its margins grow over each plan
+        given |= {field: any(one.bounds[0].ndim > 1 for one in entries_of(entry)) for field, entry in sets.items()}
     given["dynamics.offset"] = np.ndim(getattr(problem.form, "offset", 0.0)) > 1  # nonlinear dynamics have none
     fields = [field for field, per_time in given.items() if per_time]
     if not fields:

@@ -53,6 +53,11 @@ class ProblemData:
         """Return the position of zero states in the coordinates of the user (``Translation``); None for zero."""
         return self.__dict__.get("_origin")
 
+    @property
+    def uncertainty(self) -> object:
+        """Return the uncertainty against which ``robust`` has tightened the limits; None without."""
+        return self.__dict__.get("_uncertainty")
+
     @cached_property
     def state_dim(self) -> int:
         """The number n of states."""

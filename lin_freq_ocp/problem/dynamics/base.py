@@ -160,6 +160,10 @@ class Dynamics(ABC):
         """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states, if they are linear."""
         raise UnsupportedError(f"disturbance: a preview needs linear dynamics; these are {self.words}.")
 
+    def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> Dynamics:
+        """Return the dynamics of the states of several plants of this class under the same controls, if linear."""
+        raise UnsupportedError(f"plants: got dynamics that are {self.words}; expected linear ones.")
+
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> Dynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t, A (k, k) and B (k, m)."""
         return self.standard_form.augmented(A, B, names, horizon)

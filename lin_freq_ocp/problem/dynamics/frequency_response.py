@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,7 +29,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import first_few, plural
-from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.measured import read_response
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
@@ -311,6 +311,13 @@ class FrequencyResponse(StateEquations):
         if self.disturbance is not None:
             known = known + np.abs(self.disturbance).max(0)
         return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
+
+    def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> FrequencyResponse:
+        """Return the response of the outputs of several plants to the same controls, with these names."""
+        plants, none = cast("Sequence[FrequencyResponse]", plants), np.zeros((horizon + self.padded, self.state_dim))
+        known = np.hstack([none if one.disturbance is None else one.disturbance for one in plants])
+        G, offset = np.hstack([one.G for one in plants]), np.hstack([one.offset for one in plants])
+        return FrequencyResponse(G, self.sampling_time, offset, known, self.mode, names, self.control_names)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> FrequencyResponse:
         """Return the response with the outputs w_{t+1} = B u_t too; a recursion A other than zero is refused."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +28,7 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import datum, plural
-from lin_freq_ocp.problem.dynamics.base import StateEquations, Step, signal_labels
+from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, Step, signal_labels
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem, Labels, clock, linearisation, state_equation
 from lin_freq_ocp.problem.dynamics.measured import plant_in_mat
 from lin_freq_ocp.problem.dynamics.plant import ContinuousPlant
@@ -401,6 +401,20 @@ class LinearDynamics(StateEquations):
     def disturbed(self, disturbance: Array) -> LinearDynamics:
         """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states."""
         return replace(self, offset=self.offset + disturbance)
+
+    def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> LinearDynamics:
+        """Return the dynamics of the states of several plants under the same controls, with these names."""
+        plants = cast("Sequence[LinearDynamics]", plants)
+        varying = (horizon,) if any(one.time_varying for one in plants) else ()
+        A = np.zeros((*varying, len(names), len(names)))
+        B = [np.broadcast_to(one.B, (*varying, *one.B.shape[-2:])) for one in plants]
+        for k, one in enumerate(plants):
+            own = slice(k * self.state_dim, (k + 1) * self.state_dim)
+            A[..., own, own] = one.A
+        times = (horizon,) if any(one.offset.ndim == 2 for one in plants) else ()
+        offset = np.concatenate([np.broadcast_to(one.offset, (*times, self.state_dim)) for one in plants], axis=-1)
+        labels = self.sampling_time, names, self.control_names
+        return LinearDynamics(A, np.concatenate(B, axis=-2), offset, *labels)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""

@@ -12,14 +12,14 @@ any penalty of ``problem/terms``. For problem files it needs an entry in ``files
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, freeze, with_columns, with_products
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import MOST_TEXT
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.terms.term import Link
@@ -128,6 +128,22 @@ class ConvexSet(ABC):
         parts = tuple(part.translated(origin) for part in self.parts(n))
         text = self.describe([f"x[{i}]" for i in range(n)], "x")
         return PartSet(parts, n, text, (lower - origin, upper - origin))
+
+    def tightened(self, less: Callable[[Array], Array], dimension: int) -> ConvexSet:
+        """Return the set with a margin: ``less`` maps rows F (rows, n) to the margins of F v, (rows,); bounds stay."""
+        sides = np.vstack([np.eye(dimension), -np.eye(dimension)])
+        if less(sides).any():
+            got = f"a set of the kind {type(self).__name__}, whose values are uncertain"
+            raise UnsupportedError(f"robust: got {got}; expected bounds, joint rows and polyhedra. State a polyhedron.")
+        return self
+
+    def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
+        """Return the map from directions y (..., n) to points of the set with the largest y'v, and their error, (n,).
+
+        |y|'error bounds how much larger the exact value is; infinite along components without a bound.
+        """
+        expected = "a Box, Ball, Ellipsoid or Polyhedron, Records, Gaussian, or an array of measured loads"
+        raise ProblemError("disturbance.set", f"a set of the kind {type(self).__name__}", expected)
 
     def violation(self, v: Array) -> Array:
         """Return the largest violation of a constraint of the set by each v (..., n); 0 inside."""

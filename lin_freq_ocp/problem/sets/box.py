@@ -6,7 +6,7 @@ Methods without a docstring are described by ``ConvexSet``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -140,6 +140,12 @@ class Box(ConvexSet):
 
     def translated(self, origin: Array) -> Box:
         return Box(self.lower - origin, self.upper - origin)
+
+    def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
+        box = self.at_dimension(dimension, "disturbance.set")
+        if box.lower.ndim > 1:
+            raise ProblemError("disturbance.set", "bounds that depend on time", "one box for all times")
+        return lambda y: np.where(y > 0, box.upper, box.lower), np.zeros(dimension)
 
     def at_dimension(self, dimension: int, field: str) -> Box:
         """Return the box with bounds of shape (dimension,) or (times, dimension)."""

@@ -6,7 +6,7 @@ Methods without a docstring are described by ``ConvexSet``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -27,6 +27,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
+from lin_freq_ocp.base.polyhedra import vertices
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection, Part
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
@@ -75,6 +76,13 @@ class Polyhedron(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.F, np.zeros(len(self.F)), HalfSpaces(self.g, HARD)),)
 
+    def tightened(self, less: Callable[[Array], Array], dimension: int) -> Polyhedron:
+        return Polyhedron(self.F, self.g - less(self.F))
+
+    def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
+        points, error = vertices(self.F, self.g)
+        return lambda y: points[(y @ points.T).argmax(axis=-1)], error
+
     def augmented(self, n: int, k: int) -> Polyhedron:
         return Polyhedron(with_columns(self.F, k), self.g)
 
@@ -121,6 +129,23 @@ class Ellipsoid(ConvexSet):
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return (Part(self.W, -self.W @ np.broadcast_to(self.centre, dimension), _ball(self.radius)),)
 
+    def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
+        if self.W.shape != (dimension, dimension) or np.linalg.matrix_rank(self.W) < dimension:
+            raise ProblemError(
+                "disturbance.set.W", f"shape {self.W.shape}", f"a regular matrix ({dimension}, {dimension})"
+            )
+        inverse = np.linalg.inv(self.W)  # W^-1 = inverse (I - R)^-1 with the residual R = I - W inverse
+        rounding = dimension * np.finfo(float).eps * np.abs(self.W) @ np.abs(inverse)
+        residual = float(np.linalg.norm(np.abs(np.eye(dimension) - self.W @ inverse) + rounding))
+        reach = self.radius * np.linalg.norm(inverse, axis=1)
+
+        def point(y: Array) -> Array:
+            turned = y @ inverse
+            length = np.linalg.norm(turned, axis=-1, keepdims=True)
+            return self.centre + self.radius * (turned / np.where(length > 0, length, 1.0)) @ inverse.T
+
+        return point, reach * residual / (1 - residual) if residual < 1 else np.full(dimension, np.inf)
+
     def augmented(self, n: int, k: int) -> Ellipsoid:
         return Ellipsoid(with_columns(self.W, k), self.radius, with_columns(np.broadcast_to(self.centre, n), k))
 
@@ -166,6 +191,9 @@ class Ball(ConvexSet):
 
     def augmented(self, n: int, k: int) -> Ellipsoid:
         return Ellipsoid(np.eye(n), self.radius, self.centre).augmented(n, k)
+
+    def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
+        return Ellipsoid(np.eye(dimension), self.radius, self.centre).farthest(dimension)
 
     def describe(self, names: Sequence[str], signal: str) -> str:
         centre = vector(self.centre) if self.centre.any() else "the origin"
@@ -278,6 +306,13 @@ class Soft(ConvexSet):
 
     def relaxed(self, amount: float, dimension: int) -> Soft:
         return self
+
+    def tightened(self, less: Callable[[Array], Array], dimension: int) -> ConvexSet:
+        (part,) = self.parts(dimension)
+        if not part.penalty.polyhedral:
+            return super().tightened(less, dimension)
+        limits = part.penalty.bounds((1, len(part.F)))[1].reshape(-1)
+        return Soft(Polyhedron(part.F, limits - less(part.F)), self.penalty)
 
     def translated(self, origin: Array) -> Soft:
         return Soft(self.soft_set.translated(origin), self.penalty)

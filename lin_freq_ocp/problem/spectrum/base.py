@@ -117,6 +117,10 @@ class FrequencyConstraint(ABC):
         """Return a copy with all levels higher by an amount."""
         return self if self.levels is None else self.at_levels(self.levels + amount)
 
+    def tightened(self, signal: Signal, field: str, leak: Callable[[SpectrumMap], Array]) -> list[FrequencyConstraint]:
+        """Return the constraints with the limits of bins less ``leak`` of their spectrum, (bins,); others stay."""
+        return [self]
+
     @property
     def constraints(self) -> Sequence[FrequencyConstraint]:
         """Return the constraints of this entry of a problem: several if it constrains outputs, else itself."""

@@ -8,7 +8,7 @@ They bound the bins that a band would remove: MagnitudeBound(0, band=low_pass(..
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -34,7 +34,7 @@ from lin_freq_ocp.problem.spectrum.stated_limits import (
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.quantity import SQUARED, Quantity, Statement
 from lin_freq_ocp.problem.terms.semi_infinite import MagnitudeMask, ZeroOrderHoldMap, ZeroOrderHoldMask
-from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap
+from lin_freq_ocp.problem.terms.spectrum_maps import FrequencyMap, SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term
 
 NO_LOWER_MASK = (
@@ -243,6 +243,23 @@ class MagnitudeBound(SpectrumBound):
     def at_levels(self, levels: Array) -> Self:
         limit = np.asarray(self.quantity.stated(levels))
         return self.changed(limit=np.column_stack([self.limit[:, 0], limit]) if self.limit.ndim == 2 else limit)
+
+    def tightened(self, signal: Signal, field: str, leak: Callable[[SpectrumMap], Array]) -> list[FrequencyConstraint]:
+        if self.every_frequency or self.quantity.of_fundamental:
+            return [self]
+        tight = list[FrequencyConstraint]()
+        for one in self.on_components(len(signal.names)):
+            for name, spectrum, levels, sums in one.spectra(signal, field):
+                added = leak(spectrum) / sums
+                less = levels - added
+                if self.penalty is None and (less < 0).any():
+                    k = int(np.argmin(less))
+                    got = f"{number(float(levels[k]))} at bin {spectrum.bins[k]} of {short_name(name)}"
+                    advice = "gain=None adds nothing to controls."
+                    raise ProblemError(field, got, f"at least {number(float(added[k]))}, which loads can add", advice)
+                limit = np.asarray(self.quantity.stated(np.maximum(less, 0.0)))
+                tight.append(one.changed(limit=limit) if added.any() else one)
+        return tight
 
     @property
     def factor(self) -> float:

@@ -1,0 +1,10 @@
+"""Plans that hold for every load and every plant of a set, and the proof of the worst case of a plan."""
+
+from lin_freq_ocp.base import lazy_exports
+
+# fmt: off
+__all__, __getattr__ = lazy_exports(__name__, {
+    "disturbance": "Disturbance", "loads": "Gaussian Records", "plants": "Plants", "protocol": "robust worst_case",
+    "worst_loads": "Worst WorstCase",
+})
+# fmt: on

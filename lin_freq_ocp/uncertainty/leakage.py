@@ -1,0 +1,82 @@
+"""What loads add to spectra: u = v + K e, and e has every frequency that loads excite.
+
+At a bin, the spectrum of K e, or of any output of e, is sum_j M_kj w_j with
+M_kj = sum_{t>j} exp(-2 pi i k t/N) c'A_K^(t-1-j) E.
+
+Over boxes these numbers are a zonogon with known vertices, so the largest modulus is exact; over other sets it is
+bounded from a finite number of directions (docs/robust.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, ComplexArray
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, named_entries
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
+from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
+
+
+@dataclass(frozen=True, eq=False)
+class Leakage:
+    """What loads add to the bins of a spectrum, around the spectrum of a plan."""
+
+    planned: ComplexArray  # (bins,)
+    largest: Array  # (bins,): of |planned + added|, exact or an upper bound; inf if there is none
+    loads: Array | None  # (bins, T, k), at which this is attained, or nearly
+
+    @property
+    def added(self) -> Array:
+        """Return by how much loads raise the magnitude of each bin, (bins,)."""
+        return self.largest - np.abs(self.planned)
+
+
+def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray | None = None) -> Leakage:
+    """Return what loads add to the spectrum ``planned`` (bins,) of a plan; zeros without."""
+    n, m = loop.E.shape[-2], len(loop.K)
+    of_x, of_u = (np.zeros(k) if row is None else row for row, k in ((spectrum.C, n), (spectrum.D, m)))
+    row = of_x + of_u @ loop.K
+    centre = np.zeros(len(spectrum.bins), dtype=complex) if planned is None else planned
+    if not row.any():
+        return Leakage(centre, np.abs(centre), np.zeros((len(centre), loop.horizon, loop.E.shape[-1])))
+    pairs = replace(spectrum, joint=False).waves().reshape(len(spectrum.bins), 2, -1)
+    M = loop.leakage(pairs[:, 0] + 1j * pairs[:, 1], row)
+    found = None if loop.forever or loop.start is not None else loop.loads.modulus(M, centre)
+    return Leakage(centre, *(found or (np.full(len(centre), np.inf), None)))
+
+
+def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:
+    """Return the fields of spectra, with masks at bins less the worst leakage of each bin."""
+    n, m, step = problem.state_dim, problem.control_dim, problem.sampling_time
+    samples = problem.state_samples, problem.horizon
+    signals = {
+        "state_spectrum": Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, samples[0], step),
+        "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, samples[1], step),
+    }
+
+    def tighten(one: FrequencyConstraint, signal: Signal, field: str) -> list[FrequencyConstraint]:
+        def leak(spectrum: SpectrumMap) -> Array:
+            added = leakage(loop, spectrum).added
+            if np.isinf(added).any():
+                got = "a mask of a signal that loads change, with Gaussian loads, start or forever"
+                raise UnsupportedError(f"{field}: got {got}; expected bounded loads from the start of the plan on.")
+            return added
+
+        return one.tightened(signal, field, leak)
+
+    changes: dict[str, object] = {
+        field: [new for where, one in named_entries(field, given) for new in tighten(one, signals[field], where)]
+        for field in signals
+        if (given := getattr(problem, field)) is not None
+    }
+    outputs = list[object]()
+    for where, entry in named_entries("output_spectrum", problem.output_spectrum):
+        signal = entry.signal(n, m, (problem.horizon + 1, problem.horizon), step, where)
+        tight = [new for one in entry.constraints for new in tighten(one, signal, where)]
+        outputs.append(entry.with_constraints(tight))
+    return changes | ({"output_spectrum": outputs} if outputs else {})

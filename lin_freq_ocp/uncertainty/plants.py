@@ -1,0 +1,205 @@
+"""Several plants under one control: a problem in the states of all of them, with every limit on each.
+
+It is exact, and an ordinary problem: the plans are those that hold for each of the plants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, brief, real_array, times_vectors
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.phrases import plural, split_unit
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.base import Dynamics
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
+from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, component_indices, entries_of
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.limits import intersection, map_sets
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.uncertainty.protocol import Uncertainty
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
+
+
+class Plants(Uncertainty):
+    """The plant is one of several, and the control does not know which: limits, ends and spectra hold for each.
+
+    Parameters
+    ----------
+    plants : sequence of LinearDynamics or of FrequencyResponse
+        Of the same states, controls and sampling time as the dynamics of the problem, which need not be among them.
+    shares : (plants,), optional
+        Weights of the plants in the cost, which is the mean over them. Default: all alike.
+
+    Raises
+    ------
+    ProblemError
+        If a plant does not fit the others; with its number.
+
+    Examples
+    --------
+    >>> problem = lfo.library.double_integrator(horizon=40, cutoff_hz=None, terminal_state=None)
+    >>> plants = [problem.dynamics, lfo.LinearDynamics(problem.dynamics.A, 1.1 * problem.dynamics.B, sampling_time=0.1)]
+    >>> lfo.robust(problem, lfo.Plants(plants[:1])).state_dim
+    2
+    """
+
+    def __init__(self, plants: Sequence[Dynamics], shares: ArrayLike | None = None):
+        if not isinstance(plants, Sequence) or not plants:
+            raise ProblemError("plants", brief(plants), "a list of at least one LinearDynamics or FrequencyResponse")
+        self.plants = tuple(plants)
+        weights = np.ones(len(plants)) if shares is None else real_array("plants.shares", shares)
+        if weights.shape != (len(plants),) or (weights < 0).any() or not weights.any():
+            expected = f"{len(plants)} weights, zero or above, and not all zero"
+            raise ProblemError("plants.shares", brief(shares), expected)
+        self.shares = weights / weights.sum()
+
+    def _require(self, problem: OptimalControlProblem) -> None:
+        own = problem.dynamics
+        for k, plant in enumerate(self.plants):
+            field = f"plants[{k}]"
+            if type(plant) is not type(own):
+                raise ProblemError(field, brief(plant), f"a {type(own).__name__}, as the problem has")
+            sizes, known = (plant.state_dim, plant.control_dim), (own.state_dim, own.control_dim)
+            if sizes != known or plant.sampling_time != own.sampling_time:
+                got = f"{sizes[0]} states, {sizes[1]} controls, {plant.sampling_time} s"
+                raise ProblemError(field, got, f"{known[0]} states, {known[1]} controls, {own.sampling_time} s")
+            plant.require_horizon(problem.horizon)
+
+    def tightened(
+        self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None
+    ) -> OptimalControlProblem:
+        """Return the problem in the states of all plants; see ``robust``."""
+        self._require(problem)
+        if end is not None:
+            raise UnsupportedError("end: got 'invariant' with Plants; expected None, or a Disturbance.")
+        if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
+            raise UnsupportedError(
+                "cost, stage_rows: got norms or formulas; expected a quadratic cost and linear rows."
+            )
+        n, K, T = problem.state_dim, len(self.plants), problem.horizon
+        periodic = problem.terminal_state.links(n, T)
+        if any(not link.repeats for link in periodic):
+            raise UnsupportedError("terminal_state: got linked ends; expected a set, or Periodic().")
+        place = [np.eye(K * n)[k * n : (k + 1) * n] for k in range(K)]  # x^k = place x
+        every, names = partial(_on_every_plant, place), problem.state_names
+
+        def outputs(given: OutputSpectrum, k: int) -> OutputSpectrum:
+            C = None if given.C is None else given.C @ place[k]
+            labels = [_of_plant(name, k) for name in given.output_names]
+            return OutputSpectrum(C, given.D, given.constraints, labels)
+
+        spectra = [
+            one.changed(component=k * n + i)
+            for given in entries_of(problem.state_spectrum)
+            for i in component_indices("state_spectrum", given.component, names)
+            for k in range(K)
+            for one in [given]
+        ]
+        rows = [
+            StageRows(rows.C @ place[k], rows.D, rows.e, _of_plant(rows.name, k), rows.penalty)
+            for rows in problem.stage_rows
+            for k in range(K)
+        ]
+        tight = replace(
+            problem,
+            dynamics=self.plants[0].stacked(self.plants, [_of_plant(name, k) for k in range(K) for name in names], T),
+            cost=self._mean_cost(problem.quadratic, place),
+            state_set=map_sets(problem.state_set, every),
+            initial_state=every(problem.initial_state),
+            terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
+            stage_rows=rows or None,
+            state_spectrum=spectra or None,
+            output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
+        )
+        tight.__dict__["_uncertainty"] = self
+        return tight
+
+    def _mean_cost(self, cost: QuadraticCost, place: Sequence[Array]) -> QuadraticCost:
+        """Return the mean of the costs of all plants; the part of the controls counts once."""
+        mean = list(zip(self.shares, place, strict=True))
+        reference = sum(np.broadcast_to(cost.x_ref, (*cost.x_ref.shape[:-1], len(place[0]))) @ one for one in place)
+        return QuadraticCost(
+            Q=sum(share * one.T @ cost.Q @ one for share, one in mean),
+            R=cost.R,
+            S=sum(share * one.T @ cost.S for share, one in mean),
+            q=sum(share * cost.q @ one for share, one in mean),
+            r=cost.r,
+            P=sum(share * one.T @ cost.P @ one for share, one in mean),
+            p=sum(share * cost.p @ one for share, one in mean),
+            x_ref=reference,
+            u_ref=cost.u_ref,
+        )
+
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+        """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
+        self._require(problem)
+        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
+        assert trajectory is not None  # worst_case checks it
+        n, u, found = problem.state_dim, trajectory.u, dict[str, list[Worst]]()
+        if u.shape != (problem.horizon, problem.control_dim):
+            raise ProblemError("plan", f"controls {u.shape}", f"shape {(problem.horizon, problem.control_dim)}")
+        starts = trajectory.x[0].reshape(-1, n)
+        for k, plant in enumerate(self.plants):
+            own = replace(problem, dynamics=plant)
+            start = starts[min(k, len(starts) - 1)] if own.response is None else None
+            for one in _closest_values(own, simulate(own, u, start)):
+                found.setdefault(one.name, []).append(replace(one, plant=k + 1))
+        limits = list[Worst]()
+        for cases in found.values():  # the plan of the first plant, and what the worst one adds
+            first, most = cases[0], max(cases, key=lambda case: case.violation)
+            added = most.sign * (most.planned - first.planned)
+            limits.append(replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0)))
+        return WorstCase(f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits))
+
+
+def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
+    """Yield each limit at the time, or bin, where a trajectory is closest to it."""
+    x, u = trajectory.x, np.vstack([trajectory.u, np.zeros((1, problem.control_dim))])
+    for rows in hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
+        values = times_vectors(rows.C, x) + times_vectors(rows.D, u)
+        sizes = times_vectors(np.abs(rows.C), np.abs(x)) + times_vectors(np.abs(rows.D), np.abs(u))
+        for i in np.flatnonzero(np.isfinite(rows.limits).any(axis=0)).tolist():
+            t = int(np.argmin(rows.limits[:, i] - values[:, i]))
+            value, limit = (float(rows.sign * part[t, i]) for part in (values, rows.limits))
+            size = float(sizes[t, i]) + abs(limit)
+            yield Worst(rows.names[i], t, value, 0.0, limit, size, attained=value, sign=rows.sign)
+    for name, spectrum, limits in limited_spectra(problem):
+        sizes = np.linalg.norm(spectrum.values(x, trajectory.u), axis=1)
+        stop = np.where(np.isnan(limits), 0.0, limits)
+        k = int(np.argmax(sizes - stop))
+        size = float(np.abs(trajectory.x).max() + np.abs(trajectory.u).max()) * problem.horizon
+        value = float(sizes[k])
+        yield Worst(name, int(spectrum.bins[k]), value, 0.0, float(stop[k]), size, value, in_spectrum=True)
+
+
+def _on_every_plant(place: Sequence[Array], given: ConvexSet) -> ConvexSet:
+    """Return the set of (x^1, .., x^K) with every x^k in a set."""
+    n = len(place[0])
+    box = box_of(given).at_dimension(n, "state_set")
+    if any(member.soft for member in given.members):
+        raise UnsupportedError("state_set: got a soft set with Plants; expected hard sets, or soft stage rows.")
+    members = [
+        PartSet(
+            tuple(Part(part.F @ one, part.c, part.penalty) for part in member.parts(n)), one.shape[1], f"set {k + 1}"
+        )
+        for member in given.members
+        for k, one in enumerate(place)
+    ]
+    repeated = (np.tile(side, len(place)) for side in box.bounds)
+    return intersection(Box(*repeated), members)
+
+
+def _of_plant(name: str, k: int) -> str:
+    label, unit = split_unit(name)
+    return f"{label} of plant {k + 1} [{unit}]" if unit else f"{label} of plant {k + 1}"

@@ -1,0 +1,118 @@
+"""Plans that hold for every load and every plant of a set: the tightened problem, and the worst case of a plan."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Literal
+
+from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.uncertainty.worst_loads import WorstCase
+
+
+class Uncertainty(ABC):
+    """What is uncertain about a problem."""
+
+    @abstractmethod
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> OptimalControlProblem:
+        """Return the ordinary problem whose plans hold for all cases."""
+
+    @abstractmethod
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+        """Return what the worst case does to a plan, by the given limits."""
+
+
+@one_blas_thread
+def robust(
+    problem: OptimalControlProblem, uncertainty: Uncertainty, end: Literal["invariant"] | None = None
+) -> OptimalControlProblem:
+    """Return an ordinary problem whose plans satisfy all limits of the given one, whatever the loads or the plant.
+
+    The problem keeps its size; bounds, joint rows, polyhedra and masks at bins are tightened by margins. Solvers, loops
+    and generated C take it as any other.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        Of linear dynamics without modes, formulas or levels.
+    uncertainty : Disturbance or Plants
+    end : "invariant", optional
+        Plans of a ``Disturbance`` end in a set of rows from which they continue for ever, whatever the loads: then
+        every step of a receding horizon has a plan. The terminal state must be free, and all limits constant.
+
+    Returns
+    -------
+    OptimalControlProblem
+
+    Raises
+    ------
+    ProblemError
+        If the uncertainty does not fit the problem, or its margins exceed the range of a limit.
+    UnsupportedError
+        If the problem has modes, formulas, levels, or balls or cones of uncertain signals.
+
+    Warns
+    -----
+    ClosedLoopWarning
+        Where a limit holds for the plan only: fixed and linked ends, stop bands of signals that loads change.
+
+    Examples
+    --------
+    >>> problem = lfo.library.double_integrator(cutoff_hz=None, terminal_state=None)
+    >>> load = lfo.Disturbance(lfo.Box(-1e-3, 1e-3), input=[[0.0], [1.0]])
+    >>> plan = lfo.solve(lfo.robust(problem, load))
+    >>> bool(lfo.worst_case(problem, load, plan))
+    True
+    """
+    require_problem(problem)
+    if end not in (None, "invariant"):
+        raise ProblemError("end", brief(end), "'invariant' or None")
+    return _require_uncertainty(uncertainty).tightened(problem, end)
+
+
+@one_blas_thread
+def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: Trajectory | Outcome) -> WorstCase:
+    """Return what the worst load or plant does to a plan, limit by limit, with a proof and a simulation.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        As it was given to ``robust``, not the tightened problem.
+    uncertainty : Disturbance or Plants
+    plan : Trajectory or Result
+        From any tool.
+
+    Returns
+    -------
+    WorstCase
+        Print it for a table.
+
+    Raises
+    ------
+    ProblemError
+        If the plan or the uncertainty does not fit the problem.
+
+    Examples
+    --------
+    >>> problem = lfo.library.double_integrator(terminal_state=None)
+    >>> load = lfo.Disturbance(lfo.Box(-1e-3, 1e-3), input=[[0.0], [1.0]], gain=[[-1.0, -1.8]])
+    >>> worst = lfo.worst_case(problem, load, lfo.solve(problem))
+    >>> worst["acceleration, upper"].index, round(worst["acceleration, upper"].attained, 4)
+    (199, 0.0625)
+    """
+    require_problem(problem)
+    trajectory = getattr(plan, "trajectory", plan)
+    if not isinstance(trajectory, Trajectory):
+        raise ProblemError("plan", brief(plan), "a Trajectory, or a result with one")
+    return _require_uncertainty(uncertainty).worst(problem, plan)
+
+
+def _require_uncertainty(given: object) -> Uncertainty:
+    if not isinstance(given, Uncertainty):
+        advice = "Loads in a box are lfo.Disturbance(lfo.Box(lower, upper))."
+        raise ProblemError("uncertainty", brief(given), "a Disturbance or Plants", advice)
+    return given

@@ -1,0 +1,179 @@
+"""The worst case of plans: attained by simulation, noticed where a margin is too small, and spectra."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.tubes import simulate, tube
+
+LOAD = lfo.Disturbance(lfo.Box(-0.15, 0.15))
+
+
+def test_the_worst_case_of_the_example_is_that_of_the_design():
+    problem = tube()
+    found = lfo.solve(lfo.robust(problem, LOAD))
+    worst = lfo.worst_case(problem, LOAD, found)
+    assert found.cost == pytest.approx(212.47, abs=0.01)
+    assert lfo.solve(problem).cost == pytest.approx(190.02, abs=0.01)
+    speed, low = worst["x_1, upper"], worst["u_0, lower"]
+    assert (speed.limit, low.limit, low.index) == (2, -1, 8)
+    assert low.planned == pytest.approx(-0.74, abs=1e-3)
+    assert low.margin == pytest.approx(0.26, abs=1e-3)
+    np.testing.assert_allclose(worst.end, (1.227, 0.514), atol=1e-3)
+    assert "1 % larger loads cost 0.136 %" in str(worst)
+    assert "proven" in str(worst)
+    assert "u_0, lower" in worst._repr_html_()
+
+
+def test_every_worst_case_is_attained_by_the_loads_that_it_returns():
+    problem = tube()
+    worst = lfo.worst_case(problem, LOAD, lfo.solve(problem))  # a plan without margins
+    plan, K = lfo.solve(problem).trajectory, LOAD.feedback(problem)
+    for one in worst.limits:
+        assert np.abs(one.loads).max() <= 0.15
+        x, u = simulate(problem, K, plan, np.eye(2), one.loads[None])
+        signal, component = (x, one.name[2]) if one.name[0] == "x" else (u, one.name[2])
+        value = signal[0, one.index, int(component)]
+        assert one.attained == pytest.approx(value, abs=1e-12)
+        assert one.planned + one.sign * one.margin == pytest.approx(value, abs=1e-12)
+    assert not worst
+    assert [one.name for one in worst.limits if not one.holds] == ["x_1, upper", "u_0, upper", "u_0, lower"]
+    assert "violated" in str(worst)
+    assert worst.closest.name == "x_1, upper"
+    assert "Violated: 3 limits" in worst.verdict
+
+
+@pytest.mark.parametrize("missing", [1e-6, 1e-3])
+def test_a_margin_that_is_a_little_too_small_is_noticed(missing):
+    problem = tube()
+    tight = lfo.robust(problem, LOAD)
+    wider = lfo.Box(tight.control_set.lower - missing, tight.control_set.upper + missing)
+    worst = lfo.worst_case(problem, LOAD, lfo.solve(replace(tight, control_set=wider)))
+    broken = [one for one in worst.limits if not one.holds]
+    assert broken
+    assert all(one.name.startswith("u_0") for one in broken)
+    assert max(one.violation for one in broken) == pytest.approx(missing, rel=1e-2)
+    assert max(one.sign * (one.attained - one.limit) for one in broken) == pytest.approx(missing, rel=1e-2)
+
+
+def test_the_price_of_larger_loads_is_the_slope_of_the_cost():
+    rows = lfo.StageRows([[1.0, 1.0]], [[0.0]], [1.5], name="sum")
+    problem = tube(stage_rows=rows, terminal_state=lfo.Box([-1.5, -1], [1.5, 1]))
+    K = LOAD.feedback(problem)
+    loads = [lfo.Disturbance(lfo.Box(-size, size), gain=K) for size in (0.1, 0.1 * 1.0001, 0.1 * 0.9999)]
+    plans = [lfo.solve(lfo.robust(problem, load)) for load in loads]
+    worst = lfo.worst_case(problem, loads[0], plans[0])
+    assert worst.price == pytest.approx((plans[1].cost - plans[2].cost) / 2e-4, rel=1e-4)
+    assert worst
+    assert worst["sum"].attained == pytest.approx(worst["sum"].planned + worst["sum"].margin)
+    assert worst["end of x_0, upper"].index == 10
+
+
+def test_sets_rows_and_soft_limits_are_tightened_and_judged():
+    rows = lfo.StageRows([[1.0, 0.0], [0.0, 1.0]], [[0.5], [0.0]], [1.8, np.inf], name="joint")
+    varying = lfo.StageRows(
+        np.tile([[[0.0, 1.0]]], (10, 1, 1)), np.zeros((10, 1, 1)), np.linspace(1.9, 1.5, 10)[:, None], "ramp"
+    )
+    sets = [lfo.Box([-10, -2], [2, 2]) & lfo.sets.Polyhedron([[1.0, 1.0]], [2.5])] * 11
+    soft = lfo.Box([-10, -2], [2, 2]) & lfo.sets.Soft(lfo.Box([None, -1.0], [None, 1.0]), 50.0)
+    load = lfo.Disturbance(lfo.Box(-0.05, 0.05))
+    for changes in ({"stage_rows": [rows, varying], "state_set": sets}, {"state_set": soft}):
+        problem = tube(**changes)
+        tight = lfo.robust(problem, load)
+        found = lfo.solve(tight)
+        assert found.status == "optimal"
+        worst = lfo.worst_case(problem, load, found)
+        assert worst
+        assert all(one.attained == pytest.approx(one.planned + one.sign * one.margin) for one in worst.limits)
+    assert {"joint", "ramp"} <= {
+        one.name.removeprefix("row 0 of ")
+        for one in lfo.worst_case(tube(stage_rows=[rows, varying]), load, found).limits
+    }
+    over = load.error_loop(problem).margins(np.eye(2), np.zeros((2, 1)))[:, 1]
+    part = tight.state_set[4].members[0].soft_set
+    np.testing.assert_allclose(part.violation([0.0, 1.0 - over[4] + 0.1]), 0.1)
+
+
+@pytest.mark.parametrize("method", ["convex", "structured", "spectral", "auto"])
+def test_all_methods_take_a_tightened_problem(method):
+    problem = lfo.rate_limited(tube(12, initial_state=[-5.0, 0.0]), 0.6, previous=[0.0])
+    load = lfo.Disturbance(lfo.Box(-0.05, 0.05), np.eye(3, 2))
+    found = lfo.solve(lfo.robust(problem, load), method)
+    assert found.status == "optimal"
+    assert lfo.worst_case(problem, load, found)
+    rng = np.random.default_rng(0)
+    w = rng.choice([-0.05, 0.05], (5000, 12, 2))
+    _, u = simulate(problem, load.feedback(problem), found.trajectory, np.eye(3, 2), w)
+    assert np.abs(np.diff(u, axis=1, prepend=0.0)).max() < 0.6 + 1e-8
+
+
+def test_leakage_into_stop_bands_is_attained_and_that_of_all_vertices():
+    problem = tube(5, control_spectrum=lfo.stop_band(bins=[2]), initial_state=[0.0, 0.0])
+    load = lfo.Disturbance(lfo.Box([-0.02, -0.01], [0.03, 0.02]))
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="control_spectrum"):
+        found = lfo.solve(lfo.robust(problem, load))
+    (leak,) = lfo.worst_case(problem, load, found).leakage
+    w = np.array(list(product([[-0.02, -0.01], [-0.02, 0.02], [0.03, -0.01], [0.03, 0.02]], repeat=5)))
+    _, u = simulate(problem, load.feedback(problem), found.trajectory, np.eye(2), w)
+    brute = np.abs(np.fft.rfft(u[..., 0], axis=1))[:, 2].max()
+    assert (leak.index, np.isnan(leak.limit)) == (2, True)
+    assert leak.planned + leak.margin == pytest.approx(brute, rel=1e-12)
+    assert leak.attained == pytest.approx(brute, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "loads", [lfo.Box(-0.01, 0.01), lfo.sets.Ball(0.01), 0.01 * np.array([[1.0, 1], [-1, 1], [0, -1]])]
+)
+def test_masks_of_the_applied_control_hold_for_all_loads(loads):
+    T = 40
+    bins = list(range(5, T // 2 + 1))
+    problem = tube(T, control_spectrum=lfo.MagnitudeBound(1.5, bins=bins), initial_state=[-4.0, 0.0])
+    load = lfo.Disturbance(loads)
+    worst = lfo.worst_case(problem, load, lfo.solve(lfo.robust(problem, load)))
+    mask = worst["mask on u_0"]
+    assert worst
+    assert mask.attained <= mask.planned + mask.margin + 1e-12 <= 1.5 + 1e-6
+    assert mask.attained > 1.3
+    nominal = lfo.worst_case(problem, load, lfo.solve(problem))
+    assert not nominal
+    assert not nominal["mask on u_0"].holds
+
+
+def test_masks_of_states_and_outputs_are_tightened_without_a_gain_as_well():
+    T, gain = 20, None
+    output = lfo.spectrum.OutputSpectrum([[1.0, 0.0]], constraints=lfo.MagnitudeBound(2.0, bins=[6, 7]))
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.9, 0.2], [0.0, 0.8]], [[0.0], [1.0]], sampling_time=0.1),
+        T,
+        lfo.QuadraticCost(Q=np.eye(2), R=0.1),
+        lfo.Box(-1, 1),
+        initial_state=[2.0, 0.0],
+        state_spectrum=lfo.MagnitudeBound(amplitude=0.2, band=lfo.low_pass(cutoff_hz=2.0), component=1),
+        control_spectrum=lfo.low_pass(cutoff_hz=3.0),
+        output_spectrum=output,
+    )
+    load = lfo.Disturbance(lfo.Box(-0.01, 0.01), gain=gain)
+    found = lfo.solve(lfo.robust(problem, load))
+    worst = lfo.worst_case(problem, load, found)
+    assert worst
+    assert worst.leakage[0].margin == 0.0
+    masks = [one for one in worst.limits if one.in_spectrum]
+    assert len(masks) == 2
+    assert all(one.margin > 0 for one in masks)
+    assert all(one.attained == pytest.approx(one.planned + one.margin, rel=1e-9) for one in masks)
+    assert lfo.solve(problem).cost <= found.cost + 1e-9
+
+
+def test_a_plan_of_another_tool_is_judged_by_its_controls_and_its_states():
+    """States that deviate from the model by known amounts move the closed loop."""
+    problem = tube(4, initial_state=[0.0, 0.0])
+    plan = lfo.Trajectory(np.full((5, 2), 0.1) * np.arange(5)[:, None], np.zeros((4, 1)))
+    worst = lfo.worst_case(problem, LOAD, plan)
+    K = LOAD.feedback(problem)
+    x, _ = simulate(problem, K, plan, np.eye(2), np.zeros((1, 4, 2)))
+    assert worst["x_0, upper"].planned == pytest.approx(x[0, worst["x_0, upper"].index, 0], abs=1e-14)
