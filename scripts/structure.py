@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 47_803,
-    "code lines": 44_377,
-    "code lines, linear part": 21_595,
-    "code lines, hybrid": 8436,
+    "shipped lines": 49_099,
+    "code lines": 45_673,
+    "code lines, linear part": 21_719,
+    "code lines, hybrid": 8_500,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,

@@ -101,7 +101,17 @@ def without(protocol: type, declares) -> set[str]:
         (FrequencyConstraint, lambda kind: declared(kind, "at_levels", FrequencyConstraint), WITHOUT_LEVELS),
         (FrequencyConstraint, lambda kind: declared(kind, "augmented", FrequencyConstraint), {}),
     ],
-    ids=str,
+    ids=[
+        "batches",
+        "stackable",
+        "price of limits",
+        "batches of maps",
+        "forms",
+        "frequencies",
+        "constants",
+        "levels",
+        "further states",
+    ],
 )
 def test_a_class_declares_it_or_has_a_reason(protocol, declares, reasons):
     assert without(protocol, declares) == set(reasons)
