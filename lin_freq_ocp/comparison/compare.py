@@ -130,8 +130,8 @@ class ComparisonOutcome:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """Return the name of every trajectory, with its origin and its measures in words."""
-        first: MeasuredTrajectory | None = self.classical_solution
-        rows = [("classical", str(self.classical.status), first)]
+        rows: list[tuple[str, str, MeasuredTrajectory | None]] = []
+        rows.append(("classical", self.classical.status, self.classical_solution))
         for entry in self.filtered:
             unstable = entry.replay.stopped or "not simulated: that would amplify rounding errors"
             rows.append((entry.name, "simulated" if entry.replay.meaningful else unstable, entry.replay))
