@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_099,
-    "code lines": 45_673,
-    "code lines, linear part": 21_719,
+    "shipped lines": 49_103,
+    "code lines": 45_677,
+    "code lines, linear part": 21_723,
     "code lines, hybrid": 8_500,
     SHARE_SAID: 19.5,  # at least
     "files": 337,

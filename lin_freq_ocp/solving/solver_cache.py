@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.rays import InfeasibilityCertificate
 from lin_freq_ocp.methods.candidate import Candidate, SolveOptions
@@ -169,13 +170,17 @@ class SolverCache:
         if self._refusal is not None:
             raise self._refusal
         if self._reduced is None or self._solver is None:
-            self._reduced = reduce_problem(self.problem, REDUCTIONS)
-            try:
-                self._solver = SpectralSolver(self._reduced.problem)
-            except UnsupportedError as error:
-                self._refusal = error
-                raise
+            self._reduced, self._solver = self._set_up()
         return self._reduced, self._solver
+
+    @one_blas_thread
+    def _set_up(self) -> tuple[Chain, SpectralSolver]:
+        reduced = reduce_problem(self.problem, REDUCTIONS)
+        try:
+            return reduced, SpectralSolver(reduced.problem)
+        except UnsupportedError as error:
+            self._refusal = error
+            raise
 
 
 class SearchCache(ABC):
