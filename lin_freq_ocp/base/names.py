@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from inspect import signature
+from inspect import Parameter, signature
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,8 @@ def argument_order(
 ) -> tuple[str, ...]:
     """Return the order in which a function takes values: those that are names of its parameters, others by position.
 
+    Beside parameters of these names, those with a default keep it.
+
     Values ``on_request`` go only to parameters of their names; TypeError if it does not take the others, or
     is no function.
     """
@@ -53,15 +55,18 @@ def argument_order(
         return tuple(values)
     parameters = [name for name, one in form.parameters.items() if one.kind <= one.POSITIONAL_OR_KEYWORD]
     by_position = [value for value in values if value not in parameters]
+    named = len(by_position) < len(values)
     order = list[str]()
     for name in parameters:
         if name not in (*values, *on_request):
-            if not by_position:
-                break  # it has a default
+            if not by_position or (named and form.parameters[name].default is not Parameter.empty):
+                break  # it keeps its default
             name = by_position.pop(0)
         order.append(name)
-    order += by_position  # to *args
     form.bind(*order)
+    if by_position and not any(one.kind is one.VAR_POSITIONAL for one in form.parameters.values()):
+        raise TypeError(f"missing a parameter for {', '.join(by_position)}")
+    order += by_position
     if missing := {*values, *on_request}.intersection(parameters).difference(order):
         raise TypeError(f"{', '.join(sorted(missing))} after a parameter with a default")
     return tuple(order)

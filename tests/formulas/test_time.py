@@ -106,7 +106,14 @@ def test_a_function_gets_signals_by_the_names_of_its_parameters_and_others_by_po
 
 
 @pytest.mark.parametrize(
-    ("function", "expected"), [(lambda x: 3 * x[0], 15.0), (lambda u: 3 * u[0], 3.0), (lambda t, u: t + u[0], 1.0)]
+    ("function", "expected"),
+    [
+        (lambda x: 3 * x[0], 15.0),
+        (lambda u: 3 * u[0], 3.0),
+        (lambda t, u: t + u[0], 1.0),
+        (lambda x, factor=2: factor * x[0], 10.0),
+        (lambda u, factor=2, offset=1: factor * u[0] + offset, 3.0),
+    ],
 )
 def test_a_function_may_take_some_of_the_signals_by_their_names(function, expected):
     np.testing.assert_allclose(values_of(listed_formulas("f", function, (1, 1)), np.array([[5.0, 1.0]])), [[expected]])
