@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_103,
-    "code lines": 45_677,
-    "code lines, linear part": 21_723,
+    "shipped lines": 49_166,
+    "code lines": 45_740,
+    "code lines, linear part": 21_730,
     "code lines, hybrid": 8_500,
     SHARE_SAID: 19.5,  # at least
     "files": 337,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+import lin_freq_ocp as lfo
 from helpers.compared_pages import case, price_axes
 from helpers.drawings import LAID_OUT
 from helpers.seeds import seeds, turn
@@ -18,6 +19,7 @@ from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.pages import (
     MOST_DRAWN,
     STYLES,
+    PlotData,
     comparison_data,
     comparison_figure,
     finding_of,
@@ -189,3 +191,50 @@ def test_plotting_libraries_are_imported_late():
     code = "import sys, lin_freq_ocp; print({'matplotlib', 'jinja2', 'lin_freq_ocp.pages.report'} & set(sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "set()"
+
+
+def car(**of_problem: object) -> OptimalControlProblem:
+    dynamics = LinearDynamics.from_continuous(
+        np.eye(4, k=2), np.eye(4, 2, k=-2), sampling_time=0.1, state_names=["x [m]", "y [m]", "v_x [m/s]", "v_y [m/s]"]
+    )
+    given = {"horizon": 20, "cost": QuadraticCost(R=1.0), "control_set": Box(-8, 8)}
+    ends = {"initial_state": [-1, 0.1, 0, 0], "terminal_state": [1, 0, 0, 0]}
+    return OptimalControlProblem(dynamics, **(given | ends | of_problem))
+
+
+def test_obstacles_are_shaded_in_the_plane_of_their_two_states():
+    disc = lfo.sets.PathConstraint(["0.25 - x_0**2 - x_1**2", "x_1 - 3"], name="post")
+    figure = result_figure(solve(car(stage_rows=disc)))
+    plane = next(ax for ax in figure.axes if ax.get_title(loc="left").endswith("x and y"))
+    shaded = plane.collections[0].get_paths()
+    assert any(path.contains_point((0, 0)) for path in shaded)
+    assert any(path.contains_point((0.45, 0)) for path in shaded)
+    assert not any(path.contains_point((x, 0.1)) for path in shaded for x in (-1, -0.6, 0.6, 1))
+    assert plane.get_aspect() == 1.0
+    (low, high), (bottom, top) = plane.get_xlim(), plane.get_ylim()
+    assert high - low == pytest.approx(2 * (top - bottom))
+    assert "excluded: post" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_a_path_constraint_is_drawn_over_time_with_its_limits():
+    speed = lfo.sets.PathConstraint("x_2**2 + x_3**2", name="speed squared", upper=1.5)
+    result = solve(car(stage_rows=speed))
+    panel = next(ax for ax in result_figure(result).axes if "speed squared" in ax.get_title(loc="left"))
+    (limit, values) = panel.lines
+    assert set(limit.get_ydata()) == {1.5}
+    np.testing.assert_allclose(values.get_ydata()[:-1], (result.trajectory.x[:-1, 2:] ** 2).sum(axis=1))
+
+
+def test_only_obstacles_of_two_states_that_stand_still_are_shaded():
+    moving = lfo.sets.PathConstraint("0.04 - (x_0 - 0.1*t)**2 - x_1**2", name="moving")
+    later = lfo.sets.PathConstraint(
+        "0.04 - x_0**2 - x_1**2", name="later", upper=np.repeat([[np.inf], [0.0]], 10, axis=0)
+    )
+    of_control = lfo.sets.PathConstraint("x_0*u_0 - 9", name="power")
+    of_three = lfo.sets.PathConstraint("x_0*x_1*x_2 - 9", name="of three")
+    still = lfo.sets.PathConstraint("0.04 - x_1**2 - x_2**2", name="still", upper=np.zeros((20, 1)))
+    problem = car(stage_rows=[moving, later, of_control, of_three, still])
+    assert [(obstacle.pair, obstacle.constraint.name) for obstacle in PlotData(problem, ()).obstacles] == [
+        ((1, 2), "still")
+    ]
+    assert phase_pairs(4, PlotData(problem, ()).obstacles) == [(1, 2), (0, 2)]

@@ -38,7 +38,7 @@ from lin_freq_ocp.pages.figures.panels import (
     states_panel,
     time_panel,
 )
-from lin_freq_ocp.pages.figures.plot_data import PlotData, Trace
+from lin_freq_ocp.pages.figures.plot_data import Obstacle, PlotData, Trace
 from lin_freq_ocp.solving.outcome import Outcome
 
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
@@ -98,8 +98,8 @@ def four_panels(data: PlotData, alone: bool = False) -> Figure:
     for control in data.controls:
         panels = [partial(panel, data=data, component=control) for panel in (time_panel, spectrum_panel)]
         add_panels(look.ROW_HEIGHT, panels)
-    # Two phase portraits; without two pairs, the first state over time, unless all states follow
-    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim)]
+    # Two phase portraits, those with obstacles first; without two pairs, the first state over time, unless all follow
+    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim, data.obstacles)]
     views: list[Callable[..., None]] = [partial(phase_panel, data=data, pair=pair) for pair in pairs]
     views += [] if alone or len(views) == 2 else [partial(time_panel, data=data, component=states[0])]
     add_panels(look.ROW_HEIGHT, views)
@@ -134,11 +134,14 @@ def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
     return [states[at : at + size] for states in of_unit.values() for at in range(0, len(states), size)]
 
 
-def phase_pairs(n: int) -> list[tuple[int, int]]:
-    """Return at most two pairs of states: for even n, i and i + n/2 (positions with speeds); otherwise neighbours."""
+def phase_pairs(n: int, obstacles: Sequence[Obstacle] = ()) -> list[tuple[int, int]]:
+    """Return at most two pairs of states, first those of obstacles.
+
+    For even n, i and i + n/2 follow (positions with speeds); otherwise neighbours.
+    """
     half = n // 2
     pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
-    return pairs[:2]
+    return list(dict.fromkeys([*(obstacle.pair for obstacle in obstacles), *pairs]))[:2]
 
 
 def states_figure(data: PlotData) -> Figure:
@@ -251,6 +254,8 @@ def _legend_handles(
         handles.append(entry("reference", color=look.REFERENCE, linestyle=look.REFERENCE_LINE))
     if with_band:
         handles.append(Patch(facecolor=look.BAND, label="stopped or bounded bins" if levels else "stop band"))
+    if names := {one.constraint.name: None for one in data.obstacles if with_bounds}:
+        handles.append(Patch(facecolor=look.GRID, edgecolor=look.BOUND, label=f"excluded: {', '.join(names)}"))
     if with_ends:
         handles.append(entry("start", linestyle="none", marker="o", color=look.INK, markerfacecolor=look.PAPER))
         handles.append(entry("end", linestyle="none", marker="s", color=look.INK, markerfacecolor=look.INK))

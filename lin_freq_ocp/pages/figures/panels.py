@@ -15,7 +15,7 @@ from lin_freq_ocp.base.phrases import number, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
-from lin_freq_ocp.pages.figures.plot_data import JointRow, PlotData, view
+from lin_freq_ocp.pages.figures.plot_data import JointRow, Obstacle, PlotData, View, view
 from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
 LABEL_CHARACTERS = 30  # a longer name is cut off in a legend of several
@@ -23,6 +23,8 @@ DECADES = 5  # decades of a spectrum below its largest value; smaller values are
 HIDDEN_LIMIT = 30  # a limit of more than so many times the largest value of the spectrum is not shown
 # Up to so many bins, the whole zero-padded spectrum is drawn; for more, the largest value between neighbours.
 FEW_BINS = 48
+GRID_POINTS = 241  # of each axis, between which the border of an obstacle is drawn straight
+PROPORTION = 2.0  # width over height of a panel whose axes have one scale
 
 
 def time_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
@@ -111,6 +113,11 @@ def rows_panel(ax: Axes, data: PlotData, row: JointRow, letter: str = "") -> Non
 def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter: str = "") -> None:
     """Draw the second state over the first: their bounds as a box, the common start, and the end of each trace."""
     views = [data.view(state) for state in pair]
+    obstacles = [one for one in data.obstacles if one.pair == tuple(state.index for state in pair)]
+    if obstacles and len({split_unit(state.name)[1] for state in pair}) == 1:
+        ax.set_aspect("equal")
+        width = max(views[0].length, PROPORTION * views[1].length)
+        views = [seen.widened(length) for seen, length in zip(views, (width, width / PROPORTION), strict=True)]
     bounds = [state.bounds for state in pair]
     if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
         low = [max(float(lower[0]), 2 * seen.low - seen.high) for (lower, _), seen in zip(bounds, views, strict=True)]
@@ -118,6 +125,8 @@ def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter:
         box = Rectangle((low[0], low[1]), high[0] - low[0], high[1] - low[1])
         box.set(fill=False, edgecolor=look.BOUND, linewidth=1.2, zorder=2)
         ax.add_patch(box)
+    for obstacle in obstacles:
+        shade_obstacle(ax, obstacle, views)
     shown = data.showing(pair[0])
     for trace in shown:
         style = trace.style
@@ -131,6 +140,16 @@ def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter:
     ax.set_ylim(views[1].low, views[1].high)
     title = f"{letter} {' and '.join(short_name(state.name) for state in pair)}"
     look.style_axes(ax, title, pair[0].name, pair[1].name, data.notes(pair))
+
+
+def shade_obstacle(ax: Axes, obstacle: Obstacle, views: Sequence[View]) -> None:
+    """Shade what a path constraint excludes within the ranges of both axes."""
+    x, y = (np.linspace(seen.low, seen.high, GRID_POINTS) for seen in views)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    excess = np.ma.masked_invalid(obstacle.excess(points.reshape(-1, 2)).reshape(points.shape[:2]))
+    if excess.max() > 0:
+        ax.contourf(x, y, excess, [0.0, excess.max()], colors=[look.GRID], zorder=0.5)
+        ax.contour(x, y, excess, [0.0], colors=[look.BOUND], linewidths=1.2, zorder=2)
 
 
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:

@@ -12,9 +12,11 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.base.phrases import combination, join_words, short_name, split_unit
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, ProblemSignal, controls_of, outputs_of, states_of
+from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.pages.figures.look import AXIS_MARGIN, Note, Style
 from lin_freq_ocp.pages.units import Scale, frequency_scale, quantity, rough, time_scale
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -67,6 +69,16 @@ class View:
     high: float
     outside: bool
 
+    @property
+    def length(self) -> float:
+        """Return the length of the range."""
+        return self.high - self.low
+
+    def widened(self, length: float) -> View:
+        """Return a range of this length about the same centre."""
+        more = (length - self.length) / 2
+        return View(self.low - more, self.high + more, self.outside)
+
 
 @dataclass(frozen=True, eq=False)
 class PlotData:
@@ -89,6 +101,20 @@ class PlotData:
     def joint_rows(self) -> list[JointRow]:
         """Return the joint rows of the problem that the main trajectory brings nearest to their limits."""
         return sorted(joint_rows(self.problem), key=lambda row: row.margin(self.main.trajectory))[:MOST_JOINT_ROWS]
+
+    @cached_property
+    def obstacles(self) -> list[Obstacle]:
+        """Return the path constraints on two states alone that are the same at all times."""
+        obstacles = list[Obstacle]()
+        for family in self.problem.stage_rows:
+            if isinstance(family, PathConstraint) and family.is_steady:
+                planes = dict[tuple[int, int], list[int]]()
+                for i, used in enumerate(family.used):
+                    if used.sum() == 2 and not used[self.problem.state_dim :].any():
+                        first, second = (int(k) for k in np.flatnonzero(used))
+                        planes.setdefault((first, second), []).append(i)
+                obstacles += [Obstacle(pair, family, components) for pair, components in planes.items()]
+        return obstacles
 
     def control_levels(self, signal: ProblemSignal) -> Array:
         """Return the levels of a control, (levels,); none if it has no or too many levels, and none of a state."""
@@ -174,7 +200,7 @@ class JointRow:
 
     def values(self, trajectory: Trajectory) -> Array:
         """Return its values along a trajectory, (T,)."""
-        return self.family.values(trajectory.x, trajectory.u)[:, self.index]
+        return self.family.values(trajectory.x, trajectory.u)[: len(trajectory.u), self.index]
 
     def margin(self, trajectory: Trajectory) -> float:
         """Return the least distance of its values from its bounds, relative to the largest value."""
@@ -183,10 +209,33 @@ class JointRow:
         return distance / (float(np.abs(values).max()) or 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """The points of a plane of two states that a path constraint excludes at all times, by one component or more."""
+
+    pair: tuple[int, int]
+    constraint: PathConstraint
+    components: list[int]
+
+    def excess(self, points: Array) -> Array:
+        """Return h - upper at points of the plane, (points, 2), the largest of all components: above 0 inside."""
+        y = np.zeros((len(points), self.constraint.used.shape[1]))
+        y[:, self.pair] = points
+        return (values_of(self.constraint.formulas, y) - self.constraint.limits()[0])[:, self.components].max(axis=1)
+
+
 def joint_rows(problem: OptimalControlProblem) -> list[JointRow]:
     """Return the stage rows on several components; a row and its negative are one row with two bounds."""
     rows, T, names = list[JointRow](), problem.horizon, [*problem.control_names, *problem.state_names]
     for family in problem.stage_rows:
+        if isinstance(family, PathConstraint):
+            words, none, limits = (
+                f"component {{}} of {family.rows}" if family.rows > 1 else "",
+                np.full(T, -np.inf),
+                family.limits(),
+            )
+            rows += [JointRow(words.format(i), "", family, i, none, limits[:T, i]) for i in range(family.rows)]
+            continue
         matrices = [np.broadcast_to(part, (T, *part.shape[-2:])) for part in (family.D, family.C)]
         weights, upper = np.concatenate(matrices, axis=2), np.broadcast_to(family.e, (T, family.rows))
         pending = [i for i in range(family.rows) if (np.count_nonzero(weights[:, i], axis=1) > 1).any()]

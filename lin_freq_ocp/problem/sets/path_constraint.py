@@ -44,7 +44,7 @@ from lin_freq_ocp.formulas.nodes import (
     translate_formulas,
     with_states,
 )
-from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, VARIABLE
+from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, formula_from_text, listed_formulas, read_definitions
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -176,6 +176,12 @@ class PathConstraint(StageRows):
     def values(self, x: Array, u: Array) -> Array:
         """Return h of every time, (T, components), and of x_T without controls."""
         return self.map.values(x, u)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether formulas and limits are the same at all times but the last."""
+        limits = self.limits()[:-1]  # x_T may have none
+        return bool((limits == limits[:1]).all()) and next(kinks(self.formulas, TIME), None) is None
 
     def slack(self, x: Array, u: Array) -> Array:
         """Return upper - h: negative where a component is violated, inf without a limit."""
