@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_166,
-    "code lines": 45_740,
-    "code lines, linear part": 21_730,
-    "code lines, hybrid": 8_500,
+    "shipped lines": 49_192,
+    "code lines": 45_766,
+    "code lines, linear part": 21_739,
+    "code lines, hybrid": 8_517,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.2,
+    "functions used once [%]": 12.3,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,

@@ -37,8 +37,9 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
-    is zero and there are no data, the size is that of the origin, or 1.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory; if it costs
+    nothing, what components with a size move it within a step. If the trajectory is zero and there are no data, the
+    size is that of the origin, or 1.
     """
     n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
@@ -55,6 +56,7 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
+        sizes = _moved_sizes(np.hstack([A, B]), sizes, ~alone | (by_cost > 0))
     if not sizes.all() and problem.origin is not None:
         sizes[:n] = np.where(sizes[:n] > 0, sizes[:n], np.abs(problem.origin))
     sizes = np.where(sizes > 0, sizes, 1.0)
@@ -94,6 +96,17 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
         if not newly_reached.any() or reached.all():
             break
     return needed
+
+
+def _moved_sizes(gain: Array, sizes: Array, known: Mask) -> Array:
+    """Return sizes of states that others, whose sizes are known, move by more within a step; ``gain`` is (n, n + m)."""
+    n, sizes, known = len(gain), sizes.copy(), known.copy()
+    for _ in range(n):
+        moved = (gain[:, known] * sizes[known]).max(axis=1, initial=0.0)
+        states = np.flatnonzero((moved > 0) & ~known[:n])
+        sizes[states] = np.maximum(sizes[states], moved[states])
+        known[states] = True
+    return sizes
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:

@@ -298,10 +298,10 @@ class _Bounding:
         message = ""
         self.best = self.search.least
         self.sets = NEVER_NEGATIVE if self.best >= 0 else "intervals of the cost"
-        known = self.judged.certificate.bound
-        if known is not None and known.kind == RIGOROUS and known.value > self.best:  # of a convex problem
-            self.best, self.sets = known.value, known.sets
+        self._take(self.judged.certificate.bound)  # of a convex problem
         try:
+            if not self._proven:
+                self._take(_bound_without_obstacles(self.search.problem, self.judged, self.deadline))
             while not self._proven and self._improve():
                 pass
         except UnsupportedError as error:
@@ -314,6 +314,10 @@ class _Bounding:
             return message or UNBOUNDED
         self.judged = self.judged.with_bound(Bound(self.best, RIGOROUS, sets=self.sets))
         return "" if self._proven else message or f"the global bound leaves a gap of {self.judged.certificate.gap:.1e}"
+
+    def _take(self, bound: Bound | None) -> None:
+        if bound is not None and bound.kind == RIGOROUS and bound.value > self.best:
+            self.best, self.sets = bound.value, bound.sets
 
     @property
     def _wanted_gap(self) -> float:
@@ -349,6 +353,23 @@ class _Bounding:
         if self.search.progress is not None:
             cost = self.judged.certificate.cost
             self.search.progress(SmoothProgress(cost, self.best, self.search.tried, level, share))
+
+
+def _bound_without_obstacles(problem: OptimalControlProblem, judged: Judged, deadline: float) -> Bound | None:
+    """Return the bound of linear dynamics without the path constraints that are not convex; None without such ones."""
+    obstacles = [
+        one.name
+        for one in problem.path_constraints
+        if not one.convex and not is_proven_convex(problem, one, judged.trajectory)
+    ]
+    if problem.dynamics.mode_names or not obstacles:
+        return None
+    relaxed = replace(problem, stage_rows=[row for row in problem.stage_rows if row.name not in obstacles])
+    linear = not relaxed.path_constraints and not relaxed.cost.has_formulas
+    method = LinearAuto() if linear else Nonsmooth(global_bound=False)
+    found = method.solve(relaxed, Request(deadline - now()))
+    bound = None if found.certificate is None else found.certificate.bound
+    return bound and replace(bound, sets="; ".join([*filter(None, [bound.sets]), f"without {join_words(obstacles)}"]))
 
 
 @np.errstate(invalid="ignore")  # as for _improve

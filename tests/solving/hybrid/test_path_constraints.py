@@ -123,6 +123,30 @@ def test_few_states_have_a_global_bound_around_obstacles():
     assert lfo.solve(nowhere, throw=False).status == "infeasible"
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_an_obstacle_out_of_the_way_leaves_a_proven_optimum(size):
+    """The move is along one axis: the other one has no data, and its values are what iterations leave."""
+    ends = {"initial_state": [-size, 0, 0, 0], "terminal_state": [size, 0, 0, 0]}
+    far = mass(lambda x, u: 0.01 * size**2 - x[0] ** 2 - (x[1] - 3 * size) ** 2, **ends)
+    far = replace(far, control_set=lfo.Box(-30 * size, 30 * size))
+    result, free = lfo.solve(far), lfo.solve(replace(far, stage_rows=()))
+    assert (result.status, result.certificate.pmp, result.bound) == ("optimal", "satisfied", "rigorous")
+    assert result.cost == pytest.approx(free.cost, rel=1e-9)
+    assert result.certificate.bound.sets.endswith("without path")
+
+
+@pytest.mark.parametrize("price", [None, 1e3])
+def test_the_problem_without_obstacles_and_with_what_is_convex_bounds_the_cost(price):
+    post = lfo.sets.PathConstraint("0.25 - x_0**2 - x_1**2", name="post", price=price)
+    slow = lfo.sets.PathConstraint("x_2**2 + x_3**2 - 0.64", name="slow")
+    both = replace(mass(), horizon=30, stage_rows=[post, slow])
+    result, without = lfo.solve(both), lfo.solve(replace(both, stage_rows=slow))
+    assert without.status == "optimal"
+    assert result.cost > 1.001 * without.cost
+    assert result.lower_bound == pytest.approx(without.cost, rel=1e-4)
+    assert (result.status, result.bound) == ("locally_optimal", "rigorous")
+
+
 def test_a_fixed_end_that_violates_it_is_infeasible():
     result = lfo.solve(mass(terminal_state=[0.2, 0.1, 0, 0]), throw=False)
     assert (result.status, result.primal) == ("infeasible", False)
