@@ -25,7 +25,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.sizes import stated_sizes
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
-from lin_freq_ocp.uncertainty.invariant import with_invariant_end
+from lin_freq_ocp.uncertainty.invariant import invariant_end
 from lin_freq_ocp.uncertainty.leakage import tightened_spectra
 from lin_freq_ocp.uncertainty.loads import Loads, loads_of
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
@@ -140,10 +140,8 @@ class Disturbance(Uncertainty):
             raise UnsupportedError(f"disturbance.forever: got True; expected {expected}.")
         return ErrorLoop(loads, start, A_K, a, K, E, T, self.forever)
 
-    def tightened(
-        self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None
-    ) -> OptimalControlProblem:
-        """Return the problem of the plan: its limits less their margins; see ``robust``."""
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+        """Return the limits of the plan: those of a problem less their margins; see ``robust``."""
         loop, T = self.error_loop(problem), problem.horizon
         n, m = problem.state_dim, problem.control_dim
 
@@ -156,20 +154,19 @@ class Disturbance(Uncertainty):
         changes: dict[str, object] = {
             "state_set": _tighten(problem, "state_set", of_x, np.arange(T + 1)),
             "control_set": _tighten(problem, "control_set", of_u, np.arange(T)),
-            "stage_rows": [rows.with_limits(rows.e - loop.margins(rows.C, rows.D)[:T]) for rows in problem.stage_rows],
+            "stage_rows": [
+                *(rows.with_limits(rows.e - loop.margins(rows.C, rows.D)[:T]) for rows in problem.stage_rows),
+                *([] if end is None else [invariant_end(problem, loop)]),
+            ],
         } | tightened_spectra(problem, loop)
         box, moved = problem.terminal_box, of_x(np.eye(n))[T] > 0
         if not (box.fixed & moved).any() and not problem.terminal_state.links(n, T):
             changes["terminal_state"] = _tighten(problem, "terminal_state", of_x, np.array([T]))
-        tight = replace(problem, **changes)
-        if end == "invariant":
-            tight = with_invariant_end(problem, tight, loop)
         kept = unkept(problem, loop)
         if kept:
             text = f"robust: {join_words(kept)} hold for the plan; loads change them. lfo.worst_case says by how much."
             warn_user(text, ClosedLoopWarning)
-        tight.__dict__["_uncertainty"] = self
-        return tight
+        return changes
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst loads do to a plan; see ``worst_case``."""

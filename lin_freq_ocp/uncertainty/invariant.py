@@ -31,10 +31,8 @@ IMPLIED = 1e-9  # of its limit, by which a row that counts as implied may exceed
 STAGE_COST = "Q", "R", "S", "q", "r", "x_ref", "u_ref"
 
 
-def with_invariant_end(
-    problem: OptimalControlProblem, tight: OptimalControlProblem, loop: ErrorLoop
-) -> OptimalControlProblem:
-    """Return the tightened problem with the rows of X_f at x_T, as joint rows on x_{T-1} and u_{T-1}."""
+def invariant_end(problem: OptimalControlProblem, loop: ErrorLoop) -> StageRows:
+    """Return the rows of X_f at x_T, as joint rows on x_{T-1} and u_{T-1}."""
     dynamics, n, T = problem.linear, problem.state_dim, problem.horizon
     sets, box = problem.stage_sets, problem.terminal_box
     if not (loop.loads.anew and loop.constant and loop.start is None and sets.constant):
@@ -83,7 +81,7 @@ def with_invariant_end(
     A, B, d = dynamics.at(0)
     e = np.full((T, len(g)), np.inf)
     e[-1] = g + F @ (xs - d)
-    return replace(tight, stage_rows=[*tight.stage_rows, StageRows(F @ A, F @ B, e, name=INVARIANT_END)])
+    return StageRows(F @ A, F @ B, e, name=INVARIANT_END)
 
 
 def steady_state(

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, real_array, times_vectors
+from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -76,10 +76,8 @@ class Plants(Uncertainty):
                 raise ProblemError(field, got, f"{known[0]} states, {known[1]} controls, {own.sampling_time} s")
             plant.require_horizon(problem.horizon)
 
-    def tightened(
-        self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None
-    ) -> OptimalControlProblem:
-        """Return the problem in the states of all plants; see ``robust``."""
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+        """Return the fields of a problem in the states of all plants; see ``robust``."""
         self._require(problem)
         if end is not None:
             raise UnsupportedError("end: got 'invariant' with Plants; expected None, or a Disturbance.")
@@ -111,8 +109,7 @@ class Plants(Uncertainty):
             for rows in problem.stage_rows
             for k in range(K)
         ]
-        tight = replace(
-            problem,
+        return dict(
             dynamics=self.plants[0].stacked(self.plants, [_of_plant(name, k) for k in range(K) for name in names], T),
             cost=self._mean_cost(problem.quadratic, place),
             state_set=map_sets(problem.state_set, every),
@@ -122,8 +119,6 @@ class Plants(Uncertainty):
             state_spectrum=spectra or None,
             output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
         )
-        tight.__dict__["_uncertainty"] = self
-        return tight
 
     def _mean_cost(self, cost: QuadraticCost, place: Sequence[Array]) -> QuadraticCost:
         """Return the mean of the costs of all plants; the part of the controls counts once."""
@@ -165,22 +160,15 @@ class Plants(Uncertainty):
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
     """Yield each limit at the time, or bin, where a trajectory is closest to it."""
-    x, u = trajectory.x, np.vstack([trajectory.u, np.zeros((1, problem.control_dim))])
+    x, u = trajectory.x, trajectory.u
     for rows in hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
-        values = times_vectors(rows.C, x) + times_vectors(rows.D, u)
-        sizes = times_vectors(np.abs(rows.C), np.abs(x)) + times_vectors(np.abs(rows.D), np.abs(u))
-        for i in np.flatnonzero(np.isfinite(rows.limits).any(axis=0)).tolist():
-            t = int(np.argmin(rows.limits[:, i] - values[:, i]))
-            value, limit = (float(rows.sign * part[t, i]) for part in (values, rows.limits))
-            size = float(sizes[t, i]) + abs(limit)
-            yield Worst(rows.names[i], t, value, 0.0, limit, size, attained=value, sign=rows.sign)
+        yield from (one for one, _, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
     for name, spectrum, limits in limited_spectra(problem):
-        sizes = np.linalg.norm(spectrum.values(x, trajectory.u), axis=1)
-        stop = np.where(np.isnan(limits), 0.0, limits)
-        k = int(np.argmax(sizes - stop))
-        size = float(np.abs(trajectory.x).max() + np.abs(trajectory.u).max()) * problem.horizon
-        value = float(sizes[k])
-        yield Worst(name, int(spectrum.bins[k]), value, 0.0, float(stop[k]), size, value, in_spectrum=True)
+        sizes, levels = np.linalg.norm(spectrum.values(x, u), axis=1), np.nan_to_num(limits)
+        k = int(np.argmax(sizes - levels))
+        size = float(np.abs(x).max() + np.abs(u).max()) * problem.horizon
+        value, level = float(sizes[k]), float(levels[k])
+        yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
 
 
 def _on_every_plant(place: Sequence[Array], given: ConvexSet) -> ConvexSet:

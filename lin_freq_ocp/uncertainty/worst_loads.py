@@ -174,6 +174,30 @@ class LimitRows:
     term: str = ""  # whose multipliers they have
     sign: int = 1  # -1: lower limits, multiplied by -1
 
+    def values(self, x: Array, u: Array) -> Array:
+        """Return C x_t + D u_t, (T+1, rows), with a control of zero at time T."""
+        return times_vectors(self.C, x) + times_vectors(self.D, np.vstack([u, np.zeros((1, u.shape[1]))]))
+
+    def closest(self, x: Array, u: Array, margins: Array) -> Iterator[tuple[Worst, Array, Array]]:
+        """Yield each limit at the time at which a trajectory and its margins are closest to it, with its row."""
+        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
+        planned, bounded = self.values(x, u), np.isfinite(self.limits)
+        for i in np.flatnonzero(bounded.any(axis=0)).tolist():
+            t = int(np.argmin((self.limits - planned - margins)[:, i]))
+            c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (self.C, self.D))
+            plan, limit = (float(self.sign * part[t, i]) for part in (planned, self.limits))
+            size = float(sizes[t, i]) + abs(limit)
+            yield Worst(self.names[i], t, plan, float(margins[t, i]), limit, size, plan, sign=self.sign), c, d
+
+    def price(self, margins: Array, multipliers: Multipliers) -> float:
+        """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
+        bounded = np.isfinite(self.limits)
+        if self.term:
+            weights = multipliers.stage.get(self.term)
+            return 0.0 if weights is None else float((weights * margins[bounded.any(axis=1)]).sum())
+        weights = np.maximum(self.sign * (multipliers.mu if self.C.any() else multipliers.nu), 0.0)
+        return float((weights * (margins * bounded)[: len(weights)]).sum())
+
 
 def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
     """Yield the hard bounds, rows and polyhedra of a problem.
@@ -181,22 +205,19 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     Bounds of states count at time 0 if the start is uncertain; fixed ends only where they are not ``moved`` (n,).
     """
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    first, none = np.zeros((T + 1, 1)), np.full((1, m), np.inf)
-    first[0] = 0.0 if bounded_start else np.inf
-    ends, states, controls = problem.terminal_box, problem.state_boxes, problem.control_tube
-    lasting = np.full((2, T + 1, n), np.inf)
-    for side, bound in enumerate((ends.upper, -ends.lower)):
-        lasting[side, T] = np.where(ends.fixed & moved, np.inf, bound)
-    for side, sign in enumerate((1, -1)):
-        word, of_x, of_u = ("upper", "lower")[side], sign * np.eye(n), sign * np.eye(m)
-        bound_x, bound_u = (states.upper, controls.upper) if sign > 0 else (-states.lower, -controls.lower)
+    ends, free = problem.terminal_box, np.full((T + 1, n), np.inf)
+    for sign, word, side in ((1, "upper", "upper"), (-1, "lower", "lower")):
+        of_x, of_u, end = problem.state_boxes, problem.control_tube, free.copy()
+        of_x, of_u, of_end = (sign * getattr(box, side) for box in (of_x, of_u, ends))
+        end[T] = np.where(ends.fixed & moved, np.inf, of_end)
+        of_x = of_x if bounded_start else np.vstack([free[:1], of_x[1:]])
         x_names, u_names = (
             [f"{short_name(name)}, {word}" for name in names] for names in (problem.state_names, problem.control_names)
         )
-        ends_of = [f"end of {name}" for name in x_names]
-        yield LimitRows(x_names, of_x, np.zeros((n, m)), bound_x + first, sign=sign)
-        yield LimitRows(u_names, np.zeros((m, n)), of_u, np.vstack([bound_u, none]), sign=sign)
-        yield LimitRows(ends_of, of_x, np.zeros((n, m)), lasting[side], sign=sign)
+        C, D = sign * np.eye(n), sign * np.eye(m)
+        yield LimitRows(x_names, C, np.zeros((n, m)), of_x, sign=sign)
+        yield LimitRows(u_names, np.zeros((m, n)), D, np.vstack([of_u, np.full((1, m), np.inf)]), sign=sign)
+        yield LimitRows([f"end of {name}" for name in x_names], C, np.zeros((n, m)), end, sign=sign)
     for term in problem.terms:
         found = term.polyhedron(n, m)
         if found is None or term.kind.is_link:
@@ -217,82 +238,42 @@ def worst_loads(
     """Return what the worst loads do to a trajectory; with the multipliers of a plan, also what larger loads cost."""
     problem.require(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    none = np.zeros((1, T, loop.E.shape[-1]))
-    x, u = (part[0] for part in simulate_loop(problem, loop, trajectory, np.zeros((1, n)), none))
-    states = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))
-    end = np.maximum(states[T, :n], states[T, n:])
-    worst, price = list[tuple[Worst, Array, Array]](), 0.0
+
+    def run(start: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
+        w = np.zeros((T, loop.E.shape[-1])) if loads is None else loads
+        return simulate_loop(problem, loop, trajectory, np.zeros(n) if start is None else start, w)
+
+    (x, u), limits, price = run(), list[Worst](), 0.0
+    end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
     for rows in hard_rows(problem, loop.start is not None or loop.forever, end > 0):
-        if not np.isfinite(rows.limits).any():
-            continue
-        M, last = loop.margins(rows.C, rows.D), np.vstack([u, np.zeros((1, m))])
-        planned = times_vectors(rows.C, x) + times_vectors(rows.D, last)
-        sizes = times_vectors(np.abs(rows.C), np.abs(x)) + times_vectors(np.abs(rows.D), np.abs(last))
-        sizes = sizes + M + np.where(np.isfinite(rows.limits), np.abs(rows.limits), 0.0)
-        slack = rows.limits - planned - M
-        price += 0.0 if multipliers is None else _price(rows, M, multipliers, n)
-        for i in np.flatnonzero(np.isfinite(slack).any(axis=0)).tolist():
-            t = int(np.argmin(slack[:, i]))
-            c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (rows.C, rows.D))
-            values = rows.sign * planned[t, i], M[t, i], rows.sign * rows.limits[t, i], sizes[t, i]
-            plan, margin, limit, size = map(float, values)
-            start, w = loop.worst(c, d, t) or (None, None)
-            one = Worst(rows.names[i], t, plan, margin, limit, size, start=start, loads=w, sign=rows.sign)
-            worst.append((one, c, d))
-    known = [i for i, (one, _, _) in enumerate(worst) if one.loads is not None]
-    if known:
-        starts, loads = (np.array([getattr(worst[i][0], name) for i in known]) for name in ("start", "loads"))
-        X, U = simulate_loop(problem, loop, trajectory, starts, loads)
-        for k, i in enumerate(known):
-            one, c, d = worst[i]
-            attained = float(X[k, one.index] @ c + (U[k, one.index] @ d if one.index < T else 0.0))
-            worst[i] = replace(one, attained=one.sign * attained), c, d
-    masks, leaks = list[Worst](), list[Worst]()
-    for one, spectrum, limited in _spectra(problem, loop, x, u):
-        if one.loads is not None and one.start is not None:
-            X, U = simulate_loop(problem, loop, trajectory, one.start[None], one.loads[None])
-            at = replace(spectrum, bins=np.array([one.index]), joint=False)
-            one = replace(one, attained=float(np.linalg.norm(at.values(X[0], U[0]))))
-        (masks if limited else leaks).append(one)
-    K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
-    words = f"{loop.loads.describe()}{', since ever' if loop.forever else ''}; {K}"
-    limits = (*(one for one, _, _ in worst), *masks)
-    return WorstCase(words, limits, tuple(leaks), end, None if multipliers is None else price)
-
-
-def _price(rows: LimitRows, margins: Array, multipliers: Multipliers, n: int) -> float:
-    """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
-    if rows.term:
-        weights = multipliers.stage.get(rows.term)
-        bounded = np.isfinite(rows.limits).any(axis=1)
-        return 0.0 if weights is None else float((weights * margins[bounded]).sum())
-    weights = np.maximum(rows.sign * (multipliers.mu if rows.C.any() else multipliers.nu), 0.0)
-    bounded = np.isfinite(rows.limits[: len(weights)])
-    return float((weights * margins[: len(weights)] * bounded).sum())
-
-
-def _spectra(
-    problem: OptimalControlProblem, loop: ErrorLoop, x: Array, u: Array
-) -> Iterator[tuple[Worst, SpectrumMap, bool]]:
-    """Yield the worst bin of each spectrum that is limited at bins, with its map, and whether its limit is judged.
-
-    Stop bands and energies hold for the plan: of these the bin with the largest leakage is yielded.
-    """
-    for name, spectrum, limits in limited_spectra(problem):
-        pairs = replace(spectrum, joint=False).values(x, u)
-        found = leakage(loop, spectrum, pairs[:, 0] + 1j * pairs[:, 1])
-        judged = not (spectrum.joint or np.isnan(limits).any())
-        k = int(np.argmin(limits - found.largest) if judged else np.argmax(found.added))
-        start = None if found.loads is None else np.zeros(problem.state_dim)
-        loads = None if found.loads is None else found.loads[k]
-        planned, added, limit = (
-            float(np.abs(found.planned[k])),
-            float(found.added[k]),
-            float(limits[k]) if judged else np.nan,
+        margins = loop.margins(rows.C, rows.D)
+        price += 0.0 if multipliers is None else rows.price(margins, multipliers)
+        for one, c, d in rows.closest(x, u, margins):
+            start, w = loop.worst(c, d, one.index) or (None, None)
+            attained = np.nan
+            if w is not None:
+                X, U = run(start, w)
+                attained = one.sign * float(X[one.index] @ c + (U[one.index] @ d if one.index < T else 0.0))
+            limits.append(replace(one, attained=attained, start=start, loads=w))
+    leaks = list[Worst]()
+    for name, spectrum, levels in limited_spectra(problem):
+        found, judged = (
+            leakage(loop, spectrum, spectrum.bin_values(x, u)),
+            not (spectrum.joint or np.isnan(levels).any()),
         )
-        size = planned + added + (limit if judged else 0.0)
-        bin_ = int(spectrum.bins[k])
-        yield Worst(name, bin_, planned, added, limit, size, np.nan, start, loads, None, True), spectrum, judged
+        levels = levels if judged else np.full(len(spectrum.bins), np.nan)
+        k = int(np.argmin(levels - found.largest) if judged else np.argmax(found.added))
+        w, attained = None if found.loads is None else found.loads[k], np.nan
+        if w is not None:
+            attained = float(np.abs(spectrum.bin_values(*run(loads=w))[k]))
+        planned, added, bin_ = float(np.abs(found.planned[k])), float(found.added[k]), int(spectrum.bins[k])
+        size = planned + added + np.nan_to_num(levels[k])
+        start = None if w is None else np.zeros(n)
+        one = Worst(name, bin_, planned, added, float(levels[k]), size, attained, start, w, in_spectrum=True)
+        (limits if judged else leaks).append(one)
+    K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
+    words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
+    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price)
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:
@@ -315,12 +296,10 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
 def simulate_loop(
     problem: OptimalControlProblem, loop: ErrorLoop, plan: Trajectory, start: Array, loads: Array
 ) -> tuple[Array, Array]:
-    """Return states (cases, T+1, n) and controls (cases, T, m) of u = v + K (x - z) under loads (cases, T, k)."""
-    dynamics, T = problem.linear, problem.horizon
-    x, u = np.empty((len(loads), T + 1, problem.state_dim)), np.empty((len(loads), T, problem.control_dim))
-    x[:, 0] = plan.x[0] + start
-    for t in range(T):
-        (A, B, d), E = dynamics.at(t), loop.E if loop.E.ndim == 2 else loop.E[t]
-        u[:, t] = plan.u[t] + (x[:, t] - plan.x[t]) @ loop.K.T
-        x[:, t + 1] = x[:, t] @ A.T + u[:, t] @ B.T + d + loads[:, t] @ E.T
-    return x, u
+    """Return states (T+1, n) and controls (T, m) of u = v + K (x - z), x_0 = z_0 + start, under loads (T, k)."""
+    x, u, forces = [plan.x[0] + start], list[Array](), times_vectors(loop.E, loads)
+    for t in range(problem.horizon):
+        A, B, d = problem.linear.at(t)
+        u.append(plan.u[t] + loop.K @ (x[t] - plan.x[t]))
+        x.append(A @ x[t] + B @ u[t] + d + forces[t])
+    return np.array(x), np.array(u)
