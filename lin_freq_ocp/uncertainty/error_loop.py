@@ -12,7 +12,6 @@ not depend on units: all its inequalities hold entry by entry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,9 +55,8 @@ class ErrorLoop:
         total = np.abs([np.linalg.matrix_power(self.A, i) for i in range(least)]).sum(axis=0)
         while not self._tail(power, total)[1]:
             if 2 * powers * n * (n + k) > MOST_POWERS:
-                raise ProblemError(
-                    "disturbance.gain", "a loop in which loads fade too slowly", "a gain of faster feedback"
-                )
+                got = "a loop in which loads fade too slowly"
+                raise ProblemError("disturbance.gain", got, "a gain of faster feedback")
             total = total + np.abs(power) @ total  # at least the sum of twice as many powers
             power, powers = power @ power, 2 * powers
         return powers
@@ -74,7 +72,7 @@ class ErrorLoop:
 
     @cached_property
     def lags(self) -> list[Array]:
-        """The products A_K,t-1 .. A_K,t-i, i = 0 .. count - 1, of all times t = i .. T; of one, if they are constant."""
+        """The products A_K,t-1 .. A_K,t-i, i = 0 .. count - 1, of all times t = i .. T; of one, if it is constant."""
         n, each = self.A.shape[-1], self.A.reshape(-1, *self.A.shape[-2:])
         X = [np.broadcast_to(np.eye(n), (1 if self.constant else self.horizon + 1, n, n))]
         with np.errstate(all="ignore"):
@@ -88,7 +86,7 @@ class ErrorLoop:
         return np.concatenate(self.lags)
 
     def acts(self, i: int) -> Array:
-        """Return what loads do i steps later, A_K,t-1 .. A_K,t-i E_t-i-1, (times, n, k), at t = i + 1 .. T, or at any."""
+        """Return A_K,t-1 .. A_K,t-i E_t-i-1, (times, n, k), what loads do at times t = i + 1 .. T, or at any."""
         return self.lags[i] @ self.E if self.constant else self.lags[i][1:] @ self.E[: self.horizon - i]
 
     @cached_property
@@ -101,12 +99,8 @@ class ErrorLoop:
         with np.errstate(all="ignore"):
             D = unit * largest @ a
         if not np.isfinite(D).all() or np.abs(np.linalg.eigvals(D)).max() >= 0.5:
-            raise ProblemError(
-                "disturbance.gain",
-                "effects of loads that grow beyond all numbers",
-                "a stabilising gain, or a shorter horizon",
-                "gain='auto' finds one.",
-            )
+            got, expected = "effects of loads that grow beyond all numbers", "a stabilising gain, or a shorter horizon"
+            raise ProblemError("disturbance.gain", got, expected, "gain='auto' finds one.")
         N = np.linalg.solve(np.eye(n) - D, largest)
         loads = unit * (N + N @ a @ N) @ E @ self.loads.largest + N @ E @ self.loads.error
         if self.start is not None:

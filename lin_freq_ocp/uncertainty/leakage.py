@@ -36,6 +36,11 @@ class Leakage:
         return self.largest - np.abs(self.planned)
 
 
+def bin_values(spectrum: SpectrumMap, x: Array, u: Array) -> ComplexArray:
+    """Return the complex values of a spectrum, (bins,)."""
+    return replace(spectrum, joint=False).values(x, u) @ np.array([1.0, 1j])
+
+
 def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray | None = None) -> Leakage:
     """Return what loads add to the spectrum ``planned`` (bins,) of a plan; zeros without."""
     n, m = loop.E.shape[-2], len(loop.K)
@@ -44,7 +49,7 @@ def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray | None
     centre = np.zeros(len(spectrum.bins), dtype=complex) if planned is None else planned
     if not row.any():
         return Leakage(centre, np.abs(centre), np.zeros((len(centre), loop.horizon, loop.E.shape[-1])))
-    pairs = replace(spectrum, joint=False).waves().reshape(len(spectrum.bins), 2, -1)
+    pairs = replace(spectrum, joint=False).waves().reshape(len(centre), 2, -1)
     M = loop.leakage(pairs[:, 0] + 1j * pairs[:, 1], row)
     found = None if loop.forever or loop.start is not None else loop.loads.modulus(M, centre)
     return Leakage(centre, *(found or (np.full(len(centre), np.inf), None)))

@@ -124,16 +124,14 @@ class Plants(Uncertainty):
         """Return the mean of the costs of all plants; the part of the controls counts once."""
         mean = list(zip(self.shares, place, strict=True))
         reference = sum(np.broadcast_to(cost.x_ref, (*cost.x_ref.shape[:-1], len(place[0]))) @ one for one in place)
-        return QuadraticCost(
+        return replace(
+            cost,
             Q=sum(share * one.T @ cost.Q @ one for share, one in mean),
-            R=cost.R,
             S=sum(share * one.T @ cost.S for share, one in mean),
             q=sum(share * cost.q @ one for share, one in mean),
-            r=cost.r,
             P=sum(share * one.T @ cost.P @ one for share, one in mean),
             p=sum(share * cost.p @ one for share, one in mean),
             x_ref=reference,
-            u_ref=cost.u_ref,
         )
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:

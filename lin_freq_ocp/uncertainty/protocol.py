@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Literal
 
+from lin_freq_ocp.base.archives import FileValue
 from lin_freq_ocp.base.arrays import assign, brief
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -49,7 +50,7 @@ class RobustProblem(OptimalControlProblem):
         given: OptimalControlProblem,
         uncertainty: Uncertainty,
         end: Literal["invariant"] | None,
-        **of_problem: Any,
+        **of_problem: FileValue,
     ):
         super().__init__(**of_problem)
         assign(self, given=given, uncertainty=uncertainty, end=end)
@@ -81,7 +82,7 @@ def robust(
     Raises
     ------
     ProblemError
-        If the problem is one of ``robust`` already, the uncertainty does not fit the problem, or its margins exceed the range of a limit.
+        If the problem has margins already, the uncertainty does not fit it, or its margins exceed the range of a limit.
     UnsupportedError
         If the problem has modes, formulas, levels, or balls or cones of uncertain signals.
 

@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
-from lin_freq_ocp.uncertainty.leakage import leakage
+from lin_freq_ocp.uncertainty.leakage import bin_values, leakage
 
 HOLDS_WITHIN = 1e-8  # of the terms of a limit: solvers satisfy limits to 1e-9 or better
 LINE = "{:28} {:>8} {:>11} {:>11} {:>11} {:>11}"
@@ -257,15 +257,12 @@ def worst_loads(
             limits.append(replace(one, attained=attained, start=start, loads=w))
     leaks = list[Worst]()
     for name, spectrum, levels in limited_spectra(problem):
-        found, judged = (
-            leakage(loop, spectrum, spectrum.bin_values(x, u)),
-            not (spectrum.joint or np.isnan(levels).any()),
-        )
-        levels = levels if judged else np.full(len(spectrum.bins), np.nan)
+        levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
+        found, judged = leakage(loop, spectrum, bin_values(spectrum, x, u)), not np.isnan(levels).any()
         k = int(np.argmin(levels - found.largest) if judged else np.argmax(found.added))
         w, attained = None if found.loads is None else found.loads[k], np.nan
         if w is not None:
-            attained = float(np.abs(spectrum.bin_values(*run(loads=w))[k]))
+            attained = float(np.abs(bin_values(spectrum, *run(loads=w))[k]))
         planned, added, bin_ = float(np.abs(found.planned[k])), float(found.added[k]), int(spectrum.bins[k])
         size = planned + added + np.nan_to_num(levels[k])
         start = None if w is None else np.zeros(n)

@@ -138,11 +138,6 @@ class SpectrumMap(OutputMap):
         frames = total[:, None] * np.abs(self.window)
         return self.magnitudes().spread(self._add_windows(frames, shapes), shapes)
 
-    def bin_values(self, x: Array, u: Array) -> ComplexArray:
-        """Return the complex values of all bins of all windows, (windows * bins,)."""
-        pairs = self.pairs(self.values(x, u))
-        return pairs[:, 0] + 1j * pairs[:, 1]
-
     def pairs(self, values: Array) -> Array:
         """Return (Re, Im) of every bin of every window, (windows * bins, 2)."""
         if not self.joint:
