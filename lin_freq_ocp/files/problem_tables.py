@@ -42,6 +42,10 @@ from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, Mag
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.transform.reformulations import rate_limited
+from lin_freq_ocp.uncertainty.disturbance import Disturbance
+from lin_freq_ocp.uncertainty.loads import Gaussian, Records
+from lin_freq_ocp.uncertainty.protocol import RobustProblem
+from lin_freq_ocp.uncertainty.protocol import robust as tightened
 
 FORMULA_KEYS = ("f", "region", "domain")
 
@@ -433,22 +437,61 @@ def _rate_limit(
     return {"limit": limit, "previous": previous, "following": following, "price": price}
 
 
-def _problem(schema: int, rate_limit: FileTable | None = None, **fields: FileValue) -> OptimalControlProblem:
+LOADS = Kinds("set of loads", default="box")
+LOADS.records |= {kind: SETS.records[kind] for kind in ("box", "polyhedron", "ball", "ellipsoid")}
+LOADS.records |= {"records": TableRecord(Records), "gaussian": TableRecord(Gaussian)}
+SAMPLED = list, np.ndarray  # loads that were measured, in place of a table
+LOAD_SET = Value(
+    lambda location, given: given if isinstance(given, SAMPLED) else LOADS.read(location, given),
+    lambda location, value: value if isinstance(value, SAMPLED) else LOADS.write(location, value),
+)
+MADE_OF = "rate_limit", "disturbance", "robust"  # tables that change the problem of the others
+NO_FEEDBACK = "none"  # TOML has no null
+GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
+
+
+def _load_values(load: Disturbance) -> FileTable:
+    values = {"set": load.set, "input": load.input, "start": load.start, "forever": load.forever or None}
+    return values | {"gain": NO_FEEDBACK if load.gain is None else load.gain}
+
+
+def _robust(end: FileValue = None) -> FileTable:
+    return {"end": end}
+
+
+DISTURBANCE = TableRecord(
+    Disturbance, own="disturbance", values=_load_values, set=LOAD_SET, input=Value(), gain=GAIN, start=SETS
+)
+
+
+def _problem(
+    schema: int,
+    rate_limit: FileTable | None = None,
+    disturbance: Disturbance | None = None,
+    robust: FileTable | None = None,
+    **fields: FileValue,
+) -> OptimalControlProblem:
     problem = OptimalControlProblem(**fields)
-    if rate_limit is None:
-        return problem
-    try:
-        return rate_limited(problem, **rate_limit)
-    except ProblemError as error:
-        field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+    if rate_limit is not None:
+        try:
+            problem = rate_limited(problem, **rate_limit)
+        except ProblemError as error:
+            field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
+            raise ProblemError(field, error.got, error.expected, error.advice) from None
+    if disturbance is None and robust is not None:
+        raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
+    return problem if disturbance is None else tightened(problem, disturbance, **(robust or {}))
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
+    made: FileTable = {}
+    if isinstance(problem, RobustProblem) and problem.as_made:  # others are written with the limits that they have
+        made = {"disturbance": problem.uncertainty, "robust": problem if problem.end else None}
+        problem = problem.given
     # a rate limit is written as its states and rows
-    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in ("schema", "rate_limit")}
+    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in (*MADE_OF, "schema")} | made
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
         if isinstance(given, (list, tuple)) and not any(member.members for member in given):
@@ -473,6 +516,8 @@ PROBLEM = TableRecord(
     stage_rows=Tables(STAGE_ROWS),
     output_spectrum=Tables(OUTPUTS),
     rate_limit=TableRecord(_rate_limit),
+    disturbance=DISTURBANCE,
+    robust=TableRecord(_robust, values=lambda problem: {"end": problem.end}),
 )
 
 

@@ -7,7 +7,7 @@ margins are limits of an ordinary problem: its plans are those whose limits hold
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -175,8 +175,7 @@ class Disturbance(Uncertainty):
             return worst_loads(problem, loop, plan)
         assert plan.trajectory is not None  # worst_case checks it
         own = plan.problem.uncertainty is self and plan.status.solved and not problem.control_spectrum
-        found = worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
-        return replace(found, cost=plan.cost)
+        return worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
 
 
 def _tighten(

@@ -187,7 +187,7 @@ class Gaussian(Loads):
         share = real_array("Gaussian.probability", probability)
         if share.ndim or not 0.5 < share < 1:
             raise ProblemError("Gaussian.probability", brief(probability), "one number above 0.5 and below 1")
-        self.probability, self.dimension = float(share), len(matrix)
+        self.covariance, self.probability, self.dimension = matrix, float(share), len(matrix)
         self.root = scale[:, None] * vectors * np.sqrt(values.clip(min=0.0))
         self.largest, self.error = float(ndtri(share)) * size, np.zeros(self.dimension)
         self.words = f"Gaussian loads; each limit at each time by itself holds with probability {self.probability:g}"

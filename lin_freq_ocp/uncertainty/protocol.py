@@ -44,16 +44,24 @@ class RobustProblem(OptimalControlProblem):
     given: OptimalControlProblem
     uncertainty: Uncertainty
     end: Literal["invariant"] | None
+    limits: Mapping[str, object]  # the fields as ``robust`` made them
 
     def __init__(
         self,
         given: OptimalControlProblem,
         uncertainty: Uncertainty,
         end: Literal["invariant"] | None,
+        limits: Mapping[str, object] | None = None,
         **of_problem: FileValue,
     ):
         super().__init__(**of_problem)
-        assign(self, given=given, uncertainty=uncertainty, end=end)
+        made = {field.name: getattr(self, field.name) for field in fields(OptimalControlProblem)}
+        assign(self, given=given, uncertainty=uncertainty, end=end, limits=limits or made)
+
+    @property
+    def as_made(self) -> bool:
+        """Return whether all fields are those that ``robust`` made, and none was replaced."""
+        return all(getattr(self, name) is value for name, value in self.limits.items())
 
 
 @one_blas_thread

@@ -85,8 +85,11 @@ class Worst:
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
         shown = (NOTHING if np.isnan(value) else f"{value:.5g}" for value in values)
-        plant = "" if self.plant is None else f"  plant {self.plant}"
-        return LINE.format(self.name, at, *shown) + plant + ("" if self.holds or np.isnan(self.limit) else "  violated")
+        case = "" if self.plant is None else f"  plant {self.plant}"
+        acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
+        if acting is not None and acting.any():
+            case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"
+        return LINE.format(self.name, at, *shown) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +108,8 @@ class WorstCase:
         How far loads move the end of the plan.
     price : float or None
         The derivative of the optimal cost by the size of the loads, at 1 of it; with a plan of ``lfo.solve`` only.
+    cost, nominal : float or None
+        The costs of the plan, and of that for no loads.
 
     Examples
     --------
@@ -120,6 +125,7 @@ class WorstCase:
     end: Array | None = None
     price: float | None = None
     cost: float | None = None
+    nominal: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -147,13 +153,18 @@ class WorstCase:
         return f"No case violates one of these limits: proven, to {HOLDS_WITHIN:g} of their terms."
 
     def __str__(self) -> str:
-        lines = [self.words, LINE.format("limit", "at", "plan", "margin", "limit", "attained"), *map(str, self.limits)]
+        head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"
+        lines = [self.words, head, *map(str, self.limits)]
         lines += [f"for the plan only: {one}" for one in self.leakage]
         if self.end is not None and self.end.any():
             lines.append(f"end of the plan: loads move it by up to {vector(self.end)}")
         lines.append(self.verdict)
         if self.price is not None and self.cost:
             lines.append(f"1 % larger loads cost {number(100 * 0.01 * self.price / abs(self.cost), 3)} %.")
+        if self.nominal and self.cost is not None:
+            more = number(100 * (self.cost - self.nominal) / abs(self.nominal), 3)
+            costs = f"The cost is {number(self.cost)}; that of the plan for no loads {number(self.nominal)}"
+            lines.append(f"{costs}: {more} % more.")
         return "\n".join(line.rstrip() for line in lines)
 
     def __repr__(self) -> str:
@@ -270,7 +281,8 @@ def worst_loads(
         (limits if judged else leaks).append(one)
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
-    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price)
+    cost = problem.value(trajectory.x, trajectory.u)
+    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price, cost)
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:
