@@ -450,18 +450,13 @@ NO_FEEDBACK = "none"  # TOML has no null
 GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
 
 
-def _load_values(load: Disturbance) -> FileTable:
-    values = {"set": load.set, "input": load.input, "start": load.start, "forever": load.forever or None}
-    return values | {"gain": NO_FEEDBACK if load.gain is None else load.gain}
-
-
-def _robust(end: FileValue = None) -> FileTable:
-    return {"end": end}
-
-
 DISTURBANCE = TableRecord(
-    Disturbance, own="disturbance", values=_load_values, set=LOAD_SET, input=Value(), gain=GAIN, start=SETS
+    Disturbance,
+    own="disturbance",
+    values=lambda load: vars(load) | {"gain": NO_FEEDBACK if load.gain is None else load.gain},
+    **{"set": LOAD_SET, "gain": GAIN, "start": SETS},
 )
+ROBUST = TableRecord(lambda end=None: {"end": end}, values=lambda problem: {"end": problem.end})
 
 
 def _problem(
@@ -517,7 +512,7 @@ PROBLEM = TableRecord(
     output_spectrum=Tables(OUTPUTS),
     rate_limit=TableRecord(_rate_limit),
     disturbance=DISTURBANCE,
-    robust=TableRecord(_robust, values=lambda problem: {"end": problem.end}),
+    robust=ROBUST,
 )
 
 

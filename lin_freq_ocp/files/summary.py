@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
     from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
-    from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase
+    from lin_freq_ocp.uncertainty.worst_loads import WorstCase
 
 SCHEMA = 2
 
@@ -92,23 +92,10 @@ def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> File
 
 
 def _worst_case(worst: WorstCase) -> FileTable:
-    keys = "name", "planned", "margin", "limit", "attained", "holds", "plant"
-
-    def table(one: Worst) -> FileTable:
-        place = (None, one.index) if one.in_spectrum else (one.index, None)
-        arrays = {key: None if (value := getattr(one, key)) is None else value.tolist() for key in ("start", "loads")}
-        return {key: getattr(one, key) for key in keys} | dict(zip(("time", "bin"), place, strict=True)) | arrays
-
-    return {
-        "loads": worst.words,
-        "holds": worst.holds,
-        "verdict": worst.verdict,
-        "limits": [table(one) for one in worst.limits],
-        "leakage": [table(one) for one in worst.leakage],
-        "end": None if worst.end is None else worst.end.tolist(),
-        "price": worst.price,
-        "nominal_cost": worst.nominal,
-    }
+    """Return a worst case by the names of its attributes."""
+    parts = {"limits": worst.limits, "leakage": worst.leakage}
+    tables = {part: [asdict(one) | {"holds": one.holds} for one in given] for part, given in parts.items()}
+    return {"holds": worst.holds, "verdict": worst.verdict, **asdict(worst), **tables}
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
@@ -251,6 +238,8 @@ def finite(value: FileValue) -> FileValue:
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -269,15 +269,16 @@ def worst_loads(
     leaks = list[Worst]()
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-        found, judged = leakage(loop, spectrum, bin_values(spectrum, x, u)), not np.isnan(levels).any()
-        k = int(np.argmin(levels - found.largest) if judged else np.argmax(found.added))
-        w, attained = None if found.loads is None else found.loads[k], np.nan
+        bins, judged = bin_values(spectrum, x, u), not np.isnan(levels).any()
+        largest, loads = leakage(loop, spectrum, bins)
+        k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
+        w, attained = None if loads is None else loads[k], np.nan
         if w is not None:
             attained = float(np.abs(bin_values(spectrum, *run(loads=w))[k]))
-        planned, added, bin_ = float(np.abs(found.planned[k])), float(found.added[k]), int(spectrum.bins[k])
-        size = planned + added + np.nan_to_num(levels[k])
-        start = None if w is None else np.zeros(n)
-        one = Worst(name, bin_, planned, added, float(levels[k]), size, attained, start, w, in_spectrum=True)
+        planned, most, level = float(np.abs(bins[k])), float(largest[k]), float(levels[k])
+        start, size = None if w is None else np.zeros(n), most + np.nan_to_num(level)
+        bin_, added = int(spectrum.bins[k]), most - planned
+        one = Worst(name, bin_, planned, added, level, size, attained, start, w, in_spectrum=True)
         (limits if judged else leaks).append(one)
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
