@@ -186,3 +186,23 @@ def test_rate_limits_of_a_file_hold_for_all_loads(file):
             x = np.append(A @ x[:2] + B @ u + rng.choice([-0.02, 0.02], 2), u)
             before = u[0]
     assert max(over) < 1e-8
+
+
+def test_the_figure_has_the_worst_load_beside_the_plan_and_margins_as_bands(file):
+    problem = lfo.read_problem(file())
+    found = lfo.solve(problem)
+    figure = found.plot()
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "margin for loads" in labels
+    worst = lfo.worst_case(problem.given, problem.uncertainty, found).closest
+    assert f"worst load (for {worst.name})" in labels
+    bands = [one.get_paths()[0].vertices[:, 1] for one in figure.axes[0].collections]
+    assert {(round(band.min(), 6), round(band.max(), 6)) for band in bands} == {
+        (round(float(problem.control_tube.upper.min()), 6), 1.0),
+        (-1.0, round(float(problem.control_tube.lower.max()), 6)),
+    }
+    lines = [line.get_ydata() for line in figure.axes[0].get_lines()]
+    _, u = simulate(tube(), LOAD.feedback(tube()), found.trajectory, np.eye(2), worst.loads[None])
+    assert any(np.allclose(line[:10], u[0, :, 0], atol=1e-12) for line in lines if len(line) >= 10)
+    plain = lfo.solve(tube()).plot()
+    assert "margin for loads" not in [text.get_text() for text in plain.legends[0].get_texts()]
