@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -431,10 +432,9 @@ STAGE_ROWS.records |= {
 }
 
 
-def _rate_limit(
-    limit: FileValue = None, previous: FileValue = None, following: FileValue = None, price: FileValue = 0.0
-) -> FileTable:
-    return {"limit": limit, "previous": previous, "following": following, "price": price}
+def _keys(**given: FileValue) -> FileTable:
+    """Return the keys of a table whose function takes the problem of the others, too."""
+    return given
 
 
 LOADS = Kinds("set of loads", default="box")
@@ -456,7 +456,6 @@ DISTURBANCE = TableRecord(
     values=lambda load: vars(load) | {"gain": NO_FEEDBACK if load.gain is None else load.gain},
     **{"set": LOAD_SET, "gain": GAIN, "start": SETS},
 )
-ROBUST = TableRecord(lambda end=None: {"end": end}, values=lambda problem: {"end": problem.end})
 
 
 def _problem(
@@ -510,9 +509,9 @@ PROBLEM = TableRecord(
     state_spectrum=Tables(SPECTRUM),
     stage_rows=Tables(STAGE_ROWS),
     output_spectrum=Tables(OUTPUTS),
-    rate_limit=TableRecord(_rate_limit),
+    rate_limit=TableRecord(_keys, like=partial(rate_limited, None)),
     disturbance=DISTURBANCE,
-    robust=ROBUST,
+    robust=TableRecord(_keys, like=partial(tightened, None, None)),
 )
 
 

@@ -29,7 +29,7 @@ from lin_freq_ocp.uncertainty.invariant import invariant_end, lasting_rows
 from lin_freq_ocp.uncertainty.leakage import tightened_spectra
 from lin_freq_ocp.uncertainty.loads import Loads, loads_of
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, simulate_loop, worst_loads
+from lin_freq_ocp.uncertainty.worst_loads import WorstCase, worst_loads
 
 WEIGHTS = np.geomspace(1e-3, 1e3, 25)  # of the controls in the costs of the regulators of which "auto" takes one
 SMALL_PART = 1e-6  # of the mean weight, in place of none
@@ -167,12 +167,6 @@ class Disturbance(Uncertainty):
             text = f"robust: {join_words(kept)} hold for the plan; loads change them. lfo.worst_case says by how much."
             warn_user(text, ClosedLoopWarning)
         return changes
-
-    def under(self, problem: OptimalControlProblem, plan: Trajectory, case: Worst) -> Trajectory:
-        """Return the states and controls of a plan with its feedback, under the start and the loads of a case."""
-        assert case.start is not None  # of Gaussian loads: no load attains a margin
-        assert case.loads is not None
-        return Trajectory(*simulate_loop(problem, self.error_loop(problem), plan, case.start, case.loads))
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst loads do to a plan; see ``worst_case``."""

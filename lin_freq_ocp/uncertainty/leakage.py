@@ -19,12 +19,13 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, named_entries
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
 
-def bin_values(spectrum: SpectrumMap, x: Array, u: Array) -> ComplexArray:
+def bin_values(spectrum: SpectrumMap, trajectory: Trajectory) -> ComplexArray:
     """Return the complex values of a spectrum, (bins,)."""
-    return replace(spectrum, joint=False).values(x, u) @ np.array([1.0, 1j])
+    return replace(spectrum, joint=False).values(trajectory.x, trajectory.u) @ np.array([1.0, 1j])
 
 
 def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray) -> tuple[Array, Array | None]:

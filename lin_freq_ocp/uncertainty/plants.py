@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural, split_unit
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
@@ -82,9 +81,8 @@ class Plants(Uncertainty):
         if end is not None:
             raise UnsupportedError("end: got 'invariant' with Plants; expected None, or a Disturbance.")
         if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
-            raise UnsupportedError(
-                "cost, stage_rows: got norms or formulas; expected a quadratic cost and linear rows."
-            )
+            got = "cost, stage_rows: got norms or formulas"
+            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
         n, K, T = problem.state_dim, len(self.plants), problem.horizon
         periodic = problem.terminal_state.links(n, T)
         if any(not link.repeats for link in periodic):
@@ -94,44 +92,30 @@ class Plants(Uncertainty):
 
         def outputs(given: OutputSpectrum, k: int) -> OutputSpectrum:
             C = None if given.C is None else given.C @ place[k]
-            labels = [_of_plant(name, k) for name in given.output_names]
-            return OutputSpectrum(C, given.D, given.constraints, labels)
+            return OutputSpectrum(C, given.D, given.constraints, [_of_plant(name, k) for name in given.output_names])
+
+        def rows(given: StageRows, k: int) -> StageRows:
+            return StageRows(given.C @ place[k], given.D, given.e, _of_plant(given.name, k), given.penalty)
 
         spectra = [
             one.changed(component=k * n + i)
-            for given in entries_of(problem.state_spectrum)
-            for i in component_indices("state_spectrum", given.component, names)
-            for k in range(K)
-            for one in [given]
-        ]
-        rows = [
-            StageRows(rows.C @ place[k], rows.D, rows.e, _of_plant(rows.name, k), rows.penalty)
-            for rows in problem.stage_rows
+            for one in entries_of(problem.state_spectrum)
+            for i in component_indices("state_spectrum", one.component, names)
             for k in range(K)
         ]
+        cost, shares = problem.quadratic, self.shares
+        weights = {key: np.kron(np.diag(shares), getattr(cost, key)) for key in "QP"}
+        slopes = {key: np.kron(shares, getattr(cost, key)) for key in "qp"}
+        mean = replace(cost, **weights, **slopes, S=np.kron(shares[:, None], cost.S), x_ref=np.tile(cost.x_ref, K))
         return dict(
             dynamics=self.plants[0].stacked(self.plants, [_of_plant(name, k) for k in range(K) for name in names], T),
-            cost=self._mean_cost(problem.quadratic, place),
+            cost=mean,  # over the plants; the part of the controls counts once
             state_set=map_sets(problem.state_set, every),
             initial_state=every(problem.initial_state),
             terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
-            stage_rows=rows or None,
+            stage_rows=[rows(one, k) for one in problem.stage_rows for k in range(K)] or None,
             state_spectrum=spectra or None,
             output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
-        )
-
-    def _mean_cost(self, cost: QuadraticCost, place: Sequence[Array]) -> QuadraticCost:
-        """Return the mean of the costs of all plants; the part of the controls counts once."""
-        mean = list(zip(self.shares, place, strict=True))
-        reference = sum(np.broadcast_to(cost.x_ref, (*cost.x_ref.shape[:-1], len(place[0]))) @ one for one in place)
-        return replace(
-            cost,
-            Q=sum(share * one.T @ cost.Q @ one for share, one in mean),
-            S=sum(share * one.T @ cost.S for share, one in mean),
-            q=sum(share * cost.q @ one for share, one in mean),
-            P=sum(share * one.T @ cost.P @ one for share, one in mean),
-            p=sum(share * cost.p @ one for share, one in mean),
-            x_ref=reference,
         )
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:

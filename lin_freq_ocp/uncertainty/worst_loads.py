@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
 from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plural, short_name, vector
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -44,6 +44,8 @@ class Worst:
     start : (n,) or None
         The error x_0 - z_0 of the start.
     loads : (T, k) or None
+    trajectory : Trajectory or None
+        The states and controls of the simulation.
     plant : int or None
         The number of the plant, from 1.
     in_spectrum : bool
@@ -67,6 +69,7 @@ class Worst:
     attained: float = np.nan
     start: Array | None = None
     loads: Array | None = None
+    trajectory: Trajectory | None = None
     plant: int | None = None
     in_spectrum: bool = False
     sign: int = 1
@@ -183,7 +186,7 @@ class LimitRows:
     D: Array
     limits: Array  # (T+1, rows)
     term: str = ""  # whose multipliers they have
-    sign: int = 1  # -1: lower limits, multiplied by -1
+    signs: Indices | None = None  # -1: lower limits, multiplied by -1
 
     def values(self, x: Array, u: Array) -> Array:
         """Return C x_t + D u_t, (T+1, rows), with a control of zero at time T."""
@@ -196,17 +199,18 @@ class LimitRows:
         for i in np.flatnonzero(bounded.any(axis=0)).tolist():
             t = int(np.argmin((self.limits - planned - margins)[:, i]))
             c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (self.C, self.D))
-            plan, limit = (float(self.sign * part[t, i]) for part in (planned, self.limits))
+            sign = 1 if self.signs is None else int(self.signs[i])
+            plan, limit = (float(sign * part[t, i]) for part in (planned, self.limits))
             size = float(sizes[t, i]) + abs(limit)
-            yield Worst(self.names[i], t, plan, float(margins[t, i]), limit, size, plan, sign=self.sign), c, d
+            yield Worst(self.names[i], t, plan, float(margins[t, i]), limit, size, plan, sign=sign), c, d
 
     def price(self, margins: Array, multipliers: Multipliers) -> float:
         """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
         bounded = np.isfinite(self.limits)
-        if self.term:
+        if self.signs is None:
             weights = multipliers.stage.get(self.term)
             return 0.0 if weights is None else float((weights * margins[bounded.any(axis=1)]).sum())
-        weights = np.maximum(self.sign * (multipliers.mu if self.C.any() else multipliers.nu), 0.0)
+        weights = np.maximum(self.signs * np.tile(multipliers.mu if self.C.any() else multipliers.nu, 2), 0.0)
         return float((weights * (margins * bounded)[: len(weights)]).sum())
 
 
@@ -216,19 +220,19 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     Bounds of states count at time 0 if the start is uncertain; fixed ends only where they are not ``moved`` (n,).
     """
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    ends, free = problem.terminal_box, np.full((T + 1, n), np.inf)
-    for sign, word, side in ((1, "upper", "upper"), (-1, "lower", "lower")):
-        of_x, of_u, end = problem.state_boxes, problem.control_tube, free.copy()
-        of_x, of_u, of_end = (sign * getattr(box, side) for box in (of_x, of_u, ends))
-        end[T] = np.where(ends.fixed & moved, np.inf, of_end)
-        of_x = of_x if bounded_start else np.vstack([free[:1], of_x[1:]])
-        x_names, u_names = (
-            [f"{short_name(name)}, {word}" for name in names] for names in (problem.state_names, problem.control_names)
-        )
-        C, D = sign * np.eye(n), sign * np.eye(m)
-        yield LimitRows(x_names, C, np.zeros((n, m)), of_x, sign=sign)
-        yield LimitRows(u_names, np.zeros((m, n)), D, np.vstack([of_u, np.full((1, m), np.inf)]), sign=sign)
-        yield LimitRows([f"end of {name}" for name in x_names], C, np.zeros((n, m)), end, sign=sign)
+    ends, end = problem.terminal_box, np.full((T + 1, 2 * n), np.inf)
+    end[T] = np.where(np.tile(ends.fixed & moved, 2), np.inf, np.append(ends.upper, -ends.lower))
+    of_x, of_u = (np.hstack([box.upper, -box.lower]) for box in (problem.state_boxes, problem.control_tube))
+    of_x, of_u = (
+        np.vstack([of_x[:1] if bounded_start else end[:1], of_x[1:]]),
+        np.vstack([of_u, np.full(2 * m, np.inf)]),
+    )
+    C, D = (np.vstack([np.eye(k), -np.eye(k)]) for k in (n, m))
+    states = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.state_names]
+    controls = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.control_names]
+    yield LimitRows(states, C, np.zeros((2 * n, m)), of_x, signs=np.repeat((1, -1), n))
+    yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
+    yield LimitRows([f"end of {name}" for name in states], C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n))
     for term in problem.terms:
         found = term.polyhedron(n, m)
         if found is None or term.kind.is_link:
@@ -250,35 +254,32 @@ def worst_loads(
     problem.require(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
 
-    def run(start: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
-        w = np.zeros((T, loop.E.shape[-1])) if loads is None else loads
-        return simulate_loop(problem, loop, trajectory, np.zeros(n) if start is None else start, w)
-
-    (x, u), limits, price = run(), list[Worst](), 0.0
+    plan = simulate_loop(problem, loop, trajectory)
+    x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
     for rows in hard_rows(problem, loop.start is not None or loop.forever, end > 0):
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
-            start, w = loop.worst(c, d, one.index) or (None, None)
-            attained = np.nan
-            if w is not None:
-                X, U = run(start, w)
-                attained = one.sign * float(X[one.index] @ c + (U[one.index] @ d if one.index < T else 0.0))
-            limits.append(replace(one, attained=attained, start=start, loads=w))
-    leaks = list[Worst]()
+            t, under, attained = one.index, None, np.nan
+            start, w = loop.worst(c, d, t) or (None, None)
+            if start is not None:
+                under = simulate_loop(problem, loop, trajectory, start, w)
+                attained = one.sign * float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d)
+            limits.append(replace(one, attained=attained, start=start, loads=w, trajectory=under))
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-        bins, judged = bin_values(spectrum, x, u), not np.isnan(levels).any()
+        bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
         largest, loads = leakage(loop, spectrum, bins)
         k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
-        w, attained = None if loads is None else loads[k], np.nan
-        if w is not None:
-            attained = float(np.abs(bin_values(spectrum, *run(loads=w))[k]))
-        planned, most, level = float(np.abs(bins[k])), float(largest[k]), float(levels[k])
-        start, size = None if w is None else np.zeros(n), most + np.nan_to_num(level)
-        bin_, added = int(spectrum.bins[k]), most - planned
-        one = Worst(name, bin_, planned, added, level, size, attained, start, w, in_spectrum=True)
+        start, w, under, attained = None, None, None, np.nan
+        if loads is not None:
+            start, w = np.zeros(n), loads[k]
+            under = simulate_loop(problem, loop, trajectory, start, w)
+            attained = float(np.abs(bin_values(spectrum, under)[k]))
+        planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
+        values = int(spectrum.bins[k]), planned, most - planned, level, size + most, attained
+        one = Worst(name, *values, start=start, loads=w, trajectory=under, in_spectrum=True)
         (limits if judged else leaks).append(one)
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
@@ -304,12 +305,17 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
 
 
 def simulate_loop(
-    problem: OptimalControlProblem, loop: ErrorLoop, plan: Trajectory, start: Array, loads: Array
-) -> tuple[Array, Array]:
-    """Return states (T+1, n) and controls (T, m) of u = v + K (x - z), x_0 = z_0 + start, under loads (T, k)."""
-    x, u, forces = [plan.x[0] + start], list[Array](), times_vectors(loop.E, loads)
-    for t in range(problem.horizon):
+    problem: OptimalControlProblem,
+    loop: ErrorLoop,
+    plan: Trajectory,
+    start: Array | float = 0.0,
+    loads: Array | None = None,
+) -> Trajectory:
+    """Return u = v + K (x - z), x_0 = z_0 + start, and its states under loads (T, k); none by default."""
+    T, x, u = problem.horizon, [plan.x[0] + start], list[Array]()
+    forces = np.zeros((T, len(x[0]))) if loads is None else times_vectors(loop.E, loads)
+    for t in range(T):
         A, B, d = problem.linear.at(t)
         u.append(plan.u[t] + loop.K @ (x[t] - plan.x[t]))
         x.append(A @ x[t] + B @ u[t] + d + forces[t])
-    return np.array(x), np.array(u)
+    return Trajectory(x, u)

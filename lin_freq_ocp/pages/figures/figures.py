@@ -74,12 +74,11 @@ def result_data(result: Outcome) -> PlotData:
     if not loaded:
         return PlotData(problem, (plan,))
     worst = problem.uncertainty.worst(given, result).closest
-    if worst is None or worst.loads is None:
+    if worst is None or worst.trajectory is None:
         return PlotData(given, (plan,), problem)
-    under = problem.uncertainty.under(given, shown.trajectory, worst)
-    text = f"for {worst.name}"
-    trace = Trace("worst load", MeasuredTrajectory("worst load", given, under), look.STYLES["filtered"], text)
-    return PlotData(given, (trace, plan), problem)
+    under = MeasuredTrajectory("worst load", given, worst.trajectory)
+    loads = Trace(under.label, under, look.STYLES["filtered"], f"for {worst.name}")
+    return PlotData(given, (loads, plan), problem)
 
 
 def comparison_data(comparison: ComparisonOutcome) -> PlotData:
