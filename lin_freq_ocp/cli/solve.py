@@ -206,8 +206,7 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
     description = build(problem, settings)
     if not isinstance(description, RobustProblem):
         raise ProblemError("disturbance", "nothing", "a table [disturbance] in the problem file, the set of the loads")
-    trajectory = load_trajectory(plan, description)[0]
-    worst = worst_case(description.given, description.uncertainty, trajectory)
+    worst = worst_case(description.given, description.uncertainty, load_trajectory(plan, description)[0])
     if as_json:
         console.print_json(worst_case_summary(description, worst))
     else:

@@ -145,9 +145,8 @@ def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
     """Return the complex array of two keys, both of which must be there with the same shape."""
     parts = [real_array(f"dynamics.{field}_{part}", one) for part, one in (("real", real), ("imag", imaginary))]
     if parts[0].shape != parts[1].shape:
-        raise ProblemError(
-            f"dynamics.{field}_imag", f"shape {parts[1].shape}", f"that of {field}_real, {parts[0].shape}"
-        )
+        expected = f"that of {field}_real, {parts[0].shape}"
+        raise ProblemError(f"dynamics.{field}_imag", f"shape {parts[1].shape}", expected)
     return parts[0] + 1j * parts[1]
 
 
@@ -440,10 +439,9 @@ def _keys(**given: FileValue) -> FileTable:
 LOADS = Kinds("set of loads", default="box")
 LOADS.records |= {kind: SETS.records[kind] for kind in ("box", "polyhedron", "ball", "ellipsoid")}
 LOADS.records |= {"records": TableRecord(Records), "gaussian": TableRecord(Gaussian)}
-SAMPLED = list, np.ndarray  # loads that were measured, in place of a table
-LOAD_SET = Value(
-    lambda location, given: given if isinstance(given, SAMPLED) else LOADS.read(location, given),
-    lambda location, value: value if isinstance(value, SAMPLED) else LOADS.write(location, value),
+LOAD_SET = Value(  # a table, or an array of measured loads
+    lambda location, given: LOADS.read(location, given) if isinstance(given, Mapping) else given,
+    lambda location, value: value if isinstance(value, (list, np.ndarray)) else LOADS.write(location, value),
 )
 MADE_OF = "rate_limit", "disturbance", "robust"  # tables that change the problem of the others
 NO_FEEDBACK = "none"  # TOML has no null

@@ -113,10 +113,8 @@ def _is_implied(F: Array, g: Array, row: Array, limit: float) -> bool:
     With extents |y| <= e of the set, row'y <= Y g + R e for any weights Y >= 0 and R >= |row - Y F|.
     """
     seen = F.any(axis=0)
-    if not row.any():
-        return True
-    if row[~seen].any():
-        return False
+    if not row.any() or row[~seen].any():
+        return not row.any()
     sides = np.vstack([np.eye(seen.sum()), -np.eye(seen.sum())])
     value, rest = _dual_bounds(F[:, seen], g, np.vstack([row[seen], sides]))
     if not np.isfinite(value).all():

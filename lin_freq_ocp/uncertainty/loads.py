@@ -211,9 +211,8 @@ def loads_of(given: object, dimension: int) -> Loads:
         loads = given
     elif isinstance(given, ConvexSet):
         if given.dimension not in (None, dimension):
-            raise ProblemError(
-                SET, f"a set in {given.dimension} dimensions", f"{dimension}, one per column of the input"
-            )
+            expected = f"{dimension}, one per column of the input"
+            raise ProblemError(SET, f"a set in {given.dimension} dimensions", expected)
         kind, words = LoadSet if given.members else BoxLoads, f"a {type(given).__name__}"
         loads = kind(*given.farthest(dimension), f"every load of {words} of {plural(dimension, 'component')}")
     else:

@@ -74,6 +74,12 @@ class Worst:
     in_spectrum: bool = False
     sign: int = 1
 
+    def under(self, case: tuple[Array, Array] | None, trajectory: Trajectory, value: float) -> Worst:
+        """Return this worst case with the start and the loads that attain it, and the value of their simulation."""
+        if case is None:
+            return replace(self, attained=np.nan)
+        return replace(self, attained=self.sign * value, start=case[0], loads=case[1], trajectory=trajectory)
+
     @property
     def violation(self) -> float:
         """Return by how much the worst case exceeds the limit; negative inside."""
@@ -195,8 +201,8 @@ class LimitRows:
     def closest(self, x: Array, u: Array, margins: Array) -> Iterator[tuple[Worst, Array, Array]]:
         """Yield each limit at the time at which a trajectory and its margins are closest to it, with its row."""
         sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
-        planned, bounded = self.values(x, u), np.isfinite(self.limits)
-        for i in np.flatnonzero(bounded.any(axis=0)).tolist():
+        planned = self.values(x, u)
+        for i in np.flatnonzero(np.isfinite(self.limits).any(axis=0)).tolist():
             t = int(np.argmin((self.limits - planned - margins)[:, i]))
             c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (self.C, self.D))
             sign = 1 if self.signs is None else int(self.signs[i])
@@ -223,10 +229,8 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     ends, end = problem.terminal_box, np.full((T + 1, 2 * n), np.inf)
     end[T] = np.where(np.tile(ends.fixed & moved, 2), np.inf, np.append(ends.upper, -ends.lower))
     of_x, of_u = (np.hstack([box.upper, -box.lower]) for box in (problem.state_boxes, problem.control_tube))
-    of_x, of_u = (
-        np.vstack([of_x[:1] if bounded_start else end[:1], of_x[1:]]),
-        np.vstack([of_u, np.full(2 * m, np.inf)]),
-    )
+    of_x = of_x if bounded_start else np.vstack([end[:1], of_x[1:]])
+    of_u = np.pad(of_u, ((0, 1), (0, 0)), constant_values=np.inf)
     C, D = (np.vstack([np.eye(k), -np.eye(k)]) for k in (n, m))
     states = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.state_names]
     controls = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.control_names]
@@ -253,7 +257,6 @@ def worst_loads(
     """Return what the worst loads do to a trajectory; with the multipliers of a plan, also what larger loads cost."""
     problem.require(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-
     plan = simulate_loop(problem, loop, trajectory)
     x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
@@ -261,30 +264,24 @@ def worst_loads(
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
-            t, under, attained = one.index, None, np.nan
-            start, w = loop.worst(c, d, t) or (None, None)
-            if start is not None:
-                under = simulate_loop(problem, loop, trajectory, start, w)
-                attained = one.sign * float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d)
-            limits.append(replace(one, attained=attained, start=start, loads=w, trajectory=under))
+            t, case = one.index, loop.worst(c, d, one.index)
+            under = simulate_loop(problem, loop, trajectory, case)
+            limits.append(one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d)))
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
         bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
         largest, loads = leakage(loop, spectrum, bins)
         k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
-        start, w, under, attained = None, None, None, np.nan
-        if loads is not None:
-            start, w = np.zeros(n), loads[k]
-            under = simulate_loop(problem, loop, trajectory, start, w)
-            attained = float(np.abs(bin_values(spectrum, under)[k]))
+        case = None if loads is None else (np.zeros(n), loads[k])
+        under = simulate_loop(problem, loop, trajectory, case)
         planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
-        values = int(spectrum.bins[k]), planned, most - planned, level, size + most, attained
-        one = Worst(name, *values, start=start, loads=w, trajectory=under, in_spectrum=True)
+        values = int(spectrum.bins[k]), planned, most - planned, level, size + most
+        one = Worst(name, *values, in_spectrum=True).under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
         (limits if judged else leaks).append(one)
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
-    cost = problem.value(trajectory.x, trajectory.u)
-    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price, cost)
+    prices = None if multipliers is None else price, problem.value(trajectory.x, trajectory.u)
+    return WorstCase(words, tuple(limits), tuple(leaks), end, *prices)
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:
@@ -305,15 +302,12 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
 
 
 def simulate_loop(
-    problem: OptimalControlProblem,
-    loop: ErrorLoop,
-    plan: Trajectory,
-    start: Array | float = 0.0,
-    loads: Array | None = None,
+    problem: OptimalControlProblem, loop: ErrorLoop, plan: Trajectory, case: tuple[Array, Array] | None = None
 ) -> Trajectory:
-    """Return u = v + K (x - z), x_0 = z_0 + start, and its states under loads (T, k); none by default."""
-    T, x, u = problem.horizon, [plan.x[0] + start], list[Array]()
-    forces = np.zeros((T, len(x[0]))) if loads is None else times_vectors(loop.E, loads)
+    """Return u = v + K (x - z), x_0 = z_0 + start, and its states, for a start (n,) and loads (T, k); None: zeros."""
+    T = problem.horizon
+    start, w = case or (np.zeros(problem.state_dim), np.zeros((T, loop.E.shape[-1])))
+    x, u, forces = [plan.x[0] + start], list[Array](), times_vectors(loop.E, w)
     for t in range(T):
         A, B, d = problem.linear.at(t)
         u.append(plan.u[t] + loop.K @ (x[t] - plan.x[t]))
