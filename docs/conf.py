@@ -90,7 +90,7 @@ def _save_first_panel(figure: Figure, path: str) -> None:
 
 
 SKETCHES = {  # of _static/sketches, with the examples that have this plant
-    "cart": ("first_steps", "both_sides_of_a_kink", "problem_files", "certify_another_tool"),
+    "cart": ("first_steps", "gusts", "both_sides_of_a_kink", "problem_files", "certify_another_tool"),
     "cart_pendulum": (
         *("pendulum", "receding_horizon", "masked_pendulum", "price_of_bandwidth"),
         *("infeasible", "long_horizons", "many_initial_states"),

@@ -19,7 +19,7 @@ sys.path.append(str(SCRIPTS.parent / "tests"))  # some measure on random problem
 BENCHMARKS = (
     *("solvers", "memory", "structured", "layers", "choice"),
     *("frequencies", "wave_energy", "shapers", "minimum_time"),
-    *("many", "derivatives", "loop", "embedded", "closed_loop", "explore", "proof", "threads"),
+    *("many", "derivatives", "loop", "embedded", "closed_loop", "explore", "proof", "threads", "robust"),
     *("levels", "modes", "nonlinear", "formula_costs", "newton", "commits"),
 )
 

@@ -42,6 +42,7 @@ weights       weights of 1e4 to 1e10 on one component, time or control: nothing 
 names         hostile names through every writer: C is compiled, TOML and pages are parsed
 jumps         states that jump to 1e30 and to no number, in loops and in generated C: controls keep hard limits exactly
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
+robust       margins of random systems with loads, constant and varying in time, against all extreme points
 suite        the tests with all their random seeds
 
 A run of the tests takes a third of their seeded samples, of long tables of cases, and of expensive tests. N is by
@@ -89,6 +90,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "names": 300,
     "jumps": 300,
     "uncontrollable": 1000,
+    "robust": 1000,
     "derivatives": 300,
     "pairs": None,
     "answers": None,

@@ -117,7 +117,6 @@ def certify_log(controller: RecedingHorizon, path: str | PathLike[str], toleranc
 
 def _require_controller(given: object) -> RecedingHorizon:
     if not isinstance(given, RecedingHorizon):
-        raise ProblemError(
-            "controller", brief(given), "a RecedingHorizon", "Of a problem: lfo.RecedingHorizon(problem)."
-        )
+        advice = "Of a problem: lfo.RecedingHorizon(problem)."
+        raise ProblemError("controller", brief(given), "a RecedingHorizon", advice)
     return given

@@ -41,9 +41,8 @@ def real_array(
     if not good.all():
         bad = ~good
         where = "".join(f"[{i}]" for i in np.argwhere(bad)[0]) if array.ndim else ""
-        raise ProblemError(
-            f"{field}{where}", f"{array[bad].flat[0]}", "a finite number" if not allow_infinite else "a number"
-        )
+        expected = "a number" if allow_infinite else "a finite number"
+        raise ProblemError(f"{field}{where}", f"{array[bad].flat[0]}", expected)
     array.flags.writeable = False
     return array
 

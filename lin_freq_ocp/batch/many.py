@@ -192,9 +192,8 @@ def changes_of(
     """
     n = problem.state_dim
     if references is not None and not isinstance(references, (Mapping, Sequence)):
-        raise ProblemError(
-            "references", brief(references), "a mapping with x_ref, u_ref, q or r, or a sequence of them"
-        )
+        expected = "a mapping with x_ref, u_ref, q or r, or a sequence of them"
+        raise ProblemError("references", brief(references), expected)
     shared = references if isinstance(references, Mapping) else None
     each = None if references is None or isinstance(references, Mapping) else list(references)
     if states is None and each is None:

@@ -2,7 +2,7 @@
 
 Exit status: 0 the maximum principle is satisfied and normal, or the gap is proven; 1 infeasible or unbounded, with the
 reason (0 for a sweep, in which both are answers); 2 bad input, or a file that cannot be written; 3 a point without such
-a proof, or too little memory; 70 a fault of this program; 130 interrupted.
+a proof, a plan that some load breaks, or too little memory; 70 a fault of this program; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ COMMANDS = {
     "shaper": "input_shaper",
     "explore": "explore",
     "certify": "solve",
+    "worst-case": "solve",
     "rerun": "solve",
     "generate": "generate",
     "certify-log": "generate",

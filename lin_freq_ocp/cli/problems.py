@@ -19,6 +19,7 @@ from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transform.limits import CUTOFFS, NUMBER_WORDS, changed_fields
+from lin_freq_ocp.uncertainty.protocol import RobustProblem, robust
 
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
@@ -101,6 +102,9 @@ def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlP
             tables["control_spectrum"] = None if settings[key] is None else [low_pass]
     problem = read_problem(path, tables)
     values = dict(entry for word in NUMBER_WORDS for entry in _dotted_entries(word, settings.get(word, {})))
+    if values and isinstance(problem, RobustProblem):
+        given = replace(problem.given, **changed_fields(problem.given, values))
+        return robust(given, problem.uncertainty, problem.end)
     return replace(problem, **changed_fields(problem, values)) if values else problem
 
 

@@ -1,4 +1,4 @@
-"""The commands lin-freq-ocp solve, certify, rerun and compare.
+"""The commands lin-freq-ocp solve, certify, worst-case, rerun and compare.
 
 solve finds an answer with its certificate, and writes the files of --save, --csv, --plot, --proof and --dump; certify
 checks the maximum principle for any trajectory; rerun repeats a saved run; compare compares filters of the classical
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,11 +32,13 @@ from lin_freq_ocp.files.summary import (
     comparison_summary,
     failed_comparison_summary,
     result_summary,
+    worst_case_summary,
 )
 from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
 from lin_freq_ocp.transform.starts import start_of
+from lin_freq_ocp.uncertainty.protocol import RobustProblem, worst_case
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,13 +140,20 @@ def solve_command(
         if result.status == Status.INFEASIBLE or result.ray is not None:
             with console.progress("looking for the smallest relaxation"):
                 result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
+    worst, status = None, console.exit_status(result)
+    if isinstance(description, RobustProblem) and result.trajectory is not None:
+        with console.progress("solving without loads"):
+            nominal = solve(description.given, **options, throw=False)
+        worst = replace(worst_case(description.given, description.uncertainty, result), nominal=nominal.cost)
     if as_json:
-        console.print_json(result_summary(result, with_trajectory))
+        console.print_json(result_summary(result, with_trajectory, worst))
     else:
         console.print_lines(str(result))
         console.print_conflict(result)
         console.print_certificate(description, result.certificate)
-    return write_outputs(outputs, result, console.exit_status(result))
+        if worst is not None:
+            console.print_lines(str(worst))
+    return write_outputs(outputs, result, status if worst is None or worst.holds else status or console.NOT_PROVEN)
 
 
 @click.command("certify")
@@ -184,6 +194,24 @@ def certify_command(
         with suppress(UnsupportedError):  # too many to count quickly
             console.say(f"multipliers {uniqueness(linear_along(description, trajectory), trajectory)}")
     return status
+
+
+@click.command("worst-case")
+@console.problem_argument
+@click.argument("plan", metavar="PLAN.npz|.csv|.mat")
+@console.settings_option
+@console.json_option
+def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_json: bool) -> int:
+    """Show what the worst loads of a problem file do to a plan, and whether all limits hold: .npz, .csv or .mat."""
+    description = build(problem, settings)
+    if not isinstance(description, RobustProblem):
+        raise ProblemError("disturbance", "nothing", "a table [disturbance] in the problem file, the set of the loads")
+    worst = worst_case(description.given, description.uncertainty, load_trajectory(plan, description)[0])
+    if as_json:
+        console.print_json(worst_case_summary(description, worst))
+    else:
+        console.print_lines(str(worst))
+    return console.PROVEN if worst.holds else console.NOT_PROVEN
 
 
 @click.command("rerun")

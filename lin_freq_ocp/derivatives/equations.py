@@ -120,9 +120,10 @@ def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:
     amount = np.asarray(term.per_limit)[..., None] * d
     moved = map_rows(term.name, term.map, term.penalty.relaxed(np.zeros(term.shape), amount)[1], linear.origin, target)
     if len(moved.lower) != len(part.lower):
-        raise UnsupportedError(
+        text = (
             f"derivatives: got a change of a limit of zero, of '{part.name}'; expected one above zero, with two sides."
         )
+        raise UnsupportedError(text)
     return np.array([_difference(moved.lower, part.lower), _difference(moved.upper, part.upper)])
 
 

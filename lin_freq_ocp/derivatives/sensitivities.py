@@ -117,9 +117,8 @@ def sensitivities_of(problem: OptimalControlProblem, trajectory: Trajectory, mul
         If the multipliers are abnormal (eta_C = 0): then they are not prices.
     """
     if multipliers.eta_C != 1:
-        raise UnsupportedError(
-            f"sensitivities: got eta_C = {multipliers.eta_C:g}; only normal multipliers have prices."
-        )
+        text = f"sensitivities: got eta_C = {multipliers.eta_C:g}; only normal multipliers have prices."
+        raise UnsupportedError(text)
     problem = at_frequencies(problem, multipliers.frequencies)
     found = slopes(problem, Variables.at(problem, trajectory, multipliers))
     rows = [one.name for one in problem.stage_rows]

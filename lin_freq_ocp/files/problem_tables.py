@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -42,6 +43,10 @@ from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, Mag
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.transform.reformulations import rate_limited
+from lin_freq_ocp.uncertainty.disturbance import Disturbance
+from lin_freq_ocp.uncertainty.loads import Gaussian, Records
+from lin_freq_ocp.uncertainty.protocol import RobustProblem
+from lin_freq_ocp.uncertainty.protocol import robust as tightened
 
 FORMULA_KEYS = ("f", "region", "domain")
 
@@ -140,9 +145,8 @@ def _complex(field: str, real: FileValue, imaginary: FileValue) -> ComplexArray:
     """Return the complex array of two keys, both of which must be there with the same shape."""
     parts = [real_array(f"dynamics.{field}_{part}", one) for part, one in (("real", real), ("imag", imaginary))]
     if parts[0].shape != parts[1].shape:
-        raise ProblemError(
-            f"dynamics.{field}_imag", f"shape {parts[1].shape}", f"that of {field}_real, {parts[0].shape}"
-        )
+        expected = f"that of {field}_real, {parts[0].shape}"
+        raise ProblemError(f"dynamics.{field}_imag", f"shape {parts[1].shape}", expected)
     return parts[0] + 1j * parts[1]
 
 
@@ -427,28 +431,59 @@ STAGE_ROWS.records |= {
 }
 
 
-def _rate_limit(
-    limit: FileValue = None, previous: FileValue = None, following: FileValue = None, price: FileValue = 0.0
-) -> FileTable:
-    return {"limit": limit, "previous": previous, "following": following, "price": price}
+def _keys(**given: FileValue) -> FileTable:
+    """Return the keys of a table whose function takes the problem of the others, too."""
+    return given
 
 
-def _problem(schema: int, rate_limit: FileTable | None = None, **fields: FileValue) -> OptimalControlProblem:
+LOADS = Kinds("set of loads", default="box")
+LOADS.records |= {kind: SETS.records[kind] for kind in ("box", "polyhedron", "ball", "ellipsoid")}
+LOADS.records |= {"records": TableRecord(Records), "gaussian": TableRecord(Gaussian)}
+LOAD_SET = Value(  # a table, or an array of measured loads
+    lambda location, given: LOADS.read(location, given) if isinstance(given, Mapping) else given,
+    lambda location, value: value if isinstance(value, (list, np.ndarray)) else LOADS.write(location, value),
+)
+MADE_OF = "rate_limit", "disturbance", "robust"  # tables that change the problem of the others
+NO_FEEDBACK = "none"  # TOML has no null
+GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
+
+
+DISTURBANCE = TableRecord(
+    Disturbance,
+    own="disturbance",
+    values=lambda load: vars(load) | {"gain": NO_FEEDBACK if load.gain is None else load.gain},
+    **{"set": LOAD_SET, "gain": GAIN, "start": SETS},
+)
+
+
+def _problem(
+    schema: int,
+    rate_limit: FileTable | None = None,
+    disturbance: Disturbance | None = None,
+    robust: FileTable | None = None,
+    **fields: FileValue,
+) -> OptimalControlProblem:
     problem = OptimalControlProblem(**fields)
-    if rate_limit is None:
-        return problem
-    try:
-        return rate_limited(problem, **rate_limit)
-    except ProblemError as error:
-        field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+    if rate_limit is not None:
+        try:
+            problem = rate_limited(problem, **rate_limit)
+        except ProblemError as error:
+            field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
+            raise ProblemError(field, error.got, error.expected, error.advice) from None
+    if disturbance is None and robust is not None:
+        raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
+    return problem if disturbance is None else tightened(problem, disturbance, **(robust or {}))
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
+    made: FileTable = {}
+    if isinstance(problem, RobustProblem) and problem.as_made:  # others are written with the limits that they have
+        made = {"disturbance": problem.uncertainty, "robust": problem if problem.end else None}
+        problem = problem.given
     # a rate limit is written as its states and rows
-    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in ("schema", "rate_limit")}
+    fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in (*MADE_OF, "schema")} | made
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
         given = fields[key]
         if isinstance(given, (list, tuple)) and not any(member.members for member in given):
@@ -472,7 +507,9 @@ PROBLEM = TableRecord(
     state_spectrum=Tables(SPECTRUM),
     stage_rows=Tables(STAGE_ROWS),
     output_spectrum=Tables(OUTPUTS),
-    rate_limit=TableRecord(_rate_limit),
+    rate_limit=TableRecord(_keys, like=partial(rate_limited, None)),
+    disturbance=DISTURBANCE,
+    robust=TableRecord(_keys, like=partial(tightened, None, None)),
 )
 
 

@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from lin_freq_ocp.certificate.hybrid.clarke import SwitchingFacts
     from lin_freq_ocp.comparison.compare import ComparisonOutcome
     from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
+    from lin_freq_ocp.uncertainty.worst_loads import WorstCase
 
 SCHEMA = 2
 
 
-def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
+def result_summary(result: Outcome, with_trajectory: bool = False, worst: WorstCase | None = None) -> FileTable:
     """Return a result as the JSON object of ``lin-freq-ocp solve --json``, with ``--trajectory`` if asked for."""
     use, multipliers, tree = result.level_use, result.multipliers, None
     search = cast("TreeEvidence | None", result.evidence)  # isinstance would load the methods for modes
@@ -46,6 +47,8 @@ def result_summary(result: Outcome, with_trajectory: bool = False) -> FileTable:
         extras["levels"] = {"fractional": use.fractional, "rows": use.rows, "duty_cycles": duty_cycles}
     if result.between_samples is not None:
         extras["between_samples"] = [asdict(bound) for bound in result.between_samples.bounds]
+    if worst is not None:
+        extras["worst_case"] = _worst_case(worst)
     if result.readings:
         extras["spectra"] = [asdict(reading) for reading in result.readings]
     return finite(
@@ -80,6 +83,19 @@ def certificate_summary(problem: OptimalControlProblem, certificate: Certificate
     if certificate.between_samples is not None:
         extras["between_samples"] = [asdict(bound) for bound in certificate.between_samples.bounds]
     return finite({**head(problem), **_values(certificate, bound), "certificate": _certificate(certificate), **extras})
+
+
+def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> FileTable:
+    """Return a worst case as the JSON object of ``lin-freq-ocp worst-case --json``."""
+    judged = dict.fromkeys(("lower_bound", "gap", "bound", "certificate"))  # certify finds these
+    return finite({**head(problem), "cost": worst.cost, **judged, "worst_case": _worst_case(worst)})
+
+
+def _worst_case(worst: WorstCase) -> FileTable:
+    """Return a worst case by the names of its attributes."""
+    parts = {"limits": worst.limits, "leakage": worst.leakage}
+    tables = {part: [asdict(one) | {"holds": one.holds} for one in given] for part, given in parts.items()}
+    return {"holds": worst.holds, "verdict": worst.verdict, **asdict(worst), **tables}
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:
@@ -222,6 +238,8 @@ def finite(value: FileValue) -> FileValue:
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

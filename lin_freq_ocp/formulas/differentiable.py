@@ -122,9 +122,8 @@ class DifferentiableFunction:
                 orders[label] = argument_order(function)
             except TypeError:
                 advice = "lfo.from_casadi has derivatives by automatic differentiation." if label == "jacobian" else ""
-                raise ProblemError(
-                    f"DifferentiableFunction.{label}", brief(function), "a function of (x, u)", advice
-                ) from None
+                field = f"DifferentiableFunction.{label}"
+                raise ProblemError(field, brief(function), "a function of (x, u)", advice) from None
         printable("DifferentiableFunction.name", name)
         require_bool("DifferentiableFunction.vectorized", vectorized)
         scale = real_array("DifferentiableFunction.sizes", sizes)

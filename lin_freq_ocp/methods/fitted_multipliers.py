@@ -180,9 +180,8 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
     active = len(cone.lower)
     if active > MOST_GRADIENTS:
-        raise UnsupportedError(
-            f"uniqueness: got {active} active gradients; their rank is computed for up to {MOST_GRADIENTS}."
-        )
+        text = f"uniqueness: got {active} active gradients; their rank is computed for up to {MOST_GRADIENTS}."
+        raise UnsupportedError(text)
     gradients = (program.A.T @ cone.basis).toarray()
     norms = np.linalg.norm(gradients, axis=0)
     with one_blas_thread:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -47,16 +47,12 @@ class ProblemData:
     stage_rows: tuple[StageRows, ...]
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
+    uncertainty: ClassVar[object] = None  # against which ``robust`` has tightened the limits
 
     @property
     def origin(self) -> Array | None:
         """Return the position of zero states in the coordinates of the user (``Translation``); None for zero."""
         return self.__dict__.get("_origin")
-
-    @property
-    def uncertainty(self) -> object:
-        """Return the uncertainty against which ``robust`` has tightened the limits; None without."""
-        return self.__dict__.get("_uncertainty")
 
     @cached_property
     def state_dim(self) -> int:

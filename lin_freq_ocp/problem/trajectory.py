@@ -36,11 +36,8 @@ class Trajectory:
     def __init__(self, x: ArrayLike, u: ArrayLike):
         states, controls = real_array("trajectory.x", x), real_array("trajectory.u", u)
         if states.ndim != 2 or controls.ndim != 2 or len(states) != len(controls) + 1:
-            raise ProblemError(
-                "trajectory",
-                f"x {states.shape} and u {controls.shape}",
-                "x of shape (T+1, n) and u of shape (T, m): time is axis 0",
-            )
+            got, expected = f"x {states.shape} and u {controls.shape}", "x of shape (T+1, n) and u of shape (T, m)"
+            raise ProblemError("trajectory", got, f"{expected}: time is axis 0")
         assign(self, x=states, u=controls)
 
     @property

@@ -83,9 +83,8 @@ def certify(
     """
     require_problem(problem)
     if tolerance is not None and not 0 < tolerance <= LARGEST_TOLERANCE:
-        raise UnsupportedError(
-            f"tolerance: got {tolerance!r}; expected a number above zero, {LARGEST_TOLERANCE:g} at most."
-        )
+        text = f"tolerance: got {tolerance!r}; expected a number above zero, {LARGEST_TOLERANCE:g} at most."
+        raise UnsupportedError(text)
     allowed = CONDITION_TOLERANCE if tolerance is None else tolerance
     evidence: Evidence | None = getattr(trajectory, "evidence", None)
     if hasattr(trajectory, "trajectory"):  # a result of solve or load

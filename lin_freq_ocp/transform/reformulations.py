@@ -335,6 +335,8 @@ def rate_limited(
     'optimal'
     """
     require_problem(problem)
+    if problem.uncertainty is not None:
+        raise ProblemError("problem", "one of robust, with margins", "one without", "Call rate_limited first.")
     return rate_limit(problem, limit, previous, following, price).problem
 
 

@@ -66,7 +66,6 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
             x[t + 1] = step(t, x[t], u[t])
     if not np.isfinite(x).all():
         t = int(np.argmin(np.isfinite(x).all(axis=1)))
-        raise NumericalError(
-            f"The open-loop state overflows at t = {t}: these dynamics cannot be simulated over {T} steps."
-        )
+        text = f"The open-loop state overflows at t = {t}: these dynamics cannot be simulated over {T} steps."
+        raise NumericalError(text)
     return Trajectory(x, u)

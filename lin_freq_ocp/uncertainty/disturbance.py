@@ -7,7 +7,7 @@ margins are limits of an ordinary problem: its plans are those whose limits hold
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -25,7 +25,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.sizes import stated_sizes
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
-from lin_freq_ocp.uncertainty.invariant import with_invariant_end
+from lin_freq_ocp.uncertainty.invariant import invariant_end, lasting_rows
 from lin_freq_ocp.uncertainty.leakage import tightened_spectra
 from lin_freq_ocp.uncertainty.loads import Loads, loads_of
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
@@ -98,9 +98,8 @@ class Disturbance(Uncertainty):
         require_bool("disturbance.forever", forever)
         if start is not None and (not isinstance(start, ConvexSet) or forever):
             got = f"{brief(start)}{', with forever=True' if forever else ''}"
-            raise ProblemError(
-                "disturbance.start", got, "a set such as Box, or None", "forever=True has its own start."
-            )
+            expected, advice = "a set such as Box, or None", "forever=True has its own start."
+            raise ProblemError("disturbance.start", got, expected, advice)
         E = None if input is None else real_array("disturbance.input", input)
         if E is not None and (E.ndim not in (2, 3) or not E.any()):
             got = "zeros" if E.ndim in (2, 3) else f"shape {E.shape}"
@@ -116,17 +115,15 @@ class Disturbance(Uncertainty):
 
     def error_loop(self, problem: OptimalControlProblem) -> ErrorLoop:
         """Return the loop of x - z for a problem, with its gain."""
-        dynamics, n, T = problem.linear, problem.state_dim, problem.horizon
+        n, T = problem.state_dim, problem.horizon
         E = np.eye(n) if self.input is None else to_shape("disturbance.input", self.input, (n, self.input.shape[-1]), T)
         loads = loads_of(self.set, E.shape[-1])
         if loads.horizon not in (None, T):
             expected = f"one load for each of the {T} steps of the horizon"
             raise ProblemError("Records.loads", f"loads of {loads.horizon} steps", expected)
         start = None if self.start is None else loads_of(self.start, n)
-        A, B = dynamics.A, dynamics.B
-        shape, K = (problem.control_dim, n), self.gain
-        if isinstance(K, str):
-            K = best_regulator(problem, loads, E)
+        A, B, shape = problem.linear.A, problem.linear.B, (problem.control_dim, n)
+        K = best_regulator(problem, loads, E) if isinstance(self.gain, str) else self.gain
         K = np.zeros(shape) if K is None else to_shape("disturbance.gain", K, shape)
         A_K, a, varying = A + B @ K, np.abs(A) + np.abs(B) @ np.abs(K), E.ndim == 3
         rate = float(np.abs(np.linalg.eigvals(A_K)).max()) if A_K.ndim == 2 and np.isfinite(A_K).all() else 0.0
@@ -140,10 +137,8 @@ class Disturbance(Uncertainty):
             raise UnsupportedError(f"disturbance.forever: got True; expected {expected}.")
         return ErrorLoop(loads, start, A_K, a, K, E, T, self.forever)
 
-    def tightened(
-        self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None
-    ) -> OptimalControlProblem:
-        """Return the problem of the plan: its limits less their margins; see ``robust``."""
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+        """Return the limits of the plan: those of a problem less their margins; see ``robust``."""
         loop, T = self.error_loop(problem), problem.horizon
         n, m = problem.state_dim, problem.control_dim
 
@@ -156,20 +151,22 @@ class Disturbance(Uncertainty):
         changes: dict[str, object] = {
             "state_set": _tighten(problem, "state_set", of_x, np.arange(T + 1)),
             "control_set": _tighten(problem, "control_set", of_u, np.arange(T)),
-            "stage_rows": [rows.with_limits(rows.e - loop.margins(rows.C, rows.D)[:T]) for rows in problem.stage_rows],
+            "stage_rows": [
+                *(rows.with_limits(rows.e - loop.margins(rows.C, rows.D)[:T]) for rows in problem.stage_rows),
+                *([] if end is None else [invariant_end(problem, loop)]),
+            ],
         } | tightened_spectra(problem, loop)
-        box, moved = problem.terminal_box, of_x(np.eye(n))[T] > 0
-        if not (box.fixed & moved).any() and not problem.terminal_state.links(n, T):
+        end_of_plan = (problem.terminal_box.fixed & (of_x(np.eye(n))[T] > 0)).any() or problem.terminal_state.links(
+            n, T
+        )
+        if not end_of_plan:
             changes["terminal_state"] = _tighten(problem, "terminal_state", of_x, np.array([T]))
-        tight = replace(problem, **changes)
-        if end == "invariant":
-            tight = with_invariant_end(problem, tight, loop)
-        kept = unkept(problem, loop)
-        if kept:
+        stops = problem.control_stop.any() and loop.K.any(), problem.state_stop.any()
+        unkept = zip(("terminal_state", "control_spectrum", "state_spectrum"), (end_of_plan, *stops), strict=True)
+        if kept := [field for field, limited in unkept if limited]:
             text = f"robust: {join_words(kept)} hold for the plan; loads change them. lfo.worst_case says by how much."
             warn_user(text, ClosedLoopWarning)
-        tight.__dict__["_uncertainty"] = self
-        return tight
+        return changes
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst loads do to a plan; see ``worst_case``."""
@@ -178,20 +175,7 @@ class Disturbance(Uncertainty):
             return worst_loads(problem, loop, plan)
         assert plan.trajectory is not None  # worst_case checks it
         own = plan.problem.uncertainty is self and plan.status.solved and not problem.control_spectrum
-        found = worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
-        return replace(found, cost=plan.cost)
-
-
-def unkept(problem: OptimalControlProblem, loop: ErrorLoop) -> list[str]:
-    """Return the fields of a problem with limits that hold for the plan only."""
-    n, T = problem.state_dim, problem.horizon
-    moved = loop.margins(np.eye(n), np.zeros((n, problem.control_dim)))[T] > 0
-    end = (problem.terminal_box.fixed & moved).any() or problem.terminal_state.links(n, T)
-    stops = (
-        (problem.control_stop.any() and loop.K.any(), "control_spectrum"),
-        (problem.state_stop.any(), "state_spectrum"),
-    )
-    return ["terminal_state"] * bool(end) + [field for stopped, field in stops if stopped]
+        return worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
 
 
 def _tighten(
@@ -254,18 +238,12 @@ def best_regulator(problem: OptimalControlProblem, loads: Loads, E: Array) -> Ar
     K = K[np.isfinite(K).all(axis=(1, 2))]
     K = K[np.abs(np.linalg.eigvals(A + B @ K)).max(axis=1, initial=0.0) < 1]
     if not len(K):
+        got = "'auto', but no regulator stabilises the dynamics"
         advice = "Is an unstable state out of reach of the controls? gain=None has no feedback."
-        raise ProblemError(
-            "disturbance.gain", "'auto', but no regulator stabilises the dynamics", "a stabilising gain", advice
-        )
-    around = problem.stage_sets.around()
-    rows = np.vstack([np.eye(len(around.lower)), -np.eye(len(around.lower)), around.matrix])
-    limits = np.concatenate([around.upper, -around.lower, around.limits])
-    rows, limits = rows[np.isfinite(limits)], limits[np.isfinite(limits)]
-    opposite = (rows[:, None] == -rows).all(axis=2)
-    ranges = limits + np.minimum(
-        Box(around.lower, around.upper).support(-rows), np.where(opposite, limits, np.inf).min(axis=1, initial=np.inf)
-    )
+        raise ProblemError("disturbance.gain", got, "a stabilising gain", advice)
+    rows, limits, bounds = lasting_rows(problem)
+    opposite = np.where((rows[:, None] == -rows).all(axis=2), limits, np.inf).min(axis=1, initial=np.inf)
+    ranges = limits + np.minimum(bounds.support(-rows), opposite)
     A_K, both = A + B @ K, np.vstack([rows, -rows])
     R_K, T, total = both[:, :n] + both[:, n:] @ K, problem.horizon, np.zeros(())
     X = np.broadcast_to(np.eye(n), A_K.shape)

@@ -12,7 +12,6 @@ not depend on units: all its inequalities hold entry by entry.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,9 +55,8 @@ class ErrorLoop:
         total = np.abs([np.linalg.matrix_power(self.A, i) for i in range(least)]).sum(axis=0)
         while not self._tail(power, total)[1]:
             if 2 * powers * n * (n + k) > MOST_POWERS:
-                raise ProblemError(
-                    "disturbance.gain", "a loop in which loads fade too slowly", "a gain of faster feedback"
-                )
+                got = "a loop in which loads fade too slowly"
+                raise ProblemError("disturbance.gain", got, "a gain of faster feedback")
             total = total + np.abs(power) @ total  # at least the sum of twice as many powers
             power, powers = power @ power, 2 * powers
         return powers
@@ -73,41 +71,36 @@ class ErrorLoop:
         return np.asarray(tail, dtype=np.float64), bool((tail <= TAIL * reach).all())
 
     @cached_property
-    def powers(self) -> Array:
-        """A_K^i, (count, n, n), of constant dynamics."""
-        X = np.empty((self.count, *self.A.shape))
-        X[0] = np.eye(len(self.A))
+    def lags(self) -> list[Array]:
+        """The products A_K,t-1 .. A_K,t-i, i = 0 .. count - 1, of all times t = i .. T; of one, if it is constant."""
+        n, each = self.A.shape[-1], self.A.reshape(-1, *self.A.shape[-2:])
+        X = [np.broadcast_to(np.eye(n), (1 if self.constant else self.horizon + 1, n, n))]
         with np.errstate(all="ignore"):
-            for i in range(1, len(X)):
-                np.matmul(X[i - 1], self.A, out=X[i])
+            while len(X) < self.count:
+                X.append(X[-1] @ self.A if self.constant else X[-1][1:] @ each[: self.horizon + 1 - len(X)])
         return X
 
     @cached_property
-    def lags(self) -> list[Array]:
-        """The products A_K,t-1 .. A_K,t-i of all times t = i .. T, (T - i + 1, n, n), i = 0 .. T."""
-        T, n = self.horizon, self.A.shape[-1]
-        X = [np.broadcast_to(np.eye(n), (T + 1, n, n))]
-        with np.errstate(all="ignore"):
-            for i in range(T):
-                X.append(X[-1][1:] @ self.A[: T - i])
-        return X
+    def powers(self) -> Array:
+        """A_K^i, (count, n, n), of constant dynamics."""
+        return np.concatenate(self.lags)
+
+    def acts(self, i: int) -> Array:
+        """Return A_K,t-1 .. A_K,t-i E_t-i-1, (times, n, k), what loads do at times t = i + 1 .. T, or at any."""
+        return self.lags[i] @ self.E if self.constant else self.lags[i][1:] @ self.E[: self.horizon - i]
 
     @cached_property
     def rounding(self) -> Array:
         """Bounds of the rounding of all margins, per unit of |c + K'd|, (n,)."""
         (n, k), m = self.E.shape[-2:], len(self.K)
-        largest = np.abs(self.powers).sum(axis=0) if self.constant else sum(np.abs(X).max(axis=0) for X in self.lags)
+        largest = sum(np.abs(X).max(axis=0) for X in self.lags)
         a, E = (part if part.ndim == 2 else part.max(axis=0) for part in (self.a, np.abs(self.E)))
-        unit = EPS * (n + m + k + (self.count if self.constant else self.horizon) + OPERATIONS)
+        unit = EPS * (n + m + k + self.count + OPERATIONS)
         with np.errstate(all="ignore"):
             D = unit * largest @ a
         if not np.isfinite(D).all() or np.abs(np.linalg.eigvals(D)).max() >= 0.5:
-            raise ProblemError(
-                "disturbance.gain",
-                "effects of loads that grow beyond all numbers",
-                "a stabilising gain, or a shorter horizon",
-                "gain='auto' finds one.",
-            )
+            got, expected = "effects of loads that grow beyond all numbers", "a stabilising gain, or a shorter horizon"
+            raise ProblemError("disturbance.gain", got, expected, "gain='auto' finds one.")
         N = np.linalg.solve(np.eye(n) - D, largest)
         loads = unit * (N + N @ a @ N) @ E @ self.loads.largest + N @ E @ self.loads.error
         if self.start is not None:
@@ -121,14 +114,6 @@ class ErrorLoop:
             sums = tuple(np.concatenate([part, part[-1:]]) for part in sums)
         return sums[0], sums[1]
 
-    def effects(self, R: Array) -> Iterator[tuple[int, Array]]:
-        """Yield i and the effects of the loads i + 1 steps before on the rows of times t > i, for R of ``rows``."""
-        if not self.constant or R.ndim == 3:
-            R = np.broadcast_to(R, (self.horizon + 1, *R.shape[-2:]))
-        for i in range(self.horizon):
-            X = self.powers[i] @ self.E if self.constant else self.lags[i][1:] @ self.E[: self.horizon - i]
-            yield i, (R if R.ndim == 2 else R[i + 1 :]) @ X
-
     def margins(self, C: Array, D: Array) -> Array:
         """Return the margins (T+1, rows) of rows C x_t + D u_t, (rows, n) and (rows, m), or one for each time.
 
@@ -136,46 +121,36 @@ class ErrorLoop:
         """
         (R, size), T, loads = self.rows(C, D), self.horizon, self.loads
         rounding = size @ self.rounding
-        if self.forever:
-            M = np.broadcast_to(self._sum_all(R, self.count), (T + 1, R.shape[-2]))
-        elif self.constant and R.ndim == 2 and not loads.front:
-            each = loads.contribution(R @ (self.powers[:T] @ self.E), slice(0, T))
-            M = loads.margin(np.concatenate([np.zeros((1, len(R))), np.cumsum(each, axis=0)]))
+        if self.constant and not loads.front and (R.ndim == 2 or self.forever):
+            each = np.swapaxes(R.reshape(-1, 1, *R.shape[-2:]) @ (self.powers @ self.E), 0, 1)  # (steps, times, ..)
+            M = np.cumsum(loads.contribution(each, slice(0, 1)), axis=0)
+            M = M[-1] if self.forever else loads.margin(np.concatenate([0 * M[:1, 0], M[:-1, 0]]))
+            M = np.broadcast_to(M, (T + 1, R.shape[-2]))
         else:
-            total = np.zeros((*loads.front, T + 1, R.shape[-2]))
-            for i, S in self.effects(R):
-                total[..., i + 1 :, :] += loads.contribution(S, slice(0, T - i))
+            R, total = np.broadcast_to(R, (T + 1, *R.shape[-2:])), np.zeros((*loads.front, T + 1, R.shape[-2]))
+            for i in range(T):
+                total[..., i + 1 :, :] += loads.contribution(R[i + 1 :] @ self.acts(i), slice(0, T - i))
             M = loads.margin(total)
         if self.start is not None:
-            X = self.powers[: T + 1] if self.constant else np.array([X[0] for X in self.lags])
-            M = M + self.start.contribution(R @ X, slice(0, 1))
+            M = M + self.start.contribution(R @ np.array([X[0] for X in self.lags[: T + 1]]), slice(0, 1))
         elif not self.forever:
             rounding = np.where(np.arange(T + 1)[:, None] > 0, rounding, 0.0)
         return M + rounding
 
-    def _sum_all(self, R: Array, count: int) -> Array:
-        """Return the margins of rows after so many steps, (rows,) or (times, rows)."""
-        if R.ndim == 3:
-            return np.array([self._sum_all(row, count) for row in R])
-        return self.loads.contribution(R @ (self.powers[:count] @ self.E), slice(0, 1)).sum(axis=0)
-
     def worst(self, c: Array, d: Array, t: int) -> tuple[Array, Array] | None:
         """Return the error of the start (n,) and loads (T, k) that attain the margin of a row at time t."""
-        row, T, n = c + d @ self.K, self.horizon, self.A.shape[-1]
-        if self.constant:
-            S = row @ (self.powers[: self.count if self.forever else t] @ self.E)
-        else:
-            S = np.array([row @ self.lags[i][t - i] @ self.E[t - 1 - i] for i in range(t)]).reshape(t, self.E.shape[-1])
-        start = np.zeros(n)
+        row, T, steps = c + d @ self.K, self.horizon, self.count if self.forever else t
+        S = np.array([row @ self.acts(i)[0 if self.constant else t - 1 - i] for i in range(steps)])
+        S, start = S.reshape(steps, self.E.shape[-1]), np.zeros(len(row))
+        w = self.loads.worst(S[:t][::-1], T)
         if self.forever:
-            before = self.loads.worst(S[t:], len(S) - t)
+            before = self.loads.worst(S[t:], steps - t)
             assert before is not None  # forever takes bounded sets
-            start = ((self.powers[: len(S) - t] @ self.E) @ before[..., None])[..., 0].sum(axis=0)
+            start = ((self.powers[: steps - t] @ self.E) @ before[..., None])[..., 0].sum(axis=0)
         elif self.start is not None:
-            first = row @ (self.powers[t] if self.constant else self.lags[t][0])
+            first = row @ self.lags[t][0]
             farthest = self.start.worst(first[None], 1)
             start = start if farthest is None else farthest[0]
-        w = self.loads.worst(S[:t][::-1], T)
         return None if w is None else (start, w)
 
     def leakage(self, waves: ComplexArray, row: Array) -> ComplexArray:

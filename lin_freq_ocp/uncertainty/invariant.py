@@ -21,42 +21,30 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
+from lin_freq_ocp.uncertainty.error_loop import EPS, OPERATIONS, ErrorLoop
 
 INVARIANT_END = "invariant end"  # of the added rows
 FIELD = "end='invariant'"
 LATEST_ROWS = 500  # i*: a slower loop has no end in few rows
-DISTANCE = 1e-6  # of a range: the steady state is so far inside, so that finitely many rows suffice
-IMPLIED = 1e-9  # of its limit, by which a row that counts as implied may exceed it
+DISTANCE = 1e-6  # of a range, by which the steady state is inside; any above zero, so that finitely many rows suffice
 STAGE_COST = "Q", "R", "S", "q", "r", "x_ref", "u_ref"
 
 
-def with_invariant_end(
-    problem: OptimalControlProblem, tight: OptimalControlProblem, loop: ErrorLoop
-) -> OptimalControlProblem:
-    """Return the tightened problem with the rows of X_f at x_T, as joint rows on x_{T-1} and u_{T-1}."""
+def invariant_end(problem: OptimalControlProblem, loop: ErrorLoop) -> StageRows:
+    """Return the rows of X_f at x_T, as joint rows on x_{T-1} and u_{T-1}."""
     dynamics, n, T = problem.linear, problem.state_dim, problem.horizon
     sets, box = problem.stage_sets, problem.terminal_box
     if not (loop.loads.anew and loop.constant and loop.start is None and sets.constant):
         expected = "dynamics, limits and a bounded set of loads that are the same at all times, and start=None"
         raise UnsupportedError(f"{FIELD}: got another problem or other loads; expected {expected}.")
     if np.isfinite([box.lower, box.upper]).any() or problem.terminal_state.members or dynamics.offset.ndim == 2:
-        raise ProblemError(
-            "terminal_state", f"an end, or offsets over time, with {FIELD}", "a free end, a constant offset"
-        )
-    around = sets.around()
-    last = problem.state_boxes.at(-1)
-    upper = np.minimum(around.upper, np.append(last.upper, around.upper[n:]))
-    lower = np.maximum(around.lower, np.append(last.lower, around.lower[n:]))
-    identity = np.eye(len(around.lower))
-    rows = np.vstack([identity, -identity, around.matrix])
-    limits = np.concatenate([upper, -lower, around.limits])
-    rows, limits = rows[np.isfinite(limits)], limits[np.isfinite(limits)]
+        got = f"an end, or offsets over time, with {FIELD}"
+        raise ProblemError("terminal_state", got, "a free end, a constant offset")
+    rows, limits, bounds = lasting_rows(problem, problem.state_boxes.at(-1))
     C, D = rows[:, :n], rows[:, n:]
-    far = replace(loop, forever=True)
-    least = far.margins(C, D)[0]
+    least = replace(loop, forever=True).margins(C, D)[0]
     with np.errstate(invalid="ignore"):
-        room = limits + Box(lower, upper).support(-rows)
+        room = limits + bounds.support(-rows)
     inside = DISTANCE * np.where(np.isfinite(room), room, np.abs(limits) + least)
     xs, us = steady_state(problem, C, D, limits - inside, least)
     R, size = loop.rows(C, D)
@@ -83,7 +71,18 @@ def with_invariant_end(
     A, B, d = dynamics.at(0)
     e = np.full((T, len(g)), np.inf)
     e[-1] = g + F @ (xs - d)
-    return replace(tight, stage_rows=[*tight.stage_rows, StageRows(F @ A, F @ B, e, name=INVARIANT_END)])
+    return StageRows(F @ A, F @ B, e, name=INVARIANT_END)
+
+
+def lasting_rows(problem: OptimalControlProblem, last: Box | None = None) -> tuple[Array, Array, Box]:
+    """Return rows and limits around the sets of (x, u) of all times, and their bounds; within the ``last`` states."""
+    around, n = problem.stage_sets.around(), problem.state_dim
+    lower, upper = around.lower.copy(), around.upper.copy()
+    if last is not None:
+        lower[:n], upper[:n] = np.maximum(lower[:n], last.lower), np.minimum(upper[:n], last.upper)
+    rows = np.vstack([np.eye(len(lower)), -np.eye(len(lower)), around.matrix])
+    limits = np.concatenate([upper, -lower, around.limits])
+    return rows[np.isfinite(limits)], limits[np.isfinite(limits)], Box(lower, upper)
 
 
 def steady_state(
@@ -109,14 +108,36 @@ def steady_state(
 
 
 def _is_implied(F: Array, g: Array, row: Array, limit: float) -> bool:
-    """Whether row'y <= limit for all y with F y <= g, where limits are above zero; it depends on no units."""
+    """Whether row'y <= limit is proven for all y with F y <= g, where limits are above zero; it depends on no units.
+
+    With extents |y| <= e of the set, row'y <= Y g + R e for any weights Y >= 0 and R >= |row - Y F|.
+    """
+    seen = F.any(axis=0)
+    if not row.any() or row[~seen].any():
+        return not row.any()
+    sides = np.vstack([np.eye(seen.sum()), -np.eye(seen.sum())])
+    value, rest = _dual_bounds(F[:, seen], g, np.vstack([row[seen], sides]))
+    if not np.isfinite(value).all():
+        return False
+    largest, mixed = (part[1:].reshape(2, seen.sum(), *part.shape[1:]).max(axis=0) for part in (value, rest))
+    if np.abs(np.linalg.eigvals(mixed)).max() >= 0.5:
+        return False
+    extents = np.linalg.solve(np.eye(len(mixed)) - mixed, largest)  # |y| <= largest + mixed |y|
+    return bool(value[0] + rest[0] @ extents <= limit)
+
+
+def _dual_bounds(F: Array, g: Array, rows: Array) -> tuple[Array, Array]:
+    """Return Y g, infinite without a bound, and R >= |rows - Y F|, both with rounding, of weights Y >= 0."""
     from scipy.optimize import linprog  # slow to import
 
-    if not row.any():
-        return True
-    if not len(F):
-        return False
-    relative = F / g[:, None]
-    sizes = 1.0 / np.abs(relative).max(axis=0).clip(min=np.finfo(float).tiny)
-    found = linprog(-row * sizes / limit, relative * sizes, np.ones(len(g)), bounds=(None, None), method="highs")
-    return found.fun is not None and -found.fun <= 1.0 + IMPLIED
+    relative, Y = F / g[:, None], np.full((len(rows), len(g)), np.inf)
+    relative = relative / (scale := np.abs(relative).max(axis=0))
+    for weights, row in zip(Y, rows / scale, strict=True):
+        size = np.abs(row).max()
+        found = linprog(-row / size, relative, np.ones(len(g)), bounds=(None, None), method="highs")
+        if found.x is not None:
+            weights[:] = np.maximum(-found.ineqlin.marginals, 0.0) * size / g
+    with np.errstate(invalid="ignore"):
+        rounding = EPS * (len(g) + OPERATIONS)
+        rest = np.abs(rows - Y @ F) + rounding * (np.abs(rows) + Y @ np.abs(F))
+    return (1 + rounding) * Y @ g, rest

@@ -9,7 +9,7 @@ bounded from a finite number of directions (docs/robust.md).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,35 +19,29 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, named_entries
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
 
-@dataclass(frozen=True, eq=False)
-class Leakage:
-    """What loads add to the bins of a spectrum, around the spectrum of a plan."""
-
-    planned: ComplexArray  # (bins,)
-    largest: Array  # (bins,): of |planned + added|, exact or an upper bound; inf if there is none
-    loads: Array | None  # (bins, T, k), at which this is attained, or nearly
-
-    @property
-    def added(self) -> Array:
-        """Return by how much loads raise the magnitude of each bin, (bins,)."""
-        return self.largest - np.abs(self.planned)
+def bin_values(spectrum: SpectrumMap, trajectory: Trajectory) -> ComplexArray:
+    """Return the complex values of a spectrum, (bins,)."""
+    return replace(spectrum, joint=False).values(trajectory.x, trajectory.u) @ np.array([1.0, 1j])
 
 
-def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray | None = None) -> Leakage:
-    """Return what loads add to the spectrum ``planned`` (bins,) of a plan; zeros without."""
+def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray) -> tuple[Array, Array | None]:
+    """Return the largest |planned + added|, (bins,), over all loads, and loads (bins, T, k) at which it is attained.
+
+    It is exact or an upper bound; infinite, if there is none.
+    """
     n, m = loop.E.shape[-2], len(loop.K)
     of_x, of_u = (np.zeros(k) if row is None else row for row, k in ((spectrum.C, n), (spectrum.D, m)))
     row = of_x + of_u @ loop.K
-    centre = np.zeros(len(spectrum.bins), dtype=complex) if planned is None else planned
     if not row.any():
-        return Leakage(centre, np.abs(centre), np.zeros((len(centre), loop.horizon, loop.E.shape[-1])))
-    pairs = replace(spectrum, joint=False).waves().reshape(len(spectrum.bins), 2, -1)
+        return np.abs(planned), np.zeros((len(planned), loop.horizon, loop.E.shape[-1]))
+    pairs = replace(spectrum, joint=False).waves().reshape(len(planned), 2, -1)
     M = loop.leakage(pairs[:, 0] + 1j * pairs[:, 1], row)
-    found = None if loop.forever or loop.start is not None else loop.loads.modulus(M, centre)
-    return Leakage(centre, *(found or (np.full(len(centre), np.inf), None)))
+    found = None if loop.forever or loop.start is not None else loop.loads.modulus(M, planned)
+    return found or (np.full(len(planned), np.inf), None)
 
 
 def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:
@@ -61,7 +55,7 @@ def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[s
 
     def tighten(one: FrequencyConstraint, signal: Signal, field: str) -> list[FrequencyConstraint]:
         def leak(spectrum: SpectrumMap) -> Array:
-            added = leakage(loop, spectrum).added
+            added = leakage(loop, spectrum, np.zeros(len(spectrum.bins), dtype=complex))[0]
             if np.isinf(added).any():
                 got = "a mask of a signal that loads change, with Gaussian loads, start or forever"
                 raise UnsupportedError(f"{field}: got {got}; expected bounded loads from the start of the plan on.")

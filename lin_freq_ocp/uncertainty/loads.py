@@ -34,6 +34,7 @@ class Loads(ABC):
     dimension: int  # k
     largest: Array  # (k,): bounds of |w_t|
     error: Array  # (k,): S'error bounds the rounding of ``contribution``, beyond that of its products
+    words: str
 
     @abstractmethod
     def contribution(self, S: Array, times: slice) -> Array:
@@ -53,10 +54,6 @@ class Loads(ABC):
 
         None if the loads have no bounds.
         """
-
-    @abstractmethod
-    def describe(self) -> str:
-        """Return the loads in words."""
 
 
 class LoadSet(Loads):
@@ -90,9 +87,6 @@ class LoadSet(Loads):
             loads[value > best] = w[value > best]
             best = np.maximum(best, value)
         return np.maximum(best, 0.0) / np.cos(np.pi / ANGLES_OF_BOUND) + (np.abs(M) @ self.error).sum(axis=1), loads
-
-    def describe(self) -> str:
-        return self.words
 
 
 class BoxLoads(LoadSet):
@@ -133,7 +127,7 @@ class Records(Loads):
     Examples
     --------
     >>> gusts = [[[0.1], [0.0], [-0.1]], [[0.0], [0.1], [0.1]]]
-    >>> lfo.Disturbance(lfo.uncertainty.Records(gusts), input=[[0.0], [1.0]]).set.describe()
+    >>> lfo.Disturbance(lfo.uncertainty.Records(gusts), input=[[0.0], [1.0]]).set.words
     '2 records of loads and their mixtures'
     """
 
@@ -143,6 +137,7 @@ class Records(Loads):
             raise ProblemError("Records.loads", f"shape {self.loads.shape}", "shape (records, T, k)")
         self.front, (_, self.horizon, self.dimension) = self.loads.shape[:1], self.loads.shape
         self.largest, self.error = np.abs(self.loads).max(axis=(0, 1)), np.zeros(self.dimension)
+        self.words = f"{plural(len(self.loads), 'record')} of loads and their mixtures"
 
     def contribution(self, S: Array, times: slice) -> Array:
         return (S @ self.loads[:, times, :, None])[..., 0]
@@ -157,9 +152,6 @@ class Records(Loads):
         sizes = np.abs(centre + np.tensordot(self.loads, M, axes=([1, 2], [1, 2])))
         best = sizes.argmax(axis=0)
         return sizes.max(axis=0), self.loads[best]
-
-    def describe(self) -> str:
-        return f"{plural(len(self.loads), 'record')} of loads and their mixtures"
 
 
 class Gaussian(Loads):
@@ -195,9 +187,10 @@ class Gaussian(Loads):
         share = real_array("Gaussian.probability", probability)
         if share.ndim or not 0.5 < share < 1:
             raise ProblemError("Gaussian.probability", brief(probability), "one number above 0.5 and below 1")
-        self.probability, self.dimension = float(share), len(matrix)
+        self.covariance, self.probability, self.dimension = matrix, float(share), len(matrix)
         self.root = scale[:, None] * vectors * np.sqrt(values.clip(min=0.0))
         self.largest, self.error = float(ndtri(share)) * size, np.zeros(self.dimension)
+        self.words = f"Gaussian loads; each limit at each time by itself holds with probability {self.probability:g}"
 
     def contribution(self, S: Array, times: slice) -> Array:
         return ((S @ self.root) ** 2).sum(axis=-1)
@@ -211,9 +204,6 @@ class Gaussian(Loads):
     def modulus(self, M: ComplexArray, centre: ComplexArray) -> None:
         return None
 
-    def describe(self) -> str:
-        return f"Gaussian loads; each limit at each time by itself holds with probability {self.probability:g}"
-
 
 def loads_of(given: object, dimension: int) -> Loads:
     """Return the loads of a set, of measured samples (samples, k), or of a kind of their own, for k columns of E."""
@@ -221,9 +211,8 @@ def loads_of(given: object, dimension: int) -> Loads:
         loads = given
     elif isinstance(given, ConvexSet):
         if given.dimension not in (None, dimension):
-            raise ProblemError(
-                SET, f"a set in {given.dimension} dimensions", f"{dimension}, one per column of the input"
-            )
+            expected = f"{dimension}, one per column of the input"
+            raise ProblemError(SET, f"a set in {given.dimension} dimensions", expected)
         kind, words = LoadSet if given.members else BoxLoads, f"a {type(given).__name__}"
         loads = kind(*given.farthest(dimension), f"every load of {words} of {plural(dimension, 'component')}")
     else:

@@ -13,10 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, real_array, times_vectors
+from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural, split_unit
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
@@ -76,17 +75,14 @@ class Plants(Uncertainty):
                 raise ProblemError(field, got, f"{known[0]} states, {known[1]} controls, {own.sampling_time} s")
             plant.require_horizon(problem.horizon)
 
-    def tightened(
-        self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None
-    ) -> OptimalControlProblem:
-        """Return the problem in the states of all plants; see ``robust``."""
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+        """Return the fields of a problem in the states of all plants; see ``robust``."""
         self._require(problem)
         if end is not None:
             raise UnsupportedError("end: got 'invariant' with Plants; expected None, or a Disturbance.")
         if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
-            raise UnsupportedError(
-                "cost, stage_rows: got norms or formulas; expected a quadratic cost and linear rows."
-            )
+            got = "cost, stage_rows: got norms or formulas"
+            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
         n, K, T = problem.state_dim, len(self.plants), problem.horizon
         periodic = problem.terminal_state.links(n, T)
         if any(not link.repeats for link in periodic):
@@ -96,49 +92,30 @@ class Plants(Uncertainty):
 
         def outputs(given: OutputSpectrum, k: int) -> OutputSpectrum:
             C = None if given.C is None else given.C @ place[k]
-            labels = [_of_plant(name, k) for name in given.output_names]
-            return OutputSpectrum(C, given.D, given.constraints, labels)
+            return OutputSpectrum(C, given.D, given.constraints, [_of_plant(name, k) for name in given.output_names])
+
+        def rows(given: StageRows, k: int) -> StageRows:
+            return StageRows(given.C @ place[k], given.D, given.e, _of_plant(given.name, k), given.penalty)
 
         spectra = [
             one.changed(component=k * n + i)
-            for given in entries_of(problem.state_spectrum)
-            for i in component_indices("state_spectrum", given.component, names)
-            for k in range(K)
-            for one in [given]
-        ]
-        rows = [
-            StageRows(rows.C @ place[k], rows.D, rows.e, _of_plant(rows.name, k), rows.penalty)
-            for rows in problem.stage_rows
+            for one in entries_of(problem.state_spectrum)
+            for i in component_indices("state_spectrum", one.component, names)
             for k in range(K)
         ]
-        tight = replace(
-            problem,
+        cost, shares = problem.quadratic, self.shares
+        weights = {key: np.kron(np.diag(shares), getattr(cost, key)) for key in "QP"}
+        slopes = {key: np.kron(shares, getattr(cost, key)) for key in "qp"}
+        mean = replace(cost, **weights, **slopes, S=np.kron(shares[:, None], cost.S), x_ref=np.tile(cost.x_ref, K))
+        return dict(
             dynamics=self.plants[0].stacked(self.plants, [_of_plant(name, k) for k in range(K) for name in names], T),
-            cost=self._mean_cost(problem.quadratic, place),
+            cost=mean,  # over the plants; the part of the controls counts once
             state_set=map_sets(problem.state_set, every),
             initial_state=every(problem.initial_state),
             terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
-            stage_rows=rows or None,
+            stage_rows=[rows(one, k) for one in problem.stage_rows for k in range(K)] or None,
             state_spectrum=spectra or None,
             output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
-        )
-        tight.__dict__["_uncertainty"] = self
-        return tight
-
-    def _mean_cost(self, cost: QuadraticCost, place: Sequence[Array]) -> QuadraticCost:
-        """Return the mean of the costs of all plants; the part of the controls counts once."""
-        mean = list(zip(self.shares, place, strict=True))
-        reference = sum(np.broadcast_to(cost.x_ref, (*cost.x_ref.shape[:-1], len(place[0]))) @ one for one in place)
-        return QuadraticCost(
-            Q=sum(share * one.T @ cost.Q @ one for share, one in mean),
-            R=cost.R,
-            S=sum(share * one.T @ cost.S for share, one in mean),
-            q=sum(share * cost.q @ one for share, one in mean),
-            r=cost.r,
-            P=sum(share * one.T @ cost.P @ one for share, one in mean),
-            p=sum(share * cost.p @ one for share, one in mean),
-            x_ref=reference,
-            u_ref=cost.u_ref,
         )
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
@@ -165,22 +142,15 @@ class Plants(Uncertainty):
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
     """Yield each limit at the time, or bin, where a trajectory is closest to it."""
-    x, u = trajectory.x, np.vstack([trajectory.u, np.zeros((1, problem.control_dim))])
+    x, u = trajectory.x, trajectory.u
     for rows in hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
-        values = times_vectors(rows.C, x) + times_vectors(rows.D, u)
-        sizes = times_vectors(np.abs(rows.C), np.abs(x)) + times_vectors(np.abs(rows.D), np.abs(u))
-        for i in np.flatnonzero(np.isfinite(rows.limits).any(axis=0)).tolist():
-            t = int(np.argmin(rows.limits[:, i] - values[:, i]))
-            value, limit = (float(rows.sign * part[t, i]) for part in (values, rows.limits))
-            size = float(sizes[t, i]) + abs(limit)
-            yield Worst(rows.names[i], t, value, 0.0, limit, size, attained=value, sign=rows.sign)
+        yield from (one for one, _, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
     for name, spectrum, limits in limited_spectra(problem):
-        sizes = np.linalg.norm(spectrum.values(x, trajectory.u), axis=1)
-        stop = np.where(np.isnan(limits), 0.0, limits)
-        k = int(np.argmax(sizes - stop))
-        size = float(np.abs(trajectory.x).max() + np.abs(trajectory.u).max()) * problem.horizon
-        value = float(sizes[k])
-        yield Worst(name, int(spectrum.bins[k]), value, 0.0, float(stop[k]), size, value, in_spectrum=True)
+        sizes, levels = np.linalg.norm(spectrum.values(x, u), axis=1), np.nan_to_num(limits)
+        k = int(np.argmax(sizes - levels))
+        size = float(np.abs(x).max() + np.abs(u).max()) * problem.horizon
+        value, level = float(sizes[k]), float(levels[k])
+        yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
 
 
 def _on_every_plant(place: Sequence[Array], given: ConvexSet) -> ConvexSet:

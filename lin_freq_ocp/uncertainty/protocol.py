@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Literal
 
-from lin_freq_ocp.base.arrays import brief
+from lin_freq_ocp.base.archives import FileValue
+from lin_freq_ocp.base.arrays import assign, brief
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -18,18 +21,53 @@ class Uncertainty(ABC):
     """What is uncertain about a problem."""
 
     @abstractmethod
-    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> OptimalControlProblem:
-        """Return the ordinary problem whose plans hold for all cases."""
+    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> Mapping[str, object]:
+        """Return the fields in which the problem whose plans hold for all cases differs from a given one."""
 
     @abstractmethod
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst case does to a plan, by the given limits."""
 
 
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class RobustProblem(OptimalControlProblem):
+    """An ordinary problem with the limits of ``robust``, and what it is made of, which ``replace`` keeps.
+
+    Attributes
+    ----------
+    given : OptimalControlProblem
+        With the limits as they were given, which ``worst_case`` judges.
+    uncertainty : Disturbance or Plants
+    end : "invariant" or None
+    """
+
+    given: OptimalControlProblem
+    uncertainty: Uncertainty
+    end: Literal["invariant"] | None
+    limits: Mapping[str, object]  # the fields as ``robust`` made them
+
+    def __init__(
+        self,
+        given: OptimalControlProblem,
+        uncertainty: Uncertainty,
+        end: Literal["invariant"] | None,
+        limits: Mapping[str, object] | None = None,
+        **of_problem: FileValue,
+    ):
+        super().__init__(**of_problem)
+        made = {field.name: getattr(self, field.name) for field in fields(OptimalControlProblem)}
+        assign(self, given=given, uncertainty=uncertainty, end=end, limits=limits or made)
+
+    @property
+    def as_made(self) -> bool:
+        """Return whether all fields are those that ``robust`` made, and none was replaced."""
+        return all(getattr(self, name) is value for name, value in self.limits.items())
+
+
 @one_blas_thread
 def robust(
     problem: OptimalControlProblem, uncertainty: Uncertainty, end: Literal["invariant"] | None = None
-) -> OptimalControlProblem:
+) -> RobustProblem:
     """Return an ordinary problem whose plans satisfy all limits of the given one, whatever the loads or the plant.
 
     The problem keeps its size; bounds, joint rows, polyhedra and masks at bins are tightened by margins. Solvers, loops
@@ -46,12 +84,13 @@ def robust(
 
     Returns
     -------
-    OptimalControlProblem
+    RobustProblem
+        An OptimalControlProblem that knows what it is made of.
 
     Raises
     ------
     ProblemError
-        If the uncertainty does not fit the problem, or its margins exceed the range of a limit.
+        If the problem has margins already, the uncertainty does not fit it, or its margins exceed the range of a limit.
     UnsupportedError
         If the problem has modes, formulas, levels, or balls or cones of uncertain signals.
 
@@ -71,7 +110,12 @@ def robust(
     require_problem(problem)
     if end not in (None, "invariant"):
         raise ProblemError("end", brief(end), "'invariant' or None")
-    return _require_uncertainty(uncertainty).tightened(problem, end)
+    if problem.uncertainty is not None:
+        advice = "problem.given has the limits without margins."
+        raise ProblemError("problem", "one of robust, with margins", "one without", advice)
+    changes = _require_uncertainty(uncertainty).tightened(problem, end)
+    given = {field.name: getattr(problem, field.name) for field in fields(OptimalControlProblem)}
+    return RobustProblem(problem, uncertainty, end, **(given | changes))
 
 
 @one_blas_thread

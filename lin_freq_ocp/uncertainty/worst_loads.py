@@ -12,13 +12,13 @@ from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
 from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plural, short_name, vector
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
-from lin_freq_ocp.uncertainty.leakage import leakage
+from lin_freq_ocp.uncertainty.leakage import bin_values, leakage
 
 HOLDS_WITHIN = 1e-8  # of the terms of a limit: solvers satisfy limits to 1e-9 or better
 LINE = "{:28} {:>8} {:>11} {:>11} {:>11} {:>11}"
@@ -44,6 +44,8 @@ class Worst:
     start : (n,) or None
         The error x_0 - z_0 of the start.
     loads : (T, k) or None
+    trajectory : Trajectory or None
+        The states and controls of the simulation.
     plant : int or None
         The number of the plant, from 1.
     in_spectrum : bool
@@ -67,9 +69,16 @@ class Worst:
     attained: float = np.nan
     start: Array | None = None
     loads: Array | None = None
+    trajectory: Trajectory | None = None
     plant: int | None = None
     in_spectrum: bool = False
     sign: int = 1
+
+    def under(self, case: tuple[Array, Array] | None, trajectory: Trajectory, value: float) -> Worst:
+        """Return this worst case with the start and the loads that attain it, and the value of their simulation."""
+        if case is None:
+            return replace(self, attained=np.nan)
+        return replace(self, attained=self.sign * value, start=case[0], loads=case[1], trajectory=trajectory)
 
     @property
     def violation(self) -> float:
@@ -85,8 +94,11 @@ class Worst:
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
         shown = (NOTHING if np.isnan(value) else f"{value:.5g}" for value in values)
-        plant = "" if self.plant is None else f"  plant {self.plant}"
-        return LINE.format(self.name, at, *shown) + plant + ("" if self.holds or np.isnan(self.limit) else "  violated")
+        case = "" if self.plant is None else f"  plant {self.plant}"
+        acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
+        if acting is not None and acting.any():
+            case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"
+        return LINE.format(self.name, at, *shown) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +117,8 @@ class WorstCase:
         How far loads move the end of the plan.
     price : float or None
         The derivative of the optimal cost by the size of the loads, at 1 of it; with a plan of ``lfo.solve`` only.
+    cost, nominal : float or None
+        The costs of the plan, and of that for no loads.
 
     Examples
     --------
@@ -120,6 +134,7 @@ class WorstCase:
     end: Array | None = None
     price: float | None = None
     cost: float | None = None
+    nominal: float | None = None
 
     @property
     def holds(self) -> bool:
@@ -147,13 +162,18 @@ class WorstCase:
         return f"No case violates one of these limits: proven, to {HOLDS_WITHIN:g} of their terms."
 
     def __str__(self) -> str:
-        lines = [self.words, LINE.format("limit", "at", "plan", "margin", "limit", "attained"), *map(str, self.limits)]
+        head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"
+        lines = [self.words, head, *map(str, self.limits)]
         lines += [f"for the plan only: {one}" for one in self.leakage]
         if self.end is not None and self.end.any():
             lines.append(f"end of the plan: loads move it by up to {vector(self.end)}")
         lines.append(self.verdict)
         if self.price is not None and self.cost:
             lines.append(f"1 % larger loads cost {number(100 * 0.01 * self.price / abs(self.cost), 3)} %.")
+        if self.nominal and self.cost is not None:
+            more = number(100 * (self.cost - self.nominal) / abs(self.nominal), 3)
+            costs = f"The cost is {number(self.cost)}; that of the plan for no loads {number(self.nominal)}"
+            lines.append(f"{costs}: {more} % more.")
         return "\n".join(line.rstrip() for line in lines)
 
     def __repr__(self) -> str:
@@ -172,7 +192,32 @@ class LimitRows:
     D: Array
     limits: Array  # (T+1, rows)
     term: str = ""  # whose multipliers they have
-    sign: int = 1  # -1: lower limits, multiplied by -1
+    signs: Indices | None = None  # -1: lower limits, multiplied by -1
+
+    def values(self, x: Array, u: Array) -> Array:
+        """Return C x_t + D u_t, (T+1, rows), with a control of zero at time T."""
+        return times_vectors(self.C, x) + times_vectors(self.D, np.vstack([u, np.zeros((1, u.shape[1]))]))
+
+    def closest(self, x: Array, u: Array, margins: Array) -> Iterator[tuple[Worst, Array, Array]]:
+        """Yield each limit at the time at which a trajectory and its margins are closest to it, with its row."""
+        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
+        planned = self.values(x, u)
+        for i in np.flatnonzero(np.isfinite(self.limits).any(axis=0)).tolist():
+            t = int(np.argmin((self.limits - planned - margins)[:, i]))
+            c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (self.C, self.D))
+            sign = 1 if self.signs is None else int(self.signs[i])
+            plan, limit = (float(sign * part[t, i]) for part in (planned, self.limits))
+            size = float(sizes[t, i]) + abs(limit)
+            yield Worst(self.names[i], t, plan, float(margins[t, i]), limit, size, plan, sign=sign), c, d
+
+    def price(self, margins: Array, multipliers: Multipliers) -> float:
+        """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
+        bounded = np.isfinite(self.limits)
+        if self.signs is None:
+            weights = multipliers.stage.get(self.term)
+            return 0.0 if weights is None else float((weights * margins[bounded.any(axis=1)]).sum())
+        weights = np.maximum(self.signs * np.tile(multipliers.mu if self.C.any() else multipliers.nu, 2), 0.0)
+        return float((weights * (margins * bounded)[: len(weights)]).sum())
 
 
 def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
@@ -181,22 +226,17 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     Bounds of states count at time 0 if the start is uncertain; fixed ends only where they are not ``moved`` (n,).
     """
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    first, none = np.zeros((T + 1, 1)), np.full((1, m), np.inf)
-    first[0] = 0.0 if bounded_start else np.inf
-    ends, states, controls = problem.terminal_box, problem.state_boxes, problem.control_tube
-    lasting = np.full((2, T + 1, n), np.inf)
-    for side, bound in enumerate((ends.upper, -ends.lower)):
-        lasting[side, T] = np.where(ends.fixed & moved, np.inf, bound)
-    for side, sign in enumerate((1, -1)):
-        word, of_x, of_u = ("upper", "lower")[side], sign * np.eye(n), sign * np.eye(m)
-        bound_x, bound_u = (states.upper, controls.upper) if sign > 0 else (-states.lower, -controls.lower)
-        x_names, u_names = (
-            [f"{short_name(name)}, {word}" for name in names] for names in (problem.state_names, problem.control_names)
-        )
-        ends_of = [f"end of {name}" for name in x_names]
-        yield LimitRows(x_names, of_x, np.zeros((n, m)), bound_x + first, sign=sign)
-        yield LimitRows(u_names, np.zeros((m, n)), of_u, np.vstack([bound_u, none]), sign=sign)
-        yield LimitRows(ends_of, of_x, np.zeros((n, m)), lasting[side], sign=sign)
+    ends, end = problem.terminal_box, np.full((T + 1, 2 * n), np.inf)
+    end[T] = np.where(np.tile(ends.fixed & moved, 2), np.inf, np.append(ends.upper, -ends.lower))
+    of_x, of_u = (np.hstack([box.upper, -box.lower]) for box in (problem.state_boxes, problem.control_tube))
+    of_x = of_x if bounded_start else np.vstack([end[:1], of_x[1:]])
+    of_u = np.pad(of_u, ((0, 1), (0, 0)), constant_values=np.inf)
+    C, D = (np.vstack([np.eye(k), -np.eye(k)]) for k in (n, m))
+    states = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.state_names]
+    controls = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.control_names]
+    yield LimitRows(states, C, np.zeros((2 * n, m)), of_x, signs=np.repeat((1, -1), n))
+    yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
+    yield LimitRows([f"end of {name}" for name in states], C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n))
     for term in problem.terms:
         found = term.polyhedron(n, m)
         if found is None or term.kind.is_link:
@@ -217,82 +257,31 @@ def worst_loads(
     """Return what the worst loads do to a trajectory; with the multipliers of a plan, also what larger loads cost."""
     problem.require(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    none = np.zeros((1, T, loop.E.shape[-1]))
-    x, u = (part[0] for part in simulate_loop(problem, loop, trajectory, np.zeros((1, n)), none))
-    states = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))
-    end = np.maximum(states[T, :n], states[T, n:])
-    worst, price = list[tuple[Worst, Array, Array]](), 0.0
+    plan = simulate_loop(problem, loop, trajectory)
+    x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
+    end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
     for rows in hard_rows(problem, loop.start is not None or loop.forever, end > 0):
-        if not np.isfinite(rows.limits).any():
-            continue
-        M, last = loop.margins(rows.C, rows.D), np.vstack([u, np.zeros((1, m))])
-        planned = times_vectors(rows.C, x) + times_vectors(rows.D, last)
-        sizes = times_vectors(np.abs(rows.C), np.abs(x)) + times_vectors(np.abs(rows.D), np.abs(last))
-        sizes = sizes + M + np.where(np.isfinite(rows.limits), np.abs(rows.limits), 0.0)
-        slack = rows.limits - planned - M
-        price += 0.0 if multipliers is None else _price(rows, M, multipliers, n)
-        for i in np.flatnonzero(np.isfinite(slack).any(axis=0)).tolist():
-            t = int(np.argmin(slack[:, i]))
-            c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (rows.C, rows.D))
-            values = rows.sign * planned[t, i], M[t, i], rows.sign * rows.limits[t, i], sizes[t, i]
-            plan, margin, limit, size = map(float, values)
-            start, w = loop.worst(c, d, t) or (None, None)
-            one = Worst(rows.names[i], t, plan, margin, limit, size, start=start, loads=w, sign=rows.sign)
-            worst.append((one, c, d))
-    known = [i for i, (one, _, _) in enumerate(worst) if one.loads is not None]
-    if known:
-        starts, loads = (np.array([getattr(worst[i][0], name) for i in known]) for name in ("start", "loads"))
-        X, U = simulate_loop(problem, loop, trajectory, starts, loads)
-        for k, i in enumerate(known):
-            one, c, d = worst[i]
-            attained = float(X[k, one.index] @ c + (U[k, one.index] @ d if one.index < T else 0.0))
-            worst[i] = replace(one, attained=one.sign * attained), c, d
-    masks, leaks = list[Worst](), list[Worst]()
-    for one, spectrum, limited in _spectra(problem, loop, x, u):
-        if one.loads is not None and one.start is not None:
-            X, U = simulate_loop(problem, loop, trajectory, one.start[None], one.loads[None])
-            at = replace(spectrum, bins=np.array([one.index]), joint=False)
-            one = replace(one, attained=float(np.linalg.norm(at.values(X[0], U[0]))))
-        (masks if limited else leaks).append(one)
+        margins = loop.margins(rows.C, rows.D)
+        price += 0.0 if multipliers is None else rows.price(margins, multipliers)
+        for one, c, d in rows.closest(x, u, margins):
+            t, case = one.index, loop.worst(c, d, one.index)
+            under = simulate_loop(problem, loop, trajectory, case)
+            limits.append(one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d)))
+    for name, spectrum, levels in limited_spectra(problem):
+        levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
+        bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
+        largest, loads = leakage(loop, spectrum, bins)
+        k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
+        case = None if loads is None else (np.zeros(n), loads[k])
+        under = simulate_loop(problem, loop, trajectory, case)
+        planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
+        values = int(spectrum.bins[k]), planned, most - planned, level, size + most
+        one = Worst(name, *values, in_spectrum=True).under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
+        (limits if judged else leaks).append(one)
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
-    words = f"{loop.loads.describe()}{', since ever' if loop.forever else ''}; {K}"
-    limits = (*(one for one, _, _ in worst), *masks)
-    return WorstCase(words, limits, tuple(leaks), end, None if multipliers is None else price)
-
-
-def _price(rows: LimitRows, margins: Array, multipliers: Multipliers, n: int) -> float:
-    """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
-    if rows.term:
-        weights = multipliers.stage.get(rows.term)
-        bounded = np.isfinite(rows.limits).any(axis=1)
-        return 0.0 if weights is None else float((weights * margins[bounded]).sum())
-    weights = np.maximum(rows.sign * (multipliers.mu if rows.C.any() else multipliers.nu), 0.0)
-    bounded = np.isfinite(rows.limits[: len(weights)])
-    return float((weights * margins[: len(weights)] * bounded).sum())
-
-
-def _spectra(
-    problem: OptimalControlProblem, loop: ErrorLoop, x: Array, u: Array
-) -> Iterator[tuple[Worst, SpectrumMap, bool]]:
-    """Yield the worst bin of each spectrum that is limited at bins, with its map, and whether its limit is judged.
-
-    Stop bands and energies hold for the plan: of these the bin with the largest leakage is yielded.
-    """
-    for name, spectrum, limits in limited_spectra(problem):
-        pairs = replace(spectrum, joint=False).values(x, u)
-        found = leakage(loop, spectrum, pairs[:, 0] + 1j * pairs[:, 1])
-        judged = not (spectrum.joint or np.isnan(limits).any())
-        k = int(np.argmin(limits - found.largest) if judged else np.argmax(found.added))
-        start = None if found.loads is None else np.zeros(problem.state_dim)
-        loads = None if found.loads is None else found.loads[k]
-        planned, added, limit = (
-            float(np.abs(found.planned[k])),
-            float(found.added[k]),
-            float(limits[k]) if judged else np.nan,
-        )
-        size = planned + added + (limit if judged else 0.0)
-        bin_ = int(spectrum.bins[k])
-        yield Worst(name, bin_, planned, added, limit, size, np.nan, start, loads, None, True), spectrum, judged
+    words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
+    prices = None if multipliers is None else price, problem.value(trajectory.x, trajectory.u)
+    return WorstCase(words, tuple(limits), tuple(leaks), end, *prices)
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:
@@ -313,14 +302,14 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
 
 
 def simulate_loop(
-    problem: OptimalControlProblem, loop: ErrorLoop, plan: Trajectory, start: Array, loads: Array
-) -> tuple[Array, Array]:
-    """Return states (cases, T+1, n) and controls (cases, T, m) of u = v + K (x - z) under loads (cases, T, k)."""
-    dynamics, T = problem.linear, problem.horizon
-    x, u = np.empty((len(loads), T + 1, problem.state_dim)), np.empty((len(loads), T, problem.control_dim))
-    x[:, 0] = plan.x[0] + start
+    problem: OptimalControlProblem, loop: ErrorLoop, plan: Trajectory, case: tuple[Array, Array] | None = None
+) -> Trajectory:
+    """Return u = v + K (x - z), x_0 = z_0 + start, and its states, for a start (n,) and loads (T, k); None: zeros."""
+    T = problem.horizon
+    start, w = case or (np.zeros(problem.state_dim), np.zeros((T, loop.E.shape[-1])))
+    x, u, forces = [plan.x[0] + start], list[Array](), times_vectors(loop.E, w)
     for t in range(T):
-        (A, B, d), E = dynamics.at(t), loop.E if loop.E.ndim == 2 else loop.E[t]
-        u[:, t] = plan.u[t] + (x[:, t] - plan.x[t]) @ loop.K.T
-        x[:, t + 1] = x[:, t] @ A.T + u[:, t] @ B.T + d + loads[:, t] @ E.T
-    return x, u
+        A, B, d = problem.linear.at(t)
+        u.append(plan.u[t] + loop.K @ (x[t] - plan.x[t]))
+        x.append(A @ x[t] + B @ u[t] + d + forces[t])
+    return Trajectory(x, u)

@@ -45,10 +45,12 @@ SAYS = {
     "switching_angles": "angles [deg] [24.655 29.975 40.054 48.274 55.639]",
     "swing_up": "locally_optimal: cost 42.591339; satisfied",
     "obstacles": "constrained  within a disc by 0.0000 m^2, ends 0.000 m away",
+    "gusts": "for all gusts   500 winds reach 104.0 cm, the worst gusts 104.0 cm of 104.0",
     "wall": "cost      95.820020, no trajectory below 95.82001",
 }
 
 LONG = (
+    "gusts",
     "gantry",
     "oscillating_mass",
     "switching_angles",

@@ -459,7 +459,7 @@ def test_the_keys_of_a_result_are_those_of_the_package(solved):
     parts = RESULT["$defs"]
     compared = {"classical", "constrained", "filtered", "moves"}
     assert set(RESULT["properties"]) - compared == {
-        *("atoms", "levels", "spectra"),
+        *("atoms", "levels", "spectra", "worst_case"),
         *result_summary(solved, with_trajectory=True),
     }
     assert {*RESULT["dependentRequired"]} - compared == set(RESULT["properties"]) - {*RESULT["required"]} - compared

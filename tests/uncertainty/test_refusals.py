@@ -166,3 +166,17 @@ def test_equal_bounds_one_step_and_states_without_bounds():
     np.testing.assert_array_equal(tight.state_set.upper[:, 1], 0.2)
     assert np.isinf(tight.state_set.upper[:, 0]).all()
     assert lfo.worst_case(still, load, lfo.solve(tight))
+
+
+def test_a_robust_problem_keeps_what_it_is_made_of_and_gets_no_margins_twice():
+    problem, load = tube(initial_state=None), Disturbance(Box(-0.1, 0.1))
+    plan = replace(lfo.robust(problem, load, end="invariant"), name="renamed", initial_state=[-5.0, 0.0])
+    assert (plan.given, plan.uncertainty, plan.end) == (problem, load, "invariant")
+    with pytest.raises(lfo.errors.UnsupportedError, match=r"delay: got 1.*State the delay as a state"):
+        lfo.RecedingHorizon(plan, delay=1)
+    with pytest.raises(lfo.errors.ProblemError, match="problem: got one of robust, with margins; expected one without"):
+        lfo.robust(plan, load)
+    with pytest.raises(lfo.errors.ProblemError, match=r"problem: got one of robust.*rate_limited first"):
+        lfo.rate_limited(plan, 0.5)
+    assert lfo.worst_case(plan.given, plan.uncertainty, lfo.solve(plan)).price is not None
+    assert problem.uncertainty is None

@@ -36,6 +36,23 @@ def test_every_step_to_an_invariant_end_has_a_plan_whatever_the_loads(name):
     assert set(controller.log.sources) == {"plan"}
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_an_invariant_end_does_not_depend_on_units(unit):
+    plain, S = tube(initial_state=None), np.diag([unit, 1.0])
+    moved = replace(
+        plain,
+        dynamics=lfo.LinearDynamics(S @ A @ np.linalg.inv(S), S @ B),
+        cost=lfo.QuadraticCost(Q=np.linalg.inv(S @ S), R=0.1, P=3 * np.linalg.inv(S @ S)),
+        state_set=lfo.Box(S @ [-10, -2], S @ [2, 2]),
+    )
+    K = LOAD.feedback(plain)
+    loads = lfo.Disturbance(lfo.Box(-W, W), gain=K), lfo.Disturbance(lfo.Box(-W, W), S, gain=K @ np.linalg.inv(S))
+    one, two = (lfo.robust(*case, end="invariant").stage_rows[-1] for case in zip((plain, moved), loads, strict=True))
+    assert one.rows == two.rows == 8
+    scaled = [rows.C @ unit / rows.e[-1][:, None] for rows, unit in ((one, np.eye(2)), (two, S))]
+    np.testing.assert_allclose(*(np.sort(part, axis=0) for part in scaled), rtol=1e-6, atol=1e-9)
+
+
 def test_loads_at_which_the_controller_of_the_example_leaves_its_limits():
     """HiroIshida/robust-tube-mpc, issue 19: loads of 0.2."""
     controller = lfo.RecedingHorizon(

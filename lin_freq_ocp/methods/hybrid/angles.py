@@ -265,9 +265,8 @@ def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
     }
     unmet = [words for words, holds in named.items() if not holds]
     if unmet:
-        raise UnsupportedError(
-            f"the bound over angles does not support {unmet[0]}; expected the form in docs/levels.md."
-        )
+        text = f"the bound over angles does not support {unmet[0]}; expected the form in docs/levels.md."
+        raise UnsupportedError(text)
 
 
 def _is_fixed(lower: Array, upper: Array, place: int, value: float) -> bool:

@@ -357,9 +357,8 @@ def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) 
     n, T, y = problem.state_dim, problem.horizon, units.signals
     priced = priced_bounds(problem)
     if priced is None:
-        raise UnsupportedError(
-            "method 'spectral': a soft set that is not a set of bounds on components. Use method 'convex'."
-        )
+        text = "method 'spectral': a soft set that is not a set of bounds on components. Use method 'convex'."
+        raise UnsupportedError(text)
     per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
     joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
     of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (priced.of_lower, priced.of_upper))

@@ -124,9 +124,8 @@ class SpectralSolver:
             try:
                 self._structure = Structure(self._lti)
             except np.linalg.LinAlgError as error:
-                raise UnsupportedError(
-                    f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
-                ) from None
+                text = f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+                raise UnsupportedError(text) from None
         self._coarser: dict[int, Structure] = {}
         self.setup_seconds = now() - started
 
@@ -227,22 +226,19 @@ class SpectralSolver:
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
         if lti.periodic != self._lti.periodic:
-            raise ProblemError(
-                "terminal_state", brief(terminal_state), "None: the ends are periodic", "Make a new SpectralSolver."
-            )
+            expected = "None: the ends are periodic"
+            raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),
         ):
             if not np.array_equal(np.isnan(old), np.isnan(new)):
-                raise ProblemError(
-                    field, "other fixed components than in the problem", "the same ones", "Make a new SpectralSolver."
-                )
+                got = "other fixed components than in the problem"
+                raise ProblemError(field, got, "the same ones", "Make a new SpectralSolver.")
         points = zip(self._lti.fixed_points, lti.fixed_points, strict=True)
         if not all(old is new or np.array_equal(old, new) for old, new in points):
-            raise ProblemError(
-                "bounds", "other values fixed by lower == upper", "the same ones", "Make a new SpectralSolver."
-            )
+            got = "other values fixed by lower == upper"
+            raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
         return problem, lti
 
     def _require_same_shape(self, warm_start: SpectralSolution) -> None:
@@ -253,9 +249,8 @@ class SpectralSolver:
             for p in (warm_start.problem, self.problem)
         )
         if got != shape:
-            raise ProblemError(
-                "warm_start", f"(horizon, states, controls, joint rows) = {got}", f"{shape}, a solution of this problem"
-            )
+            expected = f"{shape}, a solution of this problem"
+            raise ProblemError("warm_start", f"(horizon, states, controls, joint rows) = {got}", expected)
 
     def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> PricedOutcome:
         """Exchange from the first working rows, or test cached rays.

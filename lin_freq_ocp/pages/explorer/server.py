@@ -104,9 +104,8 @@ class ExploreServer(ThreadingHTTPServer):
             super().__init__((LOOPBACK, port), Handler)
         except OSError as error:
             advice = "Without --port, a free one is taken."
-            raise ProblemError(
-                "--port", f"{port}, which cannot be used ({error.strerror})", "a free port", advice
-            ) from None
+            got = f"{port}, which cannot be used ({error.strerror})"
+            raise ProblemError("--port", got, "a free port", advice) from None
         self.session, self.token = session, secrets.token_urlsafe(TOKEN_BYTES)
         self.page = page(session).encode()
         self._solving = threading.Lock()

@@ -95,9 +95,8 @@ def checked_values(sliders: tuple[Slider, ...], values: object) -> dict[str, flo
     known = {slider.key: slider for slider in sliders}
     for key, value in values.items():
         if key not in known:
-            raise ProblemError(
-                f"values.{key}", "no slider of that name", f"some of {', '.join(known)}", suggestion(key, known)
-            )
+            expected = f"some of {', '.join(known)}"
+            raise ProblemError(f"values.{key}", "no slider of that name", expected, suggestion(key, known))
         slider = known[key]
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not number or not slider.low <= value <= slider.high:

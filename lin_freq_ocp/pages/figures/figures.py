@@ -22,6 +22,7 @@ from lin_freq_ocp.comparison.filters import has_frequency_constraint
 from lin_freq_ocp.comparison.trajectories import (
     CLASSICAL,
     CONSTRAINED,
+    MeasuredTrajectory,
     ProblemSignal,
     measured_solution,
     solution_label,
@@ -40,6 +41,8 @@ from lin_freq_ocp.pages.figures.panels import (
 )
 from lin_freq_ocp.pages.figures.plot_data import Obstacle, PlotData, Trace
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.uncertainty.disturbance import Disturbance
+from lin_freq_ocp.uncertainty.protocol import RobustProblem
 
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
 STATE_ROW_HEIGHT = 0.78 * look.ROW_HEIGHT
@@ -61,10 +64,21 @@ def comparison_figure(comparison: ComparisonOutcome) -> Figure:
 
 def result_data(result: Outcome) -> PlotData:
     """Return the solution as plot data; SolveError if it has no trajectory."""
-    shown = measured_solution(solution_label(result), result.problem, result)
+    problem = result.problem
+    loaded = isinstance(problem, RobustProblem) and isinstance(problem.uncertainty, Disturbance)
+    given = problem.given if loaded else problem
+    shown = measured_solution(solution_label(result), given, result)
     if shown is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
-    return PlotData(result.problem, (Trace(shown.label, shown, look.STYLES[CONSTRAINED]),))
+    plan = Trace(shown.label, shown, look.STYLES[CONSTRAINED])
+    if not loaded:
+        return PlotData(problem, (plan,))
+    worst = problem.uncertainty.worst(given, result).closest
+    if worst is None or worst.trajectory is None:
+        return PlotData(given, (plan,), problem)
+    under = MeasuredTrajectory("worst load", given, worst.trajectory)
+    loads = Trace(under.label, under, look.STYLES["filtered"], f"for {worst.name}")
+    return PlotData(given, (loads, plan), problem)
 
 
 def comparison_data(comparison: ComparisonOutcome) -> PlotData:
@@ -246,6 +260,8 @@ def _legend_handles(
     boxes = [bound for signal in signals for bound in signal.bounds] if with_bounds else []
     if any((np.abs(bound) < NO_BOUND).any() for bound in boxes) or any(not line.soft for line in [*rows, *levels]):
         handles.append(entry("bound", color=look.BOUND))
+    if with_bounds and data.tightened is not None:
+        handles.append(Patch(facecolor=look.BAND, label="margin for loads"))
     if any(line.soft for line in [*rows, *levels]):
         handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))
     if with_bounds and any(len(data.control_levels(signal)) for signal in data.controls):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from textwrap import shorten
 
 import numpy as np
@@ -43,6 +44,12 @@ def time_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str =
         if np.isfinite(bound).any():
             values = np.where(np.isfinite(bound), bound, np.nan)
             draw(np.arange(float(len(values))), values, color=look.BOUND, linewidth=1.2, zorder=2)
+    tight = None if data.tightened is None else replace(component, problem=data.tightened).bounds
+    for sides in () if tight is None else zip(component.bounds, tight, strict=True):
+        if np.isfinite(sides[0]).any():
+            ends = [np.append(side, side[-1:]) if zero_order_hold else side for side in sides]
+            at, step = data.time.factor * np.arange(len(ends[0])), "post" if zero_order_hold else None
+            ax.fill_between(at, *ends, step=step, color=look.BAND, linewidth=0, zorder=0)
     for level in data.control_levels(component):
         ax.axhline(float(level), color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9, zorder=1)
     limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in component.row_bounds]

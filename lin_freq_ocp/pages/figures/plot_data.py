@@ -86,6 +86,7 @@ class PlotData:
 
     problem: OptimalControlProblem
     traces: tuple[Trace, ...]
+    tightened: OptimalControlProblem | None = None  # with the limits of the problem less their margins
 
     @cached_property
     def time(self) -> Scale:

@@ -251,9 +251,8 @@ class FrequencyResponse(StateEquations):
         N = self.record(horizon)
         if len(self.G) != N // 2 + 1:
             expected = f"{N // 2 + 1} bins, 0 .. {N // 2} of a record of {N} samples at a horizon of {horizon}"
-            raise ProblemError(
-                "dynamics.G", f"{len(self.G)} bins", expected, "from_table, from_csv and from_frd interpolate."
-            )
+            advice = "from_table, from_csv and from_frd interpolate."
+            raise ProblemError("dynamics.G", f"{len(self.G)} bins", expected, advice)
         if N % 2 == 0:
             _require_real("dynamics.G", self.G, N // 2)
             _require_real("dynamics.offset", self.offset, N // 2)

@@ -404,17 +404,12 @@ class LinearDynamics(StateEquations):
 
     def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of the states of several plants under the same controls, with these names."""
-        plants = cast("Sequence[LinearDynamics]", plants)
-        varying = (horizon,) if any(one.time_varying for one in plants) else ()
-        A = np.zeros((*varying, len(names), len(names)))
-        B = [np.broadcast_to(one.B, (*varying, *one.B.shape[-2:])) for one in plants]
-        for k, one in enumerate(plants):
-            own = slice(k * self.state_dim, (k + 1) * self.state_dim)
-            A[..., own, own] = one.A
-        times = (horizon,) if any(one.offset.ndim == 2 for one in plants) else ()
-        offset = np.concatenate([np.broadcast_to(one.offset, (*times, self.state_dim)) for one in plants], axis=-1)
-        labels = self.sampling_time, names, self.control_names
-        return LinearDynamics(A, np.concatenate(B, axis=-2), offset, *labels)
+        parts = list(
+            zip(cast("Sequence[LinearDynamics]", plants), np.split(np.eye(len(names)), len(plants)), strict=True)
+        )
+        A, B = sum(at.T @ one.A @ at for one, at in parts), sum(at.T @ one.B for one, at in parts)
+        offset = sum(one.offset @ at for one, at in parts)
+        return LinearDynamics(A, B, offset, self.sampling_time, names, self.control_names)
 
     def augmented(self, A: Array, B: Array, names: Sequence[str], horizon: int) -> LinearDynamics:
         """Return the dynamics of (x, w) with w_{t+1} = A w_t + B u_t."""

@@ -131,9 +131,8 @@ class Ellipsoid(ConvexSet):
 
     def farthest(self, dimension: int) -> tuple[Callable[[Array], Array], Array]:
         if self.W.shape != (dimension, dimension) or np.linalg.matrix_rank(self.W) < dimension:
-            raise ProblemError(
-                "disturbance.set.W", f"shape {self.W.shape}", f"a regular matrix ({dimension}, {dimension})"
-            )
+            expected = f"a regular matrix ({dimension}, {dimension})"
+            raise ProblemError("disturbance.set.W", f"shape {self.W.shape}", expected)
         inverse = np.linalg.inv(self.W)  # W^-1 = inverse (I - R)^-1 with the residual R = I - W inverse
         rounding = dimension * np.finfo(float).eps * np.abs(self.W) @ np.abs(inverse)
         residual = float(np.linalg.norm(np.abs(np.eye(dimension) - self.W @ inverse) + rounding))

@@ -220,12 +220,9 @@ def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, 
 def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
     matrix = np.zeros((rows, 0)) if value is None else real_array(f"stage_rows.{field}", value)
     if matrix.ndim not in (2, 3) or matrix.shape[-2] != rows:
-        raise ProblemError(
-            f"stage_rows.{field}",
-            f"shape {matrix.shape}",
-            f"a matrix with {rows} rows, as many as e has, or (T, {rows}, ...) with one per time",
-            "A single row is a matrix with one row: [[c_1, c_2, ...]].",
-        )
+        expected = f"a matrix with {rows} rows, as many as e has, or (T, {rows}, ...) with one per time"
+        advice = "A single row is a matrix with one row: [[c_1, c_2, ...]]."
+        raise ProblemError(f"stage_rows.{field}", f"shape {matrix.shape}", expected, advice)
     return matrix
 
 

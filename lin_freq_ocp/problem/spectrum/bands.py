@@ -168,12 +168,9 @@ class Band(FrequencyConstraint):
         if self.unit == "bins":
             outside = [bin for bin in self.edges if abs(bin) > length]
             if outside:
-                raise ProblemError(
-                    f"{field}.bins",
-                    f"bin {outside[0]}",
-                    f"bins 0 .. {length - 1} of a signal of {length} samples",
-                    "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0.",
-                )
+                expected = f"bins 0 .. {length - 1} of a signal of {length} samples"
+                advice = "Bins are 0-based; a negative bin -k is the conjugate of k, and N counts as 0."
+                raise ProblemError(f"{field}.bins", f"bin {outside[0]}", expected, advice)
             bins = np.array(self.edges, dtype=int)
             return np.isin(k, np.minimum(bins % length, -bins % length))
         bins_per_unit = self.bins_per_unit(length, sampling_time, field)
@@ -193,12 +190,8 @@ class Band(FrequencyConstraint):
         nyquist = 0.5 / sampling_time
         for edge in self.edges:
             if np.isfinite(edge) and edge > nyquist * (1 + BIN_TOLERANCE):
-                raise ProblemError(
-                    f"{field}.{self.kind}",
-                    f"{edge:g} Hz",
-                    f"at most the Nyquist frequency {nyquist:g} Hz",
-                    f"The sampling time is {sampling_time:g} s.",
-                )
+                expected, advice = f"the Nyquist frequency {nyquist:g} Hz", f"The sampling time is {sampling_time:g} s."
+                raise ProblemError(f"{field}.{self.kind}", f"{edge:g} Hz", f"at most {expected}", advice)
         return sampling_time * length
 
     def __str__(self) -> str:
@@ -391,9 +384,8 @@ def _edges(kind: str, **pairs: tuple[float | None, float | None]) -> tuple[tuple
         given, field = (radians, f"{kind}.{name}") if hertz is None else (hertz, f"{kind}.{name}_hz")
         value = real_array(field, given)
         if value.ndim or value < 0:
-            raise ProblemError(
-                field, brief(given.item() if isinstance(given, np.generic) else given), "one number, zero or above"
-            )
+            got = brief(given.item() if isinstance(given, np.generic) else given)
+            raise ProblemError(field, got, "one number, zero or above")
         if hertz is None and value > np.pi * (1 + BIN_TOLERANCE):
             got, expected = f"{float(value):g} rad/sample", "at most pi, the Nyquist frequency"
             raise ProblemError(f"{kind}.{name}", got, expected, f"In Hz it is {name}_hz=.")

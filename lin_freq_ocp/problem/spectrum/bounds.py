@@ -174,9 +174,8 @@ class MagnitudeBound(SpectrumBound):
             got = "bins, harmonics, oversampling or between, with every_frequency=True"
             raise ProblemError("MagnitudeBound", got, "a band of frequencies and a limit")
         if edges and (self.band.listed or every_frequency):
-            raise ProblemError(
-                "MagnitudeBound.edges", "True, with bins or every_frequency", "a band, and points of a grid"
-            )
+            got = "True, with bins or every_frequency"
+            raise ProblemError("MagnitudeBound.edges", got, "a band, and points of a grid")
         if hold and not (every_frequency and self.band.unit == "Hz"):
             got = "hold=True without every_frequency=True, or with a band that is not in Hz"
             raise ProblemError("MagnitudeBound.hold", got, "every_frequency=True and a band in Hz")
@@ -184,9 +183,8 @@ class MagnitudeBound(SpectrumBound):
             raise ProblemError("MagnitudeBound.oversampling", "1", "at least 2 (better 4) for between=True")
         values = read_limits(stated, every_frequency, band)
         if values.ndim == 2 and self.band.listed:
-            raise ProblemError(
-                stated.field, brief(stated.value), "one for each bin, or points of a band of frequencies"
-            )
+            expected = "one for each bin, or points of a band of frequencies"
+            raise ProblemError(stated.field, brief(stated.value), expected)
         assign(self, limit=values)
 
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:

@@ -79,9 +79,8 @@ class SpectrumBound(FrequencyConstraint, ABC):
             window = real_array(f"{kind}.window", window)
         if stated.quantity.of_fundamental and (penalty is not None or oversampling != 1 or self.every_frequency):
             got = "a penalty, oversampling or every_frequency"
-            raise ProblemError(
-                stated.field, got, "none with of='fundamental', a cone at bins", "State of= as a number."
-            )
+            expected = "none with of='fundamental', a cone at bins"
+            raise ProblemError(stated.field, got, expected, "State of= as a number.")
         assign(
             self,
             quantity=stated.quantity,

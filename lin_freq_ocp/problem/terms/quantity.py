@@ -92,9 +92,8 @@ class Quantity:
         if self.keyword == "density":
             if sampling_time is None:
                 advice = "Give the dynamics a sampling_time in seconds."
-                raise ProblemError(
-                    f"{field}.density", "a limit per Hz, and no sampling time", "dynamics with one", advice
-                )
+                got = "a limit per Hz, and no sampling time"
+                raise ProblemError(f"{field}.density", got, "dynamics with one", advice)
             total = sqrt(float((window**2).sum()) / sampling_time)
         elif total <= 0:
             raise ProblemError(f"{field}.window", f"a sum of {total:g}", f"a sum above zero, for {self.keyword}=")

@@ -163,9 +163,8 @@ def _first_level(stages: PricedProblem, cost: float, scale: float) -> list[_Task
         )
         room -= boxes.bytes
         if room < 0:
-            raise UnsupportedError(
-                f"no global bound: {problem.horizon} steps do not fit into memory; shorten the horizon."
-            )
+            text = f"no global bound: {problem.horizon} steps do not fit into memory; shorten the horizon."
+            raise UnsupportedError(text)
         target = cost - to_come + CUTOFF_MARGIN * scale if np.isfinite(cost) else np.full(len(to_come), np.inf)
         tasks.append(_Task(lattice, boxes, target))
     return tasks

@@ -59,9 +59,10 @@ def enumerate_sequences(
             if child is not None:
                 unsplit.append((len(nodes) - 1, child))
         if len(unsplit) + len(leaves) > MOST_SEQUENCES:
-            raise UnsupportedError(
+            text = (
                 f"method: 'enumerate' has more than {MOST_SEQUENCES} sequences to solve here; use 'branch_and_bound'."
             )
+            raise UnsupportedError(text)
     if unsplit:  # too late: the root alone covers all sequences
         nodes, leaves = nodes[:1], []
     duals: list[Duals | None] = [None] * len(nodes)

@@ -1,0 +1,208 @@
+"""Loads in problem files, and the commands that solve for them and judge plans by them."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lin_freq_ocp as lfo
+from helpers.schemas import PROBLEM, RESULT, faults
+from helpers.tubes import A, B, simulate, tube
+from lin_freq_ocp.cli import cli
+
+TEXT = """
+schema = 2
+name = "tube"
+horizon = 10
+initial_state = [-7.0, -2.0]
+[dynamics]
+A = [[1.0, 1.0], [0.0, 1.0]]
+B = [[0.5], [1.0]]
+[cost]
+Q = 1.0
+R = 0.1
+P = 3.0
+[control_set]
+lower = -1.0
+upper = 1.0
+[state_set]
+lower = [-10.0, -2.0]
+upper = [2.0, 2.0]
+[disturbance]
+"""
+BOX = "set = {lower = -0.15, upper = 0.15}"
+LOAD = lfo.Disturbance(lfo.Box(-0.15, 0.15))
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(lines: str = BOX):
+        (tmp_path / "tube.toml").write_text(TEXT + lines)
+        return tmp_path / "tube.toml"
+
+    return write
+
+
+def call(*arguments: object):
+    return CliRunner().invoke(cli, [str(one) for one in arguments], standalone_mode=False)
+
+
+LOADS = {
+    "box": (BOX, LOAD),
+    "ball": ('set = {kind = "ball", radius = 0.1}', lfo.Disturbance(lfo.sets.Ball(0.1))),
+    "samples": ("set = [[0.1, 0.0], [-0.1, 0.1]]", lfo.Disturbance([[0.1, 0.0], [-0.1, 0.1]])),
+    "gaussian": (
+        'set = {kind = "gaussian", covariance = [[1e-3, 0.0], [0.0, 1e-3]], probability = 0.9}',
+        lfo.Disturbance(lfo.uncertainty.Gaussian(1e-3 * np.eye(2), 0.9)),
+    ),
+    "records": (
+        f'set = {{kind = "records", loads = {[[[0.1, -0.1]] * 10]}}}',
+        lfo.Disturbance(lfo.uncertainty.Records([[[0.1, -0.1]] * 10])),
+    ),
+    "no feedback": (
+        'set = {lower = -0.05, upper = 0.05}\ninput = [[0.0], [1.0]]\ngain = "none"',
+        lfo.Disturbance(lfo.Box(-0.05, 0.05), [[0.0], [1.0]], None),
+    ),
+    "own gain, uncertain start": (
+        "set = {lower = -0.05, upper = 0.05}\ngain = [[-0.3, -0.8]]\nstart = {lower = -0.1, upper = 0.1}",
+        lfo.Disturbance(lfo.Box(-0.05, 0.05), gain=[[-0.3, -0.8]], start=lfo.Box(-0.1, 0.1)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOADS)
+def test_a_file_with_loads_is_the_problem_of_robust_and_is_written_back(file, tmp_path, name):
+    text, load = LOADS[name]
+    read, expected = lfo.read_problem(file(text)), lfo.robust(tube(), load)
+    np.testing.assert_array_equal(read.state_boxes.upper, expected.state_boxes.upper)
+    np.testing.assert_array_equal(read.control_tube.lower, expected.control_tube.lower)
+    lfo.write_problem(read, tmp_path / "again.toml")
+    tables = tomllib.loads((tmp_path / "again.toml").read_text())
+    assert faults(PROBLEM, tables) == []
+    assert "robust" not in tables
+    again = lfo.read_problem(tmp_path / "again.toml")
+    np.testing.assert_array_equal(again.state_boxes.upper, expected.state_boxes.upper)
+    np.testing.assert_array_equal(again.given.state_boxes.upper, tube().state_boxes.upper)
+
+
+def test_an_invariant_end_is_written_back_and_a_problem_with_replaced_fields_with_its_limits(file, tmp_path):
+    text = '[robust]\nend = "invariant"\n'
+    read = lfo.read_problem(file(f"{BOX}\n{text}"))
+    assert read.stage_rows[-1].name == "invariant end"
+    lfo.write_problem(read, tmp_path / "again.toml")
+    assert text in (tmp_path / "again.toml").read_text()
+    moved = replace(read, initial_state=[-5.0, -1.0])
+    lfo.write_problem(moved, tmp_path / "moved.toml")
+    again = lfo.read_problem(tmp_path / "moved.toml")
+    assert again.uncertainty is None
+    np.testing.assert_array_equal(again.initial_state.lower, [-5.0, -1.0])
+    np.testing.assert_array_equal(again.control_tube.upper, read.control_tube.upper)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("gain = 1", "disturbance.set: got nothing"),
+        (f"{BOX}\ngian = 1", "disturbance.gian: .*Did you mean .?gain"),
+        ('set = {kind = "bal", radius = 1}', "disturbance.set.kind: got .bal.*Did you mean .?ball"),
+        ("set = {lower = -1.0}", "disturbance.set: got .*without bounds"),
+        (f'{BOX}\ngain = "lqr"', "disturbance.gain: got .lqr."),
+        (f"{BOX}\ninput = [[0.0], [0.0]]", "disturbance.input: got zeros"),
+        ("set = {lower = -0.9, upper = 0.9}", "(state|control)_set: got a range of .* of which the loads take"),
+        ('set = {kind = "gaussian", covariance = 1.0, probability = 0.1}', "disturbance.set.probability: got 0.1"),
+        (f'{BOX}\n[robust]\nend = "set"', "end: got .set.; expected .invariant."),
+    ],
+)
+def test_loads_of_a_file_that_do_not_fit_are_refused_with_their_field(file, lines, message):
+    with pytest.raises(lfo.errors.ProblemError, match=f"tube.toml: {message}"):
+        lfo.read_problem(file(lines))
+
+
+def test_a_table_robust_needs_loads(file, tmp_path):
+    (tmp_path / "plain.toml").write_text(TEXT.replace("[disturbance]", '[robust]\nend = "invariant"'))
+    with pytest.raises(lfo.errors.ProblemError, match=r"plain.toml: robust: got no disturbance; expected .*\[disturb"):
+        lfo.read_problem(tmp_path / "plain.toml")
+
+
+def test_solve_prints_the_worst_loads_and_the_price_of_robustness(file):
+    said = call("solve", file())
+    assert said.return_value == 0
+    assert "position" not in said.output
+    assert "No case violates one of these limits: proven" in said.output
+    assert "0.15 at t = 0 .. 4" in said.output
+    assert "The cost is 212.47; that of the plan for no loads 190.02: 11.8 % more." in said.output
+
+
+def test_the_json_of_solve_and_worst_case_is_valid_and_its_loads_attain_what_it_says(file, tmp_path):
+    solved = json.loads(call("solve", file(), "--json", "--save", tmp_path / "plan.npz").output)
+    judged = json.loads(call("worst-case", file(), tmp_path / "plan.npz", "--json").output)
+    assert faults(RESULT, solved) == faults(RESULT, judged) == []
+    assert judged["worst_case"]["limits"] == solved["worst_case"]["limits"]
+    assert solved["worst_case"]["nominal"] == pytest.approx(190.02, abs=0.01)
+    plan = lfo.load(tmp_path / "plan.npz").trajectory
+    for one in judged["worst_case"]["limits"]:
+        x, u = simulate(tube(), LOAD.feedback(tube()), plan, np.eye(2), np.array([one["loads"]]))
+        signal = x if one["name"].startswith("x") else u
+        assert one["attained"] == pytest.approx(signal[0, one["index"], int(one["name"][2])], abs=1e-12)
+        assert one["holds"]
+
+
+def test_the_worst_case_of_a_plan_without_margins_is_a_violation_with_its_own_exit_status(file, tmp_path):
+    lfo.solve(tube()).save(tmp_path / "plan.csv")
+    said = call("worst-case", file(), tmp_path / "plan.csv")
+    assert said.return_value == 3
+    assert "Violated: 3 limits" in said.output
+    assert call("worst-case", file(), tmp_path / "plan.csv", "--set", "disturbance.set.lower=0.0").return_value == 3
+    (tmp_path / "plain.toml").write_text(TEXT.replace("[disturbance]", ""))
+    said = call("worst-case", tmp_path / "plain.toml", tmp_path / "plan.csv")
+    assert isinstance(said.exception, lfo.errors.ProblemError)
+    assert "disturbance: got nothing; expected a table [disturbance]" in str(said.exception)
+
+
+def test_numbers_of_limits_set_the_given_limits(file):
+    said = call("solve", file(), "--set", "state_upper.0=1.5", "--json")
+    position = next(one for one in json.loads(said.output)["worst_case"]["limits"] if one["name"] == "x_0, upper")
+    assert position["limit"] == 1.5
+    assert position["planned"] + position["margin"] < 1.5
+
+
+def test_rate_limits_of_a_file_hold_for_all_loads(file):
+    problem = lfo.read_problem(
+        file("set = {lower = -0.02, upper = 0.02}\ninput = [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]"),
+        {"rate_limit": {"limit": 0.6, "previous": 0.0}, "initial_state": [-5.0, 0.0]},
+    )
+    plan, K = lfo.solve(problem).trajectory, problem.uncertainty.feedback(problem.given)
+    rng, over = np.random.default_rng(0), []
+    for _ in range(50):
+        x, before = plan.x[0], 0.0
+        for t in range(10):
+            u = plan.u[t] + K @ (x - plan.x[t])
+            over.append(abs(u[0] - before) - 0.6)
+            x = np.append(A @ x[:2] + B @ u + rng.choice([-0.02, 0.02], 2), u)
+            before = u[0]
+    assert max(over) < 1e-8
+
+
+def test_the_figure_has_the_worst_load_beside_the_plan_and_margins_as_bands(file):
+    problem = lfo.read_problem(file())
+    found = lfo.solve(problem)
+    figure = found.plot()
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "margin for loads" in labels
+    worst = lfo.worst_case(problem.given, problem.uncertainty, found).closest
+    assert f"worst load (for {worst.name})" in labels
+    bands = [one.get_paths()[0].vertices[:, 1] for one in figure.axes[0].collections]
+    assert {(round(band.min(), 6), round(band.max(), 6)) for band in bands} == {
+        (round(float(problem.control_tube.upper.min()), 6), 1.0),
+        (-1.0, round(float(problem.control_tube.lower.max()), 6)),
+    }
+    lines = [line.get_ydata() for line in figure.axes[0].get_lines()]
+    _, u = simulate(tube(), LOAD.feedback(tube()), found.trajectory, np.eye(2), worst.loads[None])
+    assert any(np.allclose(line[:10], u[0, :, 0], atol=1e-12) for line in lines if len(line) >= 10)
+    plain = lfo.solve(tube()).plot()
+    assert "margin for loads" not in [text.get_text() for text in plain.legends[0].get_texts()]
