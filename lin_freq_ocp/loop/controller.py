@@ -136,7 +136,8 @@ class Controller:
         if plain and not self._remembers:
             for resolver in self._trees:  # the hard problem, then the soft one
                 resolver.prepare(begin)  # so that also the first step without a solution takes no longer than others
-        quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
+        plan_step = self._plan_uncertified if self._later else self._plan_proven
+        quick = plan_step(x, begin, started) if plain else None
         if quick is not None:
             self._record(quick, preview)
             return self._steps[-1], None
@@ -263,6 +264,20 @@ class Controller:
             plan=last,
             pending=None if last else plan,
         )
+
+    def _plan_proven(self, x: Array, begin: Array, started: float) -> Step | None:
+        """Return the step of a plan from ``begin`` that the batch judge proves optimal; None if only a solve helps."""
+        planned = None if self._remembers else self._hard.plan(begin)
+        if planned is None:
+            return None
+        solved = now()
+        proven = proven_in_batch({0: planned}).get(0)
+        if proven is None:
+            return None
+        plan = Trajectory(proven.x, proven.u)
+        control = self._limits.clip(begin, planned.control)
+        step = Step(x, control, None, Source.PLAN, "condensed", solve_seconds=solved - started, plan=plan)
+        return step.proven(planned.translation, proven, now() - solved)
 
     def certify(self) -> None:
         """Judge the plans of all steps that were not judged yet; after Ctrl-C, the rest is left to the next call."""
