@@ -204,7 +204,7 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
 def stack_signals(x: Array, u: Array) -> Array:
     """Return z_t = (x_t, u_t), (..., T+1, n + m), of states (..., T+1, n) and controls (..., T, m), with u_T = 0."""
     n = x.shape[-1]
-    z = np.zeros((*x.shape[:-1], n + u.shape[-1]), dtype=x.dtype)
+    z = np.zeros((*x.shape[:-1], n + u.shape[-1]), dtype=np.result_type(x, u))
     z[..., :n], z[..., :-1, n:] = x, u
     return z
 

@@ -221,7 +221,7 @@ def evaluate_bound(
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
-    dynamics_term = total(extremal.multipliers.eta * extremal.exact_residual)
+    dynamics_term = extremal.dynamics_term
     frequency_term, stage_term = sum(extremal.frequency_terms), extremal.terms_gap
     certain = total(losses)
     finite = np.isfinite(certain)
@@ -256,13 +256,13 @@ def _sum_of_terms(extremal: Extremal) -> Array:
     Those are J, <eta, dynamics residual>, <rho, frequency residual>, and the gaps of terms. Those of J are products of
     deviations from the references, and linear terms.
     """
-    cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
-    terms = cost.sum_of_linear_terms(at.x, at.u)
+    problem, others = extremal.problem, extremal.slope_terms - extremal.cost_terms
+    offset, linear = problem.linear.offset, problem.quadratic.linear_slopes(problem.horizon)
+    terms = total(extremal.cost_terms * np.abs(extremal.deviations)) + total(others * np.abs(extremal.point))
+    if linear is not None:
+        terms = terms + total(np.abs(linear * extremal.point))
     if offset.any():
-        terms += total(np.abs(extremal.multipliers.eta * offset))
-    others, deviations = extremal.slope_terms - extremal.cost_terms, stack_signals(*cost.deviations(at.x, at.u))
-    for sizes, values in ((others, extremal.point), (extremal.cost_terms, deviations)):
-        terms = terms + np.einsum("...ij,...ij->...", sizes, np.abs(values))
+        terms = terms + total(np.abs(extremal.multipliers.eta * offset))
     for priced in extremal.terms:
         terms = terms + priced.gap_terms.sum(-1)
     return terms

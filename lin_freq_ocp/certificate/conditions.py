@@ -109,7 +109,7 @@ def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
     return (
         non_negativity(extremal),
         non_triviality(extremal),
-        state_equation(extremal.state_residual, problem.equations.motion_sizes(x, u), least),
+        state_equation(extremal.residual.astype(np.float64), problem.equations.motion_sizes(x, u), least),
         *stationarity(extremal, least),
         *hamiltonian_maximum(extremal, least),
         *frequency(extremal, least),

@@ -76,8 +76,8 @@ class Extremal:
     ----------
     bounds
         The lower and the upper bounds of the sets.
-    z
-        The trajectory.
+    z, deviations, bent
+        The trajectory, its deviations from the references, and the slopes of the quadratic cost there.
     signal
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
     in_z
@@ -95,6 +95,8 @@ class Extremal:
     multipliers: Multipliers
     bounds: tuple[Array, Array]
     z: Array
+    deviations: Array
+    bent: Array
     signal: Array
     in_z: Array
     in_z_terms: Array
@@ -132,15 +134,15 @@ class Extremal:
         return terms
 
     @cached_property
-    def state_residual(self) -> Array:
-        """x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
-        return state_residual(self.problem, self.trajectory)
-
-    @cached_property
-    def exact_residual(self) -> Array:
-        """The same in extended precision."""
+    def residual(self) -> Array:
+        """x_{t+1} - f_t(x_t, u_t), (T, n), in extended precision."""
         x, u = split_signals(self.z, self.problem.state_dim)
         return x[..., 1:, :] - self.problem.equations.successors(x, u)
+
+    @cached_property
+    def dynamics_term(self) -> Array:
+        """<eta, x_{t+1} - f_t(x_t, u_t)>."""
+        return total(self.multipliers.eta * self.residual)
 
     @cached_property
     def curvatures(self) -> Array | None:
@@ -170,16 +172,31 @@ class Extremal:
         of one constraint add up with their signs.
         """
         cost = total(np.abs(self.normals) * self.violation)
-        for part in (total(self.multipliers.eta * self.state_residual), *self.frequency_terms):
+        for part in (self.dynamics_term, *self.frequency_terms):
             cost = cost + np.abs(part)
         for priced in (one for one in self.terms if one.term.hard):
             cost = cost + total(np.abs(priced.weights) * priced.term.penalty.violation(priced.values))
         return cost
 
     @cached_property
-    def cost(self) -> float:
-        """J."""
-        return self.problem.value(*split_signals(self.z, self.problem.state_dim))
+    def cost_and_terms(self) -> tuple[Array, Array]:
+        """J, and the sum of the absolute values of its terms; a time has one quadratic term."""
+        x, u = split_signals(self.z, self.problem.state_dim)
+        linear = self.problem.quadratic.linear_slopes(self.problem.horizon)
+        quadratic = 0.5 * (self.deviations * self.bent).sum(-1)
+        parts = [quadratic[..., None], *([] if linear is None else [linear * self.z])]
+        if self.problem.cost.has_formulas:
+            parts.append(self.problem.cost.formula_values(x, u)[:, None])
+        for priced in (one for one in self.terms if not one.term.hard):
+            term = priced.term
+            of_groups = term.penalty.cost(priced.values) if term.semi_infinite is None else term.cost(x, u)
+            parts.append(of_groups[..., None])
+        return sum(map(total, parts), 0.0), sum((total(np.abs(part)) for part in parts), 0.0)
+
+    @property
+    def cost(self) -> Array:
+        """Return J."""
+        return self.cost_and_terms[0]
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
@@ -206,16 +223,16 @@ def extremal_within(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, bounds: tuple[Array, Array]
 ) -> Extremal:
     """Return the extremal of a trajectory, or of N trajectories, with these bounds; nothing is checked."""
-    n, eta_C, eta = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
-    x, u = to_long_double(trajectory.x), to_long_double(trajectory.u)
-    z = stack_signals(x, u)
-    signal, cost_terms = np.zeros_like(z), stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
-    cost_terms *= abs(eta_C)
-    in_z_terms = cost_terms.copy()
-    sizes = split_signals(in_z_terms, n)
-    in_z = stack_signals(*problem.quadratic.gradient(x, u))
-    in_z *= -eta_C
-    parts, in_time = split_signals(in_z, n), (problem.in_time, lambda rho: time_signal(rho, problem.horizon))
+    n, eta_C, eta, cost = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta), problem.quadratic
+    z = to_long_double(stack_signals(trajectory.x, trajectory.u))
+    x, u = split_signals(z, n)
+    signal, deviations, linear = np.zeros_like(z), cost.deviations_of(z), cost.linear_slopes(problem.horizon)
+    bent, cost_terms = cost.bend(deviations), cost.magnitudes().bend(np.abs(deviations).astype(np.float64))
+    in_z = bent if linear is None else bent + linear
+    cost_terms = abs(eta_C) * (cost_terms if linear is None else cost_terms + np.abs(linear))
+    in_z, in_z_terms = -eta_C * in_z, cost_terms.copy()
+    parts, sizes = split_signals(in_z, n), split_signals(in_z_terms, n)
+    in_time = problem.in_time, lambda rho: time_signal(rho, problem.horizon)
     rhos = multipliers.rho_x, multipliers.rho_u
     for part, own, size, rho, signal_of in zip(parts, split_signals(signal, n), sizes, rhos, in_time, strict=True):
         if rho.any():
@@ -238,7 +255,8 @@ def extremal_within(
         for part, size, one, one_size in zip(parts, sizes, pulled, pulled_sizes, strict=True):
             part -= one
             size += one_size
-    return Extremal(problem, trajectory, multipliers, bounds, z, signal, in_z, in_z_terms, cost_terms, terms)
+    at = z, deviations, bent, signal, in_z, in_z_terms, cost_terms
+    return Extremal(problem, trajectory, multipliers, bounds, *at, terms)
 
 
 def _priced_terms(

@@ -47,10 +47,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
     """Judge trajectories from initial states (N, n) of a problem that differs in the initial state only."""
     with np.errstate(over="ignore", invalid="ignore"):
         extremal = _extremal_from(problem, starts, extremals)
-        costs, scale = problem.quadratic.value_and_terms(extremals.x, extremals.u)
-        for priced in extremal.terms:
-            price = priced.term.penalty.cost(priced.values).sum(-1).astype(np.float64)
-            costs, scale = costs + price, scale + np.abs(price)
+        costs, scale = extremal.cost_and_terms
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
         gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)
@@ -81,7 +78,7 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
     if not absent.any() or not np.isfinite(least).all() or not np.isfinite(most).all():
         return lower, upper
     reach = np.maximum(np.abs(most - u), np.abs(u - least)).max(1)
-    moved = np.abs(extremal.exact_residual.astype(np.float64)).max(1) + (RADIUS_MARGIN - 1) * np.abs(x).max(1)
+    moved = np.abs(extremal.residual.astype(np.float64)).max(1) + (RADIUS_MARGIN - 1) * np.abs(x).max(1)
     apart = np.abs(x[:, 0] - lower[:, 0, :n])
     radii = constant_radii(problem.linear, apart.T, np.hstack([reach, moved]).T, problem.horizon)
     radius = RADIUS_MARGIN * np.moveaxis(radii, 2, 0) + (RADIUS_MARGIN - 1) * np.abs(x)
@@ -93,7 +90,7 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    checks = [(np.abs(extremal.state_residual).max(1), problem.linear.motion_sizes(x, u))]
+    checks = [(np.abs(extremal.residual).max(1), problem.linear.motion_sizes(x, u))]
     checks.append((extremal.violation.max(1), np.abs(extremal.point).max(1)))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop

@@ -357,11 +357,22 @@ class LinearDynamics(StateEquations):
 
     def successors(self, x: Array, u: Array) -> Array:
         """Return f_t(x_t, u_t) for all t < T; x is (..., T+1, n) or (..., T, n), u is (..., T, m)."""
-        return times_vectors(self.A, x[..., : u.shape[-2], :]) + times_vectors(self.B, u) + self.offset
+        return self.successors_of(np.concatenate([x[..., : u.shape[-2], :], u], axis=-1))
+
+    def successors_of(self, z: Array) -> Array:
+        """Return f_t of stacked signals z_t = (x_t, u_t), t < T."""
+        return times_vectors(self._gain, z) + self.offset
 
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
-        return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
+        through = times_vectors(np.swapaxes(self._gain, -1, -2), eta)
+        return through[..., : self.state_dim], through[..., self.state_dim :]
+
+    @cached_property
+    def _gain(self) -> Array:
+        """[A B], with one per time if A or B has."""
+        times = (len(self.A),) if self.A.ndim == 3 else (len(self.B),) if self.B.ndim == 3 else ()
+        return np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (self.A, self.B)], axis=-1)
 
     def successor_sizes(self, x: Array, u: Array) -> Array:
         """Return the sums of the absolute values of the terms of f_t."""
@@ -430,4 +441,5 @@ class LinearDynamics(StateEquations):
 
     @cached_property
     def _magnitudes(self) -> LinearDynamics:
-        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset), plant=None)
+        A, B, offset, gain = map(np.abs, (self.A, self.B, self.offset, self._gain))
+        return with_fields(self, A=A, B=B, offset=offset, plant=None, _gain=gain)
