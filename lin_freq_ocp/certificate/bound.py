@@ -15,6 +15,7 @@ without mu and nu. Its large terms therefore cancel before they enter D.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -37,6 +38,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Number = Array | float  # of one trajectory, or an array (N,) of N of them
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
+EXTENDED = float(np.finfo(np.longdouble).eps)  # a rounding error of extended precision
 NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
 
@@ -271,8 +273,8 @@ def _sum_of_terms(extremal: Extremal) -> Array:
 def unit_rounding(problem: OptimalControlProblem) -> float:
     """Return a bound on rounding errors of extremals, relative to the sum of the absolute values of their terms."""
     rows = sum(term.map.additions for term in problem.terms)
-    operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
-    return float(operations * np.finfo(np.longdouble).eps)
+    operations = problem.state_dim + problem.control_dim + rows + 5 * math.log2(problem.horizon + 2) + 10
+    return operations * EXTENDED
 
 
 def _cut_sets(problem: OptimalControlProblem, curvatures: Array, largest: Pair, follows_from: str) -> Region:

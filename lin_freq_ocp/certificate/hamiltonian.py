@@ -106,7 +106,7 @@ class Extremal:
     @cached_property
     def point(self) -> Array:
         """The trajectory in double precision."""
-        return stack_signals(self.trajectory.x, self.trajectory.u)
+        return self.z.astype(np.float64)
 
     @cached_property
     def violation(self) -> Array:
@@ -215,8 +215,7 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    lower, upper = map(stack_signals, problem.state_tube.bounds, problem.control_tube.bounds)
-    return extremal_within(problem, trajectory, multipliers, (lower, upper))
+    return extremal_within(problem, trajectory, multipliers, problem.signal_bounds)
 
 
 def extremal_within(

@@ -7,11 +7,12 @@ judge the others one by one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals, with_fields
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
 from lin_freq_ocp.certificate.reach import Pair, constant_radii
@@ -30,6 +31,7 @@ class Verdicts:
     proven: Mask
 
 
+@lru_cache(maxsize=4)  # a loop and its softened problem ask at every step
 def batch_judge_takes(problem: OptimalControlProblem) -> bool:
     """Whether ``judge_batch`` takes a problem: time-invariant, quadratic, boxes, stop bands of controls, rows at times.
 
@@ -59,11 +61,11 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
 
 def _extremal_from(problem: OptimalControlProblem, starts: Array, extremals: Extremals) -> Extremal:
     """Return the extremal of all trajectories, with their own first states; a bin that is free has no price."""
-    n, tubes = problem.state_dim, (problem.state_tube.bounds, problem.control_tube.bounds)
-    lower, upper = (np.tile(stack_signals(x, u), (len(starts), 1, 1)) for x, u in zip(*tubes, strict=True))
+    n, multipliers = problem.state_dim, extremals.multipliers
+    lower, upper = (np.repeat(side[None], len(starts), axis=0) for side in problem.signal_bounds)
     lower[:, 0, :n] = upper[:, 0, :n] = starts
-    stopped = replace(extremals, rho_u=np.where(problem.control_stop, extremals.rho_u, 0.0))
-    return extremal_within(problem, extremals.trajectory, stopped.multipliers, (lower, upper))
+    stopped = with_fields(multipliers, rho_u=np.where(problem.control_stop, multipliers.rho_u, 0.0))
+    return extremal_within(problem, extremals.trajectory, stopped, (lower, upper))
 
 
 def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
