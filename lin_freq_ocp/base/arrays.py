@@ -219,6 +219,14 @@ def total(values: Array) -> Array:
     return values.sum((-2, -1)).astype(np.float64)
 
 
+def largest_over_time(values: Array) -> Array:
+    """Return the largest of each component, (..., k), of values (..., T, k) from zero on; 0 without any time.
+
+    NumPy takes several times as long along an axis that is not the last one.
+    """
+    return values.swapaxes(-1, -2).copy().max(-1, initial=0.0)
+
+
 def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, ...]:
     """Return the index of the first entry, or of the least ``order``, that is the largest up to ``SAME`` of its size.
 

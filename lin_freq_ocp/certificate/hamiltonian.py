@@ -291,9 +291,8 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        on_free_bins = (rho != 0) & ~stop
-        if on_free_bins.any():
-            k, i = np.argwhere(on_free_bins)[0]
+        if rho[~stop].any():
+            k, i = np.argwhere((rho != 0) & ~stop)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}
     for name, on_term in multipliers.stage.items():

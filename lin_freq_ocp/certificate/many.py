@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals, with_fields
+from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals, with_fields
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
 from lin_freq_ocp.certificate.reach import Pair, constant_radii
@@ -92,8 +92,8 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    checks = [(np.abs(extremal.residual).max(1), problem.linear.motion_sizes(x, u))]
-    checks.append((extremal.violation.max(1), np.abs(extremal.point).max(1)))
+    checks = [(largest_over_time(np.abs(extremal.residual)), problem.linear.motion_sizes(x, u))]
+    checks.append((largest_over_time(extremal.violation), largest_over_time(np.abs(extremal.point))))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))

@@ -63,10 +63,10 @@ class Deviations:
 
 def stated_bounds(problem: OptimalControlProblem) -> Region:
     """Return the problem's own sets; a control without any bin is zero."""
-    x, u = problem.state_tube, problem.control_tube
-    rest, silent = np.clip(0.0, u.lower, u.upper), problem.control_stop.all(axis=0)
-    of_u = np.where(silent, rest, u.lower), np.where(silent, rest, u.upper)
-    return Region((x.lower, x.upper), of_u, np.inf, "the stated sets")
+    x, u, silent = problem.state_tube.bounds, problem.control_tube, problem.control_stop.all(axis=0)
+    rest = u.project(np.zeros_like(u.lower)) if silent.any() else 0.0
+    of_u = u.bounds if not silent.any() else (np.where(silent, rest, u.lower), np.where(silent, rest, u.upper))
+    return Region(x, of_u, np.inf, "the stated sets")
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:

@@ -16,6 +16,7 @@ from lin_freq_ocp.base.arrays import (
     Array,
     assign,
     brief,
+    largest_over_time,
     positive_number,
     real_array,
     times_vectors,
@@ -382,7 +383,7 @@ class LinearDynamics(StateEquations):
         """Return the larger of |x_t| and the change by B and d in a step; terms of A x that cancel play no part."""
         plain = self.magnitudes()
         moved = times_vectors(plain.B, np.abs(u)) + plain.offset
-        return np.maximum(np.abs(x).max(-2), moved.max(-2))
+        return np.maximum(largest_over_time(np.abs(x)), largest_over_time(moved))
 
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
