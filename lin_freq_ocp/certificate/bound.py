@@ -223,9 +223,8 @@ def evaluate_bound(
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
-    dynamics_term = extremal.dynamics_term
-    frequency_term, stage_term = sum(extremal.frequency_terms), extremal.terms_gap
-    certain = total(losses)
+    dynamics_term, frequency_term = extremal.dynamics_term, sum(extremal.frequency_terms)
+    stage_term, certain = extremal.terms_gap, total(losses)
     finite = np.isfinite(certain)
     gap = np.where(finite, stage_gaps.sum(-1), 0.0)
     others = cost_terms + np.abs(dynamics_term) + np.abs(frequency_term) + np.abs(stage_term)

@@ -226,7 +226,7 @@ def extremal_within(
     z = to_long_double(stack_signals(trajectory.x, trajectory.u))
     x, u = split_signals(z, n)
     signal, deviations, linear = np.zeros_like(z), cost.deviations_of(z), cost.linear_slopes(problem.horizon)
-    bent, cost_terms = cost.bend(deviations), cost.magnitudes().bend(np.abs(deviations).astype(np.float64))
+    bent, cost_terms = cost.bend(deviations), cost.magnitudes.bend(np.abs(deviations).astype(np.float64))
     in_z = bent if linear is None else bent + linear
     cost_terms = abs(eta_C) * (cost_terms if linear is None else cost_terms + np.abs(linear))
     in_z, in_z_terms = -eta_C * in_z, cost_terms.copy()
@@ -308,7 +308,7 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
 @lru_cache(maxsize=4)  # a loop judges plans of one cost, one after another
 def cost_curvatures(cost: QuadraticCost, horizon: int) -> Array | None:
     """Return lower bounds of a cost's curvature, stacked, (T+1, n + m); None if it is not convex."""
-    stage, terminal = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
+    stage, terminal = diagonal_curvature(cost.stage_hessians), diagonal_curvature(cost.P)
     if stage is None or terminal is None:
         return None
     stage, n = np.broadcast_to(stage, (horizon, stage.shape[-1])), len(terminal)

@@ -115,7 +115,7 @@ def cost_and_scale(
     x, u = trajectory.x, trajectory.u
     of_x, of_u = sizes or trajectory_sizes(problem, trajectory)
     in_x, in_u = DATA_ROUNDING * of_x, DATA_ROUNDING * of_u
-    magnitudes, levels, T = problem.quadratic.magnitudes(), problem.level_sizes, problem.horizon
+    magnitudes, levels, T = problem.quadratic.magnitudes, problem.level_sizes, problem.horizon
     a, b = problem.quadratic.deviations(x, u)
     rounding = magnitudes.steady_value(in_x, in_u, T) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():

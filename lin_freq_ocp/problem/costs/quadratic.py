@@ -341,7 +341,7 @@ class QuadraticCost(Cost):
 
     def bend(self, deviations: Array) -> Array:
         """Return the slopes of the quadratic part at stacked deviations from the references, (..., T+1, n + m)."""
-        H, n, slopes = self.stage_hessians(), self.S.shape[-2], np.zeros_like(deviations)
+        H, n, slopes = self.stage_hessians, self.S.shape[-2], np.zeros_like(deviations)
         slopes[..., :-1, :] = times_vectors(H[0] if len(H) == 1 else H, deviations[..., :-1, :])
         slopes[..., -1, :n] = deviations[..., -1, :n] @ self.P
         return slopes
@@ -373,7 +373,7 @@ class QuadraticCost(Cost):
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
         sizes = np.abs(self.deviations_of(stack_signals(x, u)))
-        return float(0.5 * (sizes * self.magnitudes().bend(sizes)).sum())
+        return float(0.5 * (sizes * self.magnitudes.bend(sizes)).sum())
 
     def value(self, x: Array, u: Array) -> float:
         """Return the total cost."""
@@ -381,7 +381,7 @@ class QuadraticCost(Cost):
 
     def steady_value(self, x: Array, u: Array, horizon: int) -> float:
         """Return the total cost of a state (n,) and a control (m,) that stay, without references."""
-        z, H, linear = np.concatenate([x, u]), self.stage_hessians(), self.linear_slopes(horizon)
+        z, H, linear = np.concatenate([x, u]), self.stage_hessians, self.linear_slopes(horizon)
         value = 0.5 * (horizon / len(H) * (z @ H.sum(0) @ z) + x @ self.P @ x)
         return float(value if linear is None else value + linear.sum(0) @ z)
 
@@ -390,26 +390,19 @@ class QuadraticCost(Cost):
         slopes, linear = self.bend(self.deviations_of(stack_signals(x, u))), self.linear_slopes(u.shape[-2])
         return split_signals(slopes if linear is None else slopes + linear, self.S.shape[-2])
 
-    def magnitudes(self) -> QuadraticCost:
-        """Return the cost with the absolute values of all data, without references."""
-        return self._magnitudes
-
     @cached_property
-    def _magnitudes(self) -> QuadraticCost:
+    def magnitudes(self) -> QuadraticCost:
+        """The cost with the absolute values of all data, without references."""
         weights = {field: np.abs(getattr(self, field)) for field in WEIGHTS}
         return _cost_of_checked(**weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
-        plain = self.magnitudes()
-        return plain.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
-
-    def stage_hessians(self) -> Array:
-        """Return [[Q, S], [S', R]], read-only, (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
-        return self._stage_hessians
+        return self.magnitudes.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
 
     @cached_property
-    def _stage_hessians(self) -> Array:
+    def stage_hessians(self) -> Array:
+        """[[Q, S], [S', R]], read-only, (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
         Q, R, S = (part[None] if part.ndim == 2 else part for part in (self.Q, self.R, self.S))
         times = max(len(Q), len(R), len(S))
         n, m = S.shape[1:]
@@ -421,11 +414,11 @@ class QuadraticCost(Cost):
     @cached_property
     def rises(self) -> tuple[Array, float]:
         """Return the ``least_rise`` of the stage Hessians, (1,) if constant in time, else (T,), and that of P."""
-        return np.array([least_rise(hessian) for hessian in self.stage_hessians()]), least_rise(self.P)
+        return np.array([least_rise(hessian) for hessian in self.stage_hessians]), least_rise(self.P)
 
     def nonconvexity(self) -> tuple[int, float] | None:
         """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
-        stage, terminal = _eigenvalues(self.stage_hessians()), _eigenvalues(self.P)
+        stage, terminal = _eigenvalues(self.stage_hessians), _eigenvalues(self.P)
         smallest = np.append(stage[:, 0], terminal[0])
         rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
         smallest = np.where(smallest < -rounding, smallest, 0.0)
