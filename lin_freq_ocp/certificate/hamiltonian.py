@@ -191,12 +191,12 @@ class Extremal:
             term = priced.term
             of_groups = term.penalty.cost(priced.values) if term.semi_infinite is None else term.cost(x, u)
             parts.append(of_groups[..., None])
-        return sum(map(total, parts), 0.0), sum((total(np.abs(part)) for part in parts), 0.0)
+        return np.sum([*map(total, parts)], axis=0), np.sum([total(np.abs(part)) for part in parts], axis=0)
 
     @property
-    def cost(self) -> Array:
-        """Return J."""
-        return self.cost_and_terms[0]
+    def cost(self) -> float:
+        """Return J of one trajectory."""
+        return float(self.cost_and_terms[0])
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:

@@ -140,6 +140,8 @@ class Controller:
         if quick is not None and not self._later:
             assert isinstance(quick.pending, PlannedStart)  # without limits it has settled
             quick = prove([quick], {0: quick.pending}).get(0)
+            if quick is not None and quick.plan is not None:
+                self._hard.note_moves(quick.plan)
         if quick is not None:
             self._record(quick, preview)
             return self._steps[-1], None
