@@ -185,12 +185,9 @@ class Extremal:
         linear = self.problem.quadratic.linear_slopes(self.problem.horizon)
         quadratic = 0.5 * (self.deviations * self.bent).sum(-1)
         parts = [quadratic[..., None], *([] if linear is None else [linear * self.z])]
-        if self.problem.cost.has_formulas:
-            parts.append(self.problem.cost.formula_values(x, u)[:, None])
-        for priced in (one for one in self.terms if not one.term.hard):
-            term = priced.term
-            of_groups = term.penalty.cost(priced.values) if term.semi_infinite is None else term.cost(x, u)
-            parts.append(of_groups[..., None])
+        parts += [self.problem.cost.formula_values(x, u)[:, None]] if self.problem.cost.has_formulas else []
+        for term, values in ((one.term, one.values) for one in self.terms if not one.term.hard):
+            parts.append((term.penalty.cost(values) if term.semi_infinite is None else term.cost(x, u))[..., None])
         return np.sum([*map(total, parts)], axis=0), np.sum([total(np.abs(part)) for part in parts], axis=0)
 
     @property

@@ -16,10 +16,11 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_discrete_are, solve_triangular
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Bounds, Lti
 from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
+from lin_freq_ocp.program.program_rows import real_rows
 
 EQUATION_RANK = 1e-11
 """Singular values of the equations below this part of the largest count as zero: the equations then depend on each
@@ -81,15 +82,12 @@ class Loop:
     @cached_property
     def matrix(self) -> Array:
         """The banded matrix of the recursion over all stages."""
-        A = np.zeros((self.lti.horizon + 1, *self.A.shape))
-        A[:-1] = self.A
-        return simulation_matrix(A, np.arange(0))
+        return simulation_matrix(np.broadcast_to(self.A, (self.lti.horizon + 1, *self.A.shape)), np.arange(0))
 
     @cached_property
-    def stopped(self) -> list[tuple[Indices, Mask]]:
-        """The stopped bins of each control, and which of them are real."""
-        bins = [np.flatnonzero(~passed) for passed in self.lti.passed]
-        return [(stopped, (stopped == 0) | (2 * stopped == self.lti.horizon)) for stopped in bins]
+    def stop_rows(self) -> list[Array]:
+        """The orthonormal rows of the stop bands of each control, (rows, T)."""
+        return [real_rows(self.lti.horizon, ~passed) for passed in self.lti.passed]
 
     def plans(self, v: Array) -> Array:
         """Return controls (T, k, m) from flat ones, (T m, k)."""
@@ -127,23 +125,14 @@ class Loop:
 
     def equations(self, x: Array, u: Array, data: Array) -> Array:
         """Return the violations of the stop bands, by orthonormal rows, and of the fixed end, (equations, k)."""
-        bins, found = np.fft.rfft(u, axis=0) / np.sqrt(len(u) / 2), list[Array]()
-        for j, (stopped, real) in enumerate(self.stopped):
-            of_bins = bins[stopped, :, j]
-            found += [of_bins.real * np.where(real, np.sqrt(0.5), 1.0)[:, None], of_bins.imag[~real]]
-        end = self.fixed_end
-        return np.concatenate([*found, (x[-1][:, end] - self.lti.end[end] * data[:, None]).T])
+        end, on_u = self.fixed_end, [rows @ u[..., j] for j, rows in enumerate(self.stop_rows)]
+        return np.concatenate([*on_u, (x[-1][:, end] - self.lti.end[end] * data[:, None]).T])
 
     def forces(self, multipliers: Array) -> tuple[Array, Array]:
         """Return the forces of multipliers of the equations, (equations, k): on u (T, k, m), and on the fixed end."""
-        (T, _, m), first = self.shape, 0
-        spectrum = np.zeros((T // 2 + 1, multipliers.shape[1], m), dtype=np.complex128)
-        for j, (stopped, real) in enumerate(self.stopped):
-            middle, last = first + len(stopped), first + len(stopped) + int((~real).sum())
-            spectrum[stopped, :, j] = multipliers[first:middle] * np.where(real, np.sqrt(2.0), 1.0)[:, None]
-            spectrum[stopped[~real], :, j] += 1j * multipliers[middle:last]
-            first = last
-        return np.fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:].T
+        *on_rows, on_end = np.split(multipliers, np.cumsum([len(rows) for rows in self.stop_rows]))
+        on_u = [rows.T @ weights for rows, weights in zip(self.stop_rows, on_rows, strict=True)]
+        return np.stack(on_u, axis=2), on_end.T
 
 
 def _product(signals: Array, M: Array) -> Array:
