@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_103,
-    "code lines": 45_677,
-    "code lines, linear part": 21_723,
+    "shipped lines": 49_128,
+    "code lines": 45_702,
+    "code lines, linear part": 21_741,
     "code lines, hybrid": 8_500,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.2,
     "files entered by a solve": 47,
-    "functions entered by a solve": 384,
-    "calls of a solve": 754,
+    "functions entered by a solve": 378,
+    "calls of a solve": 725,
     "modules that tests import": 48,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
