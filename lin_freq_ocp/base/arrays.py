@@ -203,7 +203,7 @@ def with_products(values: Array, *products: tuple[Array, Array]) -> Array:
 def stack_signals(x: Array, u: Array) -> Array:
     """Return z_t = (x_t, u_t), (..., T+1, n + m), of states (..., T+1, n) and controls (..., T, m), with u_T = 0."""
     n = x.shape[-1]
-    z = np.zeros((*x.shape[:-1], n + u.shape[-1]), dtype=x.dtype)
+    z = np.zeros((*x.shape[:-1], n + u.shape[-1]), dtype=np.result_type(x, u))
     z[..., :n], z[..., :-1, n:] = x, u
     return z
 
@@ -216,6 +216,14 @@ def split_signals(z: Array, n: int) -> tuple[Array, Array]:
 def total(values: Array) -> Array:
     """Return the sum over the last two axes, in double precision."""
     return values.sum((-2, -1)).astype(np.float64)
+
+
+def largest_over_time(values: Array) -> Array:
+    """Return the largest of each component, (..., k), of values (..., T, k) from zero on; 0 without any time.
+
+    NumPy takes several times as long along an axis that is not the last one.
+    """
+    return values.swapaxes(-1, -2).copy().max(-1, initial=0.0)
 
 
 def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, ...]:

@@ -15,6 +15,7 @@ without mu and nu. Its large terms therefore cancel before they enter D.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -37,6 +38,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 Number = Array | float  # of one trajectory, or an array (N,) of N of them
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
+EXTENDED = float(np.finfo(np.longdouble).eps)  # a rounding error of extended precision
 NEVER_NEGATIVE = "a cost that is never negative"  # the bound 0 follows from it
 
 
@@ -221,9 +223,8 @@ def evaluate_bound(
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
     minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
-    dynamics_term = total(extremal.multipliers.eta * extremal.exact_residual)
-    frequency_term, stage_term = sum(extremal.frequency_terms), extremal.terms_gap
-    certain = total(losses)
+    dynamics_term, frequency_term = extremal.dynamics_term, sum(extremal.frequency_terms)
+    stage_term, certain = extremal.terms_gap, total(losses)
     finite = np.isfinite(certain)
     gap = np.where(finite, stage_gaps.sum(-1), 0.0)
     others = cost_terms + np.abs(dynamics_term) + np.abs(frequency_term) + np.abs(stage_term)
@@ -256,13 +257,13 @@ def _sum_of_terms(extremal: Extremal) -> Array:
     Those are J, <eta, dynamics residual>, <rho, frequency residual>, and the gaps of terms. Those of J are products of
     deviations from the references, and linear terms.
     """
-    cost, at, offset = extremal.problem.quadratic, extremal.trajectory, extremal.problem.linear.offset
-    terms = cost.sum_of_linear_terms(at.x, at.u)
+    problem, others = extremal.problem, extremal.slope_terms - extremal.cost_terms
+    offset, linear = problem.linear.offset, problem.quadratic.linear_slopes(problem.horizon)
+    terms = total(extremal.cost_terms * np.abs(extremal.deviations)) + total(others * np.abs(extremal.point))
+    if linear is not None:
+        terms = terms + total(np.abs(linear * extremal.point))
     if offset.any():
-        terms += total(np.abs(extremal.multipliers.eta * offset))
-    others, deviations = extremal.slope_terms - extremal.cost_terms, stack_signals(*cost.deviations(at.x, at.u))
-    for sizes, values in ((others, extremal.point), (extremal.cost_terms, deviations)):
-        terms = terms + np.einsum("...ij,...ij->...", sizes, np.abs(values))
+        terms = terms + total(np.abs(extremal.multipliers.eta * offset))
     for priced in extremal.terms:
         terms = terms + priced.gap_terms.sum(-1)
     return terms
@@ -271,8 +272,8 @@ def _sum_of_terms(extremal: Extremal) -> Array:
 def unit_rounding(problem: OptimalControlProblem) -> float:
     """Return a bound on rounding errors of extremals, relative to the sum of the absolute values of their terms."""
     rows = sum(term.map.additions for term in problem.terms)
-    operations = problem.state_dim + problem.control_dim + rows + 5 * np.log2(problem.horizon + 2) + 10
-    return float(operations * np.finfo(np.longdouble).eps)
+    operations = problem.state_dim + problem.control_dim + rows + 5 * math.log2(problem.horizon + 2) + 10
+    return operations * EXTENDED
 
 
 def _cut_sets(problem: OptimalControlProblem, curvatures: Array, largest: Pair, follows_from: str) -> Region:

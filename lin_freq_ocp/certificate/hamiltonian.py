@@ -76,8 +76,8 @@ class Extremal:
     ----------
     bounds
         The lower and the upper bounds of the sets.
-    z
-        The trajectory.
+    z, deviations, bent
+        The trajectory, its deviations from the references, and the slopes of the quadratic cost there.
     signal
         The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
     in_z
@@ -95,6 +95,8 @@ class Extremal:
     multipliers: Multipliers
     bounds: tuple[Array, Array]
     z: Array
+    deviations: Array
+    bent: Array
     signal: Array
     in_z: Array
     in_z_terms: Array
@@ -104,7 +106,7 @@ class Extremal:
     @cached_property
     def point(self) -> Array:
         """The trajectory in double precision."""
-        return stack_signals(self.trajectory.x, self.trajectory.u)
+        return self.z.astype(np.float64)
 
     @cached_property
     def violation(self) -> Array:
@@ -132,15 +134,15 @@ class Extremal:
         return terms
 
     @cached_property
-    def state_residual(self) -> Array:
-        """x_{t+1} - f_t(x_t, u_t), (T, n), in the precision of the trajectory."""
-        return state_residual(self.problem, self.trajectory)
-
-    @cached_property
-    def exact_residual(self) -> Array:
-        """The same in extended precision."""
+    def residual(self) -> Array:
+        """x_{t+1} - f_t(x_t, u_t), (T, n), in extended precision."""
         x, u = split_signals(self.z, self.problem.state_dim)
         return x[..., 1:, :] - self.problem.equations.successors(x, u)
+
+    @cached_property
+    def dynamics_term(self) -> Array:
+        """<eta, x_{t+1} - f_t(x_t, u_t)>."""
+        return total(self.multipliers.eta * self.residual)
 
     @cached_property
     def curvatures(self) -> Array | None:
@@ -170,16 +172,28 @@ class Extremal:
         of one constraint add up with their signs.
         """
         cost = total(np.abs(self.normals) * self.violation)
-        for part in (total(self.multipliers.eta * self.state_residual), *self.frequency_terms):
+        for part in (self.dynamics_term, *self.frequency_terms):
             cost = cost + np.abs(part)
         for priced in (one for one in self.terms if one.term.hard):
             cost = cost + total(np.abs(priced.weights) * priced.term.penalty.violation(priced.values))
         return cost
 
     @cached_property
+    def cost_and_terms(self) -> tuple[Array, Array]:
+        """J, and the sum of the absolute values of its terms; a time has one quadratic term."""
+        x, u = split_signals(self.z, self.problem.state_dim)
+        linear = self.problem.quadratic.linear_slopes(self.problem.horizon)
+        quadratic = 0.5 * (self.deviations * self.bent).sum(-1)
+        parts = [quadratic[..., None], *([] if linear is None else [linear * self.z])]
+        parts += [self.problem.cost.formula_values(x, u)[:, None]] if self.problem.cost.has_formulas else []
+        for term, values in ((one.term, one.values) for one in self.terms if not one.term.hard):
+            parts.append((term.penalty.cost(values) if term.semi_infinite is None else term.cost(x, u))[..., None])
+        return np.sum([*map(total, parts)], axis=0), np.sum([total(np.abs(part)) for part in parts], axis=0)
+
+    @property
     def cost(self) -> float:
-        """J."""
-        return self.problem.value(*split_signals(self.z, self.problem.state_dim))
+        """Return J of one trajectory."""
+        return float(self.cost_and_terms[0])
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
@@ -198,24 +212,23 @@ def extremal_at(problem: OptimalControlProblem, trajectory: Trajectory, multipli
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
     require_fitting(problem, multipliers)
-    lower, upper = map(stack_signals, problem.state_tube.bounds, problem.control_tube.bounds)
-    return extremal_within(problem, trajectory, multipliers, (lower, upper))
+    return extremal_within(problem, trajectory, multipliers, problem.signal_bounds)
 
 
 def extremal_within(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, bounds: tuple[Array, Array]
 ) -> Extremal:
     """Return the extremal of a trajectory, or of N trajectories, with these bounds; nothing is checked."""
-    n, eta_C, eta = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta)
-    x, u = to_long_double(trajectory.x), to_long_double(trajectory.u)
-    z = stack_signals(x, u)
-    signal, cost_terms = np.zeros_like(z), stack_signals(*problem.quadratic.gradient_terms(trajectory.x, trajectory.u))
-    cost_terms *= abs(eta_C)
-    in_z_terms = cost_terms.copy()
-    sizes = split_signals(in_z_terms, n)
-    in_z = stack_signals(*problem.quadratic.gradient(x, u))
-    in_z *= -eta_C
-    parts, in_time = split_signals(in_z, n), (problem.in_time, lambda rho: time_signal(rho, problem.horizon))
+    n, eta_C, eta, cost = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta), problem.quadratic
+    z = to_long_double(stack_signals(trajectory.x, trajectory.u))
+    x, u = split_signals(z, n)
+    signal, deviations, linear = np.zeros_like(z), cost.deviations_of(z), cost.linear_slopes(problem.horizon)
+    bent, cost_terms = cost.bend(deviations), cost.magnitudes.bend(np.abs(deviations).astype(np.float64))
+    in_z = bent if linear is None else bent + linear
+    cost_terms = abs(eta_C) * (cost_terms if linear is None else cost_terms + np.abs(linear))
+    in_z, in_z_terms = -eta_C * in_z, cost_terms.copy()
+    parts, sizes = split_signals(in_z, n), split_signals(in_z_terms, n)
+    in_time = problem.in_time, lambda rho: time_signal(rho, problem.horizon)
     rhos = multipliers.rho_x, multipliers.rho_u
     for part, own, size, rho, signal_of in zip(parts, split_signals(signal, n), sizes, rhos, in_time, strict=True):
         if rho.any():
@@ -238,7 +251,8 @@ def extremal_within(
         for part, size, one, one_size in zip(parts, sizes, pulled, pulled_sizes, strict=True):
             part -= one
             size += one_size
-    return Extremal(problem, trajectory, multipliers, bounds, z, signal, in_z, in_z_terms, cost_terms, terms)
+    at = z, deviations, bent, signal, in_z, in_z_terms, cost_terms
+    return Extremal(problem, trajectory, multipliers, bounds, *at, terms)
 
 
 def _priced_terms(
@@ -274,9 +288,8 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        on_free_bins = (rho != 0) & ~stop
-        if on_free_bins.any():
-            k, i = np.argwhere(on_free_bins)[0]
+        if rho[~stop].any():
+            k, i = np.argwhere((rho != 0) & ~stop)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}
     for name, on_term in multipliers.stage.items():
@@ -292,7 +305,7 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
 @lru_cache(maxsize=4)  # a loop judges plans of one cost, one after another
 def cost_curvatures(cost: QuadraticCost, horizon: int) -> Array | None:
     """Return lower bounds of a cost's curvature, stacked, (T+1, n + m); None if it is not convex."""
-    stage, terminal = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
+    stage, terminal = diagonal_curvature(cost.stage_hessians), diagonal_curvature(cost.P)
     if stage is None or terminal is None:
         return None
     stage, n = np.broadcast_to(stage, (horizon, stage.shape[-1])), len(terminal)

@@ -7,11 +7,12 @@ judge the others one by one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals, with_fields
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
 from lin_freq_ocp.certificate.reach import Pair, constant_radii
@@ -30,6 +31,7 @@ class Verdicts:
     proven: Mask
 
 
+@lru_cache(maxsize=4)  # a loop and its softened problem ask at every step
 def batch_judge_takes(problem: OptimalControlProblem) -> bool:
     """Whether ``judge_batch`` takes a problem: time-invariant, quadratic, boxes, stop bands of controls, rows at times.
 
@@ -47,10 +49,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
     """Judge trajectories from initial states (N, n) of a problem that differs in the initial state only."""
     with np.errstate(over="ignore", invalid="ignore"):
         extremal = _extremal_from(problem, starts, extremals)
-        costs, scale = problem.quadratic.value_and_terms(extremals.x, extremals.u)
-        for priced in extremal.terms:
-            price = priced.term.penalty.cost(priced.values).sum(-1).astype(np.float64)
-            costs, scale = costs + price, scale + np.abs(price)
+        costs, scale = extremal.cost_and_terms
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
         gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)
@@ -62,11 +61,11 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
 
 def _extremal_from(problem: OptimalControlProblem, starts: Array, extremals: Extremals) -> Extremal:
     """Return the extremal of all trajectories, with their own first states; a bin that is free has no price."""
-    n, tubes = problem.state_dim, (problem.state_tube.bounds, problem.control_tube.bounds)
-    lower, upper = (np.tile(stack_signals(x, u), (len(starts), 1, 1)) for x, u in zip(*tubes, strict=True))
+    n, multipliers = problem.state_dim, extremals.multipliers
+    lower, upper = (np.repeat(side[None], len(starts), axis=0) for side in problem.signal_bounds)
     lower[:, 0, :n] = upper[:, 0, :n] = starts
-    stopped = replace(extremals, rho_u=np.where(problem.control_stop, extremals.rho_u, 0.0))
-    return extremal_within(problem, extremals.trajectory, stopped.multipliers, (lower, upper))
+    stopped = with_fields(multipliers, rho_u=np.where(problem.control_stop, multipliers.rho_u, 0.0))
+    return extremal_within(problem, extremals.trajectory, stopped, (lower, upper))
 
 
 def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
@@ -81,7 +80,7 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
     if not absent.any() or not np.isfinite(least).all() or not np.isfinite(most).all():
         return lower, upper
     reach = np.maximum(np.abs(most - u), np.abs(u - least)).max(1)
-    moved = np.abs(extremal.exact_residual.astype(np.float64)).max(1) + (RADIUS_MARGIN - 1) * np.abs(x).max(1)
+    moved = np.abs(extremal.residual.astype(np.float64)).max(1) + (RADIUS_MARGIN - 1) * np.abs(x).max(1)
     apart = np.abs(x[:, 0] - lower[:, 0, :n])
     radii = constant_radii(problem.linear, apart.T, np.hstack([reach, moved]).T, problem.horizon)
     radius = RADIUS_MARGIN * np.moveaxis(radii, 2, 0) + (RADIUS_MARGIN - 1) * np.abs(x)
@@ -93,8 +92,8 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    checks = [(np.abs(extremal.state_residual).max(1), problem.linear.motion_sizes(x, u))]
-    checks.append((extremal.violation.max(1), np.abs(extremal.point).max(1)))
+    checks = [(largest_over_time(np.abs(extremal.residual)), problem.linear.motion_sizes(x, u))]
+    checks.append((largest_over_time(extremal.violation), largest_over_time(np.abs(extremal.point))))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))

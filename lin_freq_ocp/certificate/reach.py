@@ -63,10 +63,11 @@ class Deviations:
 
 def stated_bounds(problem: OptimalControlProblem) -> Region:
     """Return the problem's own sets; a control without any bin is zero."""
-    x, u = problem.state_tube, problem.control_tube
-    rest, silent = np.clip(0.0, u.lower, u.upper), problem.control_stop.all(axis=0)
-    of_u = np.where(silent, rest, u.lower), np.where(silent, rest, u.upper)
-    return Region((x.lower, x.upper), of_u, np.inf, "the stated sets")
+    of_u, silent = problem.control_tube.bounds, problem.control_stop.all(axis=0)
+    if silent.any():
+        rest = np.clip(0.0, *of_u)
+        of_u = np.where(silent, rest, of_u[0]), np.where(silent, rest, of_u[1])
+    return Region(problem.state_tube.bounds, of_u, np.inf, "the stated sets")
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:

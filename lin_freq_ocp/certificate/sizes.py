@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals
 from lin_freq_ocp.certificate.hamiltonian import Extremal
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -46,7 +46,7 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
         in_data[:n] = np.maximum(in_data[:n], np.where(end.fixed, np.abs(end.lower), 0.0))
-    known = np.maximum(in_data, np.concatenate([np.abs(signal).max(0) for signal in (trajectory.x, trajectory.u)]))
+    known = np.maximum(in_data, largest_over_time(np.abs(stack_signals(trajectory.x, trajectory.u))))
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
     anchored = (in_data > 0) | (slopes > 0)
     needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
@@ -127,12 +127,12 @@ def cost_and_scale(
     """
     x, u = trajectory.x, trajectory.u
     of_x, of_u = sizes or trajectory_sizes(problem, trajectory)
-    in_x, in_u = np.broadcast_to(DATA_ROUNDING * of_x, x.shape), np.broadcast_to(DATA_ROUNDING * of_u, u.shape)
-    magnitudes, levels = problem.quadratic.magnitudes(), problem.level_sizes
+    in_x, in_u = DATA_ROUNDING * of_x, DATA_ROUNDING * of_u
+    magnitudes, levels, T = problem.quadratic.magnitudes, problem.level_sizes, problem.horizon
     a, b = problem.quadratic.deviations(x, u)
-    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
+    rounding = magnitudes.steady_value(in_x, in_u, T) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():
-        rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
+        rounding += DATA_ROUNDING * magnitudes.steady_value(0 * of_x, levels, T)
     cost, total, priced = _cost_and_terms(problem, trajectory)
     for term, given in zip(problem.terms, priced, strict=True):
         for sign in (-1, 1):
@@ -202,8 +202,8 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     at = np.abs(extremal.trajectory.x)
     given = at if start is None else at + np.abs(start)
     moved = problem.equations.successor_sizes(given, extremal.trajectory.u)
-    rounding = STATE_ROUNDING * (given.max(0) + moved.max(0))
-    resting = at.max(0) <= rounding
+    rounding = STATE_ROUNDING * (largest_over_time(given) + largest_over_time(moved))
+    resting = largest_over_time(at) <= rounding
 
     size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
     steep = stack_signals(*problem.quadratic.gradient_magnitudes(*steady))

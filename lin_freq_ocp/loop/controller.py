@@ -7,7 +7,7 @@ of soft constraints included; of two infeasible plans the one with the smaller v
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -136,7 +136,12 @@ class Controller:
         if plain and not self._remembers:
             for resolver in self._trees:  # the hard problem, then the soft one
                 resolver.prepare(begin)  # so that also the first step without a solution takes no longer than others
-        quick = self._plan_uncertified(x, begin, started) if self._later and plain else None
+        quick = self._plan_uncertified(x, begin, started) if plain else None
+        if quick is not None and not self._later:
+            assert isinstance(quick.pending, PlannedStart)  # without limits it has settled
+            quick = prove([quick], {0: quick.pending}).get(0)
+            if quick is not None and quick.plan is not None:
+                self._hard.note_moves(quick.plan)
         if quick is not None:
             self._record(quick, preview)
             return self._steps[-1], None
@@ -223,7 +228,8 @@ class Controller:
         """Return the step of a plan from ``begin`` that is not judged; None if only a solve helps.
 
         Where changes or time end before the working set has settled, it is the better of the interrupted plan and the
-        rest of the last one; the first step, which sets up the method, has no limits.
+        rest of the last one; the first step, which sets up the method, has no limits. A step that is certified at once
+        has none either, and no softened plan: that the hard problem has no solution, a solve proves.
         """
         if self._most is not None:
             without = [
@@ -235,12 +241,12 @@ class Controller:
         if self._remembers:
             return None
         budget, source = UNLIMITED, Source.PLAN
-        if self._steps:
+        if self._steps and self._later:
             budget = Budget(self._most, np.inf if self._limit is None else started + self._limit)
         plan, changes = self._hard.plan(begin, budget), 0
         if plan is None and not self._hard.can_plan_from(begin):
             return None
-        if self._soft is not None and not (plan and plan.plan.settled):
+        if self._soft is not None and self._later and not (plan and plan.plan.settled):
             changes = 0 if plan is None else plan.plan.changes
             softened = self._soft.plan(begin, budget)
             plan, source = (plan, source) if softened is None else (softened, Source.SOFTENED)
@@ -274,16 +280,13 @@ class Controller:
             elif step.pending is not None:
                 groups.setdefault(id(step.pending.translation), {})[k] = step.pending
         for planned in groups.values():
-            started = now()
-            proven = proven_in_batch(planned)
-            each = (now() - started) / len(planned)
+            proven = prove(self._steps, planned)
             for k, one in planned.items():
-                step = self._steps[k]
-                if k in proven:
-                    self._steps[k] = step.proven(one.translation, proven[k], each)
-                else:
-                    self._steps[k] = step.certified(one.certified(self._tolerance), now() - started)
-                    started = now()
+                started = now()
+                if k not in proven:
+                    proven[k] = self._steps[k].certified(one.certified(self._tolerance), now() - started)
+                self._steps[k] = proven[k]
+        self._steps[:-1] = [replace(step, plan=None) for step in self._steps[:-1]]
 
     def _plan(self, outcome: Outcome) -> Trajectory | None:
         """Return the plan of a step: its solution; without one, the better of its best point and the previous plan."""
@@ -406,6 +409,14 @@ class Controller:
 def _shift_controls(controls: Array) -> Array:
     """Return controls from the second on, the last one twice."""
     return np.vstack([controls[1:], controls[-1:]])
+
+
+def prove(steps: Sequence[Step], planned: Mapping[int, PlannedStart]) -> dict[int, Step]:
+    """Return the steps, by number, whose plans of one problem the batch judge proves optimal."""
+    started = now()
+    proven = proven_in_batch(planned)
+    each = (now() - started) / len(planned)
+    return {k: steps[k].proven(planned[k].translation, one, each) for k, one in proven.items()}
 
 
 def rank(problem: OptimalControlProblem, trajectory: Trajectory, tolerance: float | None) -> tuple[bool, float]:

@@ -100,7 +100,11 @@ class Step:
         return self.plan if self.pending is None else self.pending.trajectory
 
     def proven(self, translation: Translation, plan: ProvenPlan, seconds: float) -> Step:
-        """Return the step of a plan that the batch judge has proven optimal."""
+        """Return the step of a plan that the batch judge has proven optimal.
+
+        Its gap bounds the sum of all residuals of the maximum principle by their worth, with mu and nu as the slopes of
+        the Lagrangian in x and u: the conditions hold.
+        """
         judged = replace(self, cost=plan.cost, gap=plan.gap, satisfied=True, certify_seconds=seconds, pending=None)
         return judged._with_status(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u))
 
@@ -126,7 +130,7 @@ class Step:
         reached the penalties. Where none is, the plan solves the problem itself.
         """
         exceeded = excess(translation, plan) if self.source is Source.SOFTENED else {}
-        return replace(self, status=Status.INFEASIBLE_CLAIMED if exceeded else status, excess=exceeded)
+        return replace(self, status=Status.INFEASIBLE_CLAIMED if exceeded else status, excess=exceeded, plan=plan)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from typing import ClassVar, TypeVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, stack_signals, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -177,6 +177,12 @@ class ProblemData:
         return bounds_over_time("control_set", self.control_set, self.control_dim, self.horizon)
 
     @cached_property
+    def signal_bounds(self) -> tuple[Array, Array]:
+        """The bounds of z_t = (x_t, u_t), lower and upper, (T+1, n + m), with zeros for u_T."""
+        lower, upper = map(stack_signals, self.state_tube.bounds, self.control_tube.bounds)
+        return seal(lower), seal(upper)
+
+    @cached_property
     def control_stop(self) -> Mask:
         """Which bins are removed from which control: shape (T//2 + 1, m)."""
         constraints, names = self.control_spectrum, self.control_names
@@ -201,15 +207,16 @@ class ProblemData:
 
 
 Data = TypeVar("Data", bound=ProblemData)
+OF_ENDS = "met_ends", "state_tube", "signal_bounds"
 OF_FORM = "form", "mode_names", "response", "level_sizes"
 # The cached properties that depend on a field and not on all of them
 DEPENDENT = {
     "dynamics": (*OF_FORM, "linear", "equations", "borders", "gap"),
     "cost": (*OF_FORM, "quadratic"),
     "stage_rows": (*OF_FORM, "terms"),
-    "state_set": ("state_boxes", "met_ends", "state_tube", "hard_state_sets", "terms"),
-    "initial_state": ("met_ends", "state_tube"),  # and the terms, in the cases that ``with_ends`` names
-    "terminal_state": ("met_ends", "state_tube"),
+    "state_set": ("state_boxes", *OF_ENDS, "hard_state_sets", "terms"),
+    "initial_state": OF_ENDS,  # and the terms, in the cases that ``with_ends`` names
+    "terminal_state": OF_ENDS,
 }
 
 

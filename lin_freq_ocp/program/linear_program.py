@@ -282,7 +282,7 @@ class LinearProgram:
     def hessian(self) -> sp.csc_array:
         """Return the second derivatives of the cost, (variables, variables)."""
         cost, (T, n, m) = self.problem.quadratic, self.layout.shape
-        stages = np.broadcast_to(np.swapaxes(cost.stage_hessians(), 1, 2), (T, n + m, n + m))
+        stages = np.broadcast_to(np.swapaxes(cost.stage_hessians, 1, 2), (T, n + m, n + m))
         rows, last = signal_columns(T, n, m), np.arange(self.states - n, self.states + m)
         values = [stages[:, :n].reshape(T * n, -1), with_columns(cost.P.T, m), stages[:, n:].reshape(T * m, -1)]
         rows = [np.repeat(rows, n, axis=0), np.broadcast_to(last, (n, n + m)), np.repeat(rows, m, axis=0)]

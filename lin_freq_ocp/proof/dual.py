@@ -86,7 +86,7 @@ def dual_of(problem: OptimalControlProblem, at: Trajectory, multipliers: Multipl
 
 def curvatures(problem: OptimalControlProblem, eta_C: float) -> tuple[Mask, Mask]:
     """Return which components the cost curves: (x, u) of each stage, (1 or T, n + m), and x, (T+1, n)."""
-    curved = eta_C * problem.quadratic.stage_hessians().diagonal(axis1=1, axis2=2) > 0
+    curved = eta_C * problem.quadratic.stage_hessians.diagonal(axis1=1, axis2=2) > 0
     in_x = np.broadcast_to(curved[:, : problem.state_dim], (problem.horizon, problem.state_dim))
     return curved, np.vstack([in_x, eta_C * np.diagonal(problem.quadratic.P) > 0])
 
@@ -185,7 +185,7 @@ def _add_cost(slopes: list[Balls], problem: OptimalControlProblem, point: DualPo
     """Add the gradient in x of the quadratic cost at z_t."""
     cost, n, T = problem.quadratic, problem.state_dim, problem.horizon
     hessians, linear = (
-        cost.stage_hessians()[:, :n],
+        cost.stage_hessians[:, :n],
         np.broadcast_to(stack_signals(cost.q, cost.r, T), (T, n + point.u.shape[1])),
     )
     if hessians.any() or linear[:, :n].any():

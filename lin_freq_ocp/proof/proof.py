@@ -56,7 +56,7 @@ def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> Optima
     The diagonal of each Hessian with other entries grows by at least the fraction ``least``.
     """
     cost, n = problem.quadratic, problem.state_dim
-    given = cost.stage_hessians()
+    given = cost.stage_hessians
     hessians, P = np.stack([_semidefinite(matrix, least) for matrix in given]), _semidefinite(cost.P, least)
     if np.array_equal(hessians, given) and np.array_equal(P, cost.P):
         return problem
@@ -74,7 +74,7 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
         np.maximum(np.abs(lower - ref), np.abs(upper - ref))
         for (lower, upper), ref in ((region.x, cost.x_ref), (region.u, cost.u_ref))
     )
-    stages = cost.stage_hessians(), other.stage_hessians(), np.hstack([x[:-1], u])
+    stages = cost.stage_hessians, other.stage_hessians, np.hstack([x[:-1], u])
     for old, new, v in (stages, (cost.P[None], other.P[None], x[-1:])):
         change = np.maximum(np.abs(new - old), np.abs(new - np.swapaxes(old, 1, 2)))
         with np.errstate(invalid="ignore"):  # 0 times inf: components that are not raised may be unbounded

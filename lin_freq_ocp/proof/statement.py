@@ -130,7 +130,7 @@ def _modes(problem: OptimalControlProblem) -> list[tuple[str, Parts]]:
 def _cost_lines(problem: OptimalControlProblem) -> Iterator[str]:
     """Yield the quadratic cost; a line states the parts that change."""
     cost, T = problem.quadratic, problem.horizon
-    hessians = cost.stage_hessians()
+    hessians = cost.stage_hessians
     parts = {
         "hessian": (hessians if len(hessians) > 1 else hessians[0], 2),
         "center": (stack_signals(cost.x_ref, cost.u_ref, T), 1),

@@ -204,6 +204,10 @@ class Resolver:
             if ray is not None:
                 cache.exclusions.appendleft(ray)
 
+    def note_moves(self, plan: Trajectory) -> None:
+        """Count what the states of a plan move: an origin is far if it is many such moves away."""
+        self._moves = np.maximum(self._moves, np.ptp(plan.x, axis=0))
+
     @one_blas_thread
     def solve(
         self,
@@ -229,5 +233,5 @@ class Resolver:
         request = Request(time_limit or np.inf, tolerance, start=begin, cached=cached, tree=tree)
         outcome = restore_outcome(translation, solve_translated(self.method, translation, request), tolerance)
         if outcome.status.solved and outcome.trajectory is not None:
-            self._moves = np.maximum(self._moves, np.ptp(outcome.trajectory.x, axis=0))
+            self.note_moves(outcome.trajectory)
         return replace(outcome, options=saved_options(problem, options, self.method))

@@ -56,6 +56,8 @@ class Translation(Reduced):
     @property
     def cost(self) -> float:
         """Return the cost of the given problem less that of the translated one: that of linear terms at the origin."""
+        if not self.moves:
+            return 0.0
         cost, T = self.given.quadratic, self.given.horizon
         return float(np.broadcast_to(cost.q, (T, len(self.origin))).sum(0) @ self.origin + cost.p @ self.origin)
 

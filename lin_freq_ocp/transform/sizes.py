@@ -38,7 +38,7 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
-    return max(total, cost.magnitudes().value(*rounding) / FINEST_GAP)
+    return max(total, cost.magnitudes.value(*rounding) / FINEST_GAP)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
@@ -92,7 +92,7 @@ def _slope_of_cost(problem: OptimalControlProblem) -> tuple[Array, Mask]:
     """
     cost, T, n, size = problem.quadratic, problem.horizon, problem.state_dim, problem.state_dim + problem.control_dim
     steep = np.hstack([np.abs(cost.q).reshape(-1, n).max(0), np.abs(cost.r).reshape(-1, size - n).max(0)])
-    bent, used = np.diagonal(cost.stage_hessians(), axis1=1, axis2=2).max(0), np.zeros(size, dtype=bool)
+    bent, used = np.diagonal(cost.stage_hessians, axis1=1, axis2=2).max(0), np.zeros(size, dtype=bool)
     for formula, times in zip(problem.cost.formulas, (np.arange(T), np.array([T])), strict=True):
         if formula is not None:
             used[[int(node.data[0]) for node in kinks([formula], VARIABLE)]] = True

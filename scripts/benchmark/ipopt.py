@@ -102,7 +102,7 @@ def cost_of_signals(casadi: Any, problem: OptimalControlProblem, X: Any, U: Any)
     """Return the quadratic cost of columns X (n, T+1) and U (m, T)."""
     cost, n, T = problem.quadratic, problem.state_dim, problem.horizon
     references = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, U.shape[::-1])
-    hessians = np.broadcast_to(cost.stage_hessians(), (T, n + U.shape[0], n + U.shape[0]))
+    hessians = np.broadcast_to(cost.stage_hessians, (T, n + U.shape[0], n + U.shape[0]))
     y = casadi.vertcat(X[:, :T] - references[0][:T].T, U - references[1].T)
     end, total = X[:, T] - references[0][T], 0
     same = bool((hessians == hessians[0]).all())

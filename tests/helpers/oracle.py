@@ -231,7 +231,7 @@ def _signals(problem: lfo.OptimalControlProblem, z: Array) -> tuple[Array, Array
 def cost_scale(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> float:
     """Return the sum of the absolute terms of the cost."""
     a, b = (np.abs(part) for part in problem.quadratic.deviations(x, u))
-    absolute = problem.quadratic.magnitudes()
+    absolute = problem.quadratic.magnitudes
     no_linear = lfo.QuadraticCost(Q=absolute.Q, R=absolute.R, S=absolute.S, P=absolute.P)
     T, n = len(u), x.shape[1]
     quadratic = no_linear.at_dimensions(n, u.shape[1], T).value(a, b)

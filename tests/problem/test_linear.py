@@ -38,7 +38,7 @@ def test_successors_are_the_sums_of_the_definition(varying):
 def test_magnitudes_bound_every_term():
     data = dynamics_data(5, "A B offset")
     x, u = generator(6).normal(size=(T, N)), generator(7).normal(size=(T, M))
-    sums = LinearDynamics(**data).magnitudes().successors(np.abs(x), np.abs(u))
+    sums = LinearDynamics(**data).magnitudes.successors(np.abs(x), np.abs(u))
     by_hand = np.array(
         [
             np.abs(data["A"][t] * x[t]).sum(1) + np.abs(data["B"][t] * u[t]).sum(1) + np.abs(data["offset"][t])

@@ -127,7 +127,7 @@ def test_stage_hessians_are_second_differences():
     x, u, dx, du = (rng.normal(size=shape) for shape in ((T + 1, N), (T, M), (T + 1, N), (T, M)))
     values = [cost.stage_values(x + s * dx, u + s * du)[:T] for s in (1, 0, -1)]
     w = np.hstack([dx[:T], du])
-    bent = np.einsum("ti,tij,tj->t", w, cost.stage_hessians(), w)
+    bent = np.einsum("ti,tij,tj->t", w, cost.stage_hessians, w)
     np.testing.assert_allclose(bent, values[0] - 2 * values[1] + values[2], rtol=1e-9, atol=1e-9)
 
 

@@ -54,7 +54,7 @@ def test_the_interval_contains_the_optimal_cost_of_the_numbers_as_they_stand(see
     assert result.lower_bound <= exact <= result.cost + result.certificate.allowed_gap
     assert result.enclosure.lower <= exact <= result.enclosure.upper
     sizes = np.abs(result.trajectory.x) + np.abs(problem.quadratic.x_ref), np.abs(result.trajectory.u)
-    assert result.enclosure.width <= 1e-10 * problem.quadratic.magnitudes().value(*sizes)
+    assert result.enclosure.width <= 1e-10 * problem.quadratic.magnitudes.value(*sizes)
 
 
 def test_the_sample_has_every_kind_and_costs_below_zero():

@@ -36,7 +36,7 @@ def test_dynamics_costs_and_bounds_are_those_of_the_problem():
     assert np.array_equal(numbers(mode["A"]), problem.linear.A)
     assert np.array_equal(numbers(mode["B"]), problem.linear.B)
     (cost,) = lines_with(lines, "cost", "stage")
-    assert np.array_equal(numbers(cost["hessian"]), problem.quadratic.stage_hessians()[0])
+    assert np.array_equal(numbers(cost["hessian"]), problem.quadratic.stage_hessians[0])
     bounds = lines_with(lines, "bounds", "stage")
     assert [one["from"] for one in bounds] == [0, 1]
     for one in bounds:

@@ -52,7 +52,7 @@ def second_order_test(
     x, u, (units, slopes) = at.x, at.u, sizes
     modes, y = dynamics.sequence_of(x, u), np.hstack([x[:-1], u])
     _, gains, curvatures = dynamics.jets_at(y).maps_of(modes, np.arange(T))
-    cost = np.broadcast_to(problem.quadratic.stage_hessians(), (T, len(units), len(units)))
+    cost = np.broadcast_to(problem.quadratic.stage_hessians, (T, len(units), len(units)))
     bent, scale = np.einsum("ti,tijk->tjk", multipliers.eta, curvatures), units[:, None] * units
     H, terms = (cost - bent) * scale, np.zeros((T + 1, len(units)))
     bends = np.einsum("ti,tijk->tjk", np.abs(multipliers.eta), np.abs(curvatures))

@@ -293,7 +293,7 @@ class LeafJudge:
         self._images = np.einsum("tijk,tk->tij", self._maps, self._y) + self._arrays.offset
         limits = np.where(self._bounded, self._arrays.h, 0.0)
         self._slack = np.einsum("tirk,tk->tir", self._rows, self._y) - limits
-        hessians = np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m))[:, None, None]
+        hessians = np.broadcast_to(cost.stage_hessians, (T, n + m, n + m))[:, None, None]
         self._hessians = _Hessians(hessians), _Hessians(cost.P)
         self._rising, self._falling = np.maximum(self._maps, 0.0), np.minimum(self._maps, 0.0)
         self._shape = T, len(piecewise_affine(problem).modes), n

@@ -19,6 +19,8 @@ from scipy.linalg import solve_discrete_are, solve_triangular
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Bounds, Lti
+from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
+from lin_freq_ocp.program.program_rows import real_rows
 
 EQUATION_RANK = 1e-11
 """Singular values of the equations below this part of the largest count as zero: the equations then depend on each
@@ -77,6 +79,16 @@ class Loop:
         """The components of x_T that are fixed."""
         return np.flatnonzero(~np.isnan(self.lti.end))
 
+    @cached_property
+    def matrix(self) -> Array:
+        """The banded matrix of the recursion over all stages."""
+        return simulation_matrix(np.broadcast_to(self.A, (self.lti.horizon + 1, *self.A.shape)), np.arange(0))
+
+    @cached_property
+    def stop_rows(self) -> list[Array]:
+        """The orthonormal rows of the stop bands of each control, (rows, T)."""
+        return [real_rows(self.lti.horizon, ~passed) for passed in self.lti.passed]
+
     def plans(self, v: Array) -> Array:
         """Return controls (T, k, m) from flat ones, (T m, k)."""
         T, _, m = self.shape
@@ -84,16 +96,17 @@ class Loop:
 
     def simulate(self, x_0: Array, v: Array, data: Array) -> tuple[Array, Array]:
         """Return x and u of x_0 (k, n) and v (T, k, m)."""
-        steps = v @ self.lti.B.T
+        right = np.empty((len(v) + 1, *x_0.shape))
+        right[0], right[1:] = x_0, _product(v, self.lti.B.T)
         if self.lti.offset is not None:
-            steps += self.lti.offset.T[:, None] * data[:, None]
-        x = _recursion(self.A.T, np.concatenate([x_0[None], steps]))
-        return x, v + x[:-1] @ self.K.T
+            right[1:] += self.lti.offset.T[:, None] * data[:, None]
+        x = simulate(self.matrix, right.swapaxes(1, 2), False).swapaxes(1, 2)
+        return x, v + _product(x[:-1], self.K.T)
 
     def slopes(self, x: Array, u: Array, data: Array) -> tuple[Array, Array]:
         """Return the slopes of the cost in all states and controls."""
         lti, (T, n, _) = self.lti, self.shape
-        inner = np.concatenate([x[:T], u], axis=2) @ lti.M
+        inner = _product(np.concatenate([x[:T], u], axis=2), lti.M)
         if lti.linear is not None:
             inner += lti.linear.T[:, None] * data[:, None]
         last = x[T] @ lti.P + lti.p * data[:, None]
@@ -101,47 +114,31 @@ class Loop:
 
     def adjoint(self, in_x: Array, in_u: Array) -> Array:
         """Return eta (T, k, n): eta_{t-1} = A'eta_t - (slope in x_t) - K'(slope in u_t), eta_{T-1} = -slope in x_T."""
-        total = in_x[1:].copy()
-        total[:-1] += in_u[1:] @ self.K
-        return -_recursion(self.A, total[::-1])[::-1]
+        right = in_x.copy()
+        right[:-1] += _product(in_u, self.K)
+        return -simulate(self.matrix, right.swapaxes(1, 2), True).swapaxes(1, 2)[1:]
 
-    def gradient(self, in_x: Array, in_u: Array) -> Array:
-        """Return the slopes in v, flat, (T m, k), of the slopes in x and u."""
-        slope = in_u - self.adjoint(in_x, in_u) @ self.lti.B
+    def gradient(self, in_u: Array, eta: Array) -> Array:
+        """Return the slopes in v, flat, (T m, k), of the slopes in u and their adjoint."""
+        slope = in_u - _product(eta, self.lti.B)
         return slope.swapaxes(1, 2).reshape(-1, slope.shape[1])
 
     def equations(self, x: Array, u: Array, data: Array) -> Array:
         """Return the violations of the stop bands, by orthonormal rows, and of the fixed end, (equations, k)."""
-        bins, found = np.fft.rfft(u, axis=0) / np.sqrt(len(u) / 2), list[Array]()
-        for j, passed in enumerate(self.lti.passed):
-            stopped = np.flatnonzero(~passed)
-            real = (stopped == 0) | (2 * stopped == len(u))
-            of_bins = bins[stopped, :, j]
-            found += [of_bins.real * np.where(real, np.sqrt(0.5), 1.0)[:, None], of_bins.imag[~real]]
-        end = self.fixed_end
-        return np.concatenate([*found, (x[-1][:, end] - self.lti.end[end] * data[:, None]).T])
+        end, on_u = self.fixed_end, [rows @ u[..., j] for j, rows in enumerate(self.stop_rows)]
+        return np.concatenate([*on_u, (x[-1][:, end] - self.lti.end[end] * data[:, None]).T])
 
     def forces(self, multipliers: Array) -> tuple[Array, Array]:
         """Return the forces of multipliers of the equations, (equations, k): on u (T, k, m), and on the fixed end."""
-        (T, _, m), first = self.shape, 0
-        spectrum = np.zeros((T // 2 + 1, multipliers.shape[1], m), dtype=np.complex128)
-        for j, passed in enumerate(self.lti.passed):
-            stopped = np.flatnonzero(~passed)
-            real = (stopped == 0) | (2 * stopped == T)
-            middle, last = first + len(stopped), first + len(stopped) + int((~real).sum())
-            spectrum[stopped, :, j] = multipliers[first:middle] * np.where(real, np.sqrt(2.0), 1.0)[:, None]
-            spectrum[stopped[~real], :, j] += 1j * multipliers[middle:last]
-            first = last
-        return np.fft.irfft(spectrum * np.sqrt(T / 2), T, axis=0), multipliers[first:].T
+        *on_rows, on_end = np.split(multipliers, np.cumsum([len(rows) for rows in self.stop_rows]))
+        on_u = [rows.T @ weights for rows, weights in zip(self.stop_rows, on_rows, strict=True)]
+        return np.stack(on_u, axis=2), on_end.T
 
 
-def _recursion(M: Array, values: Array) -> Array:
-    """Return z_t = z_{t-1} M + values_t, z_0 = values_0, (T, k, n): each pass doubles the values that z_t sums."""
-    z, span = np.array(values), 1
-    while span < len(z):
-        z[span:] += z[:-span] @ M
-        M, span = M @ M, 2 * span
-    return z
+def _product(signals: Array, M: Array) -> Array:
+    """Return signals (T, k, n) times a matrix, as one product: NumPy would take one for each time."""
+    T, k, n = signals.shape
+    return (signals.reshape(T * k, n) @ M).reshape(T, k, M.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +207,8 @@ class CondensedTables:
         loop = self.loop
         at_zero = loop.simulate(x_0, loop.plans(np.zeros((len(self.V), len(data)))), data)
         v = -self.solve_equations @ loop.equations(*at_zero, data)
-        slopes = loop.slopes(*loop.simulate(x_0, loop.plans(v), data), data)
-        return v - self.V @ (self.V.T @ loop.gradient(*slopes))
+        in_x, in_u = loop.slopes(*loop.simulate(x_0, loop.plans(v), data), data)
+        return v - self.V @ (self.V.T @ loop.gradient(in_u, loop.adjoint(in_x, in_u)))
 
     def row_values(self, v: Array, x_0: Array, data: Array) -> Array:
         """Return C x_t + D u_t of all families at all times, (families (T+1), k), of v (T m, k) from x_0 (k, n)."""
@@ -252,17 +249,21 @@ class CondensedTables:
         x, u = loop.simulate(x_0, loop.plans(v), data)
         in_x, in_u = (eta_C * slope for slope in loop.slopes(x, u, data))
         at_rows = np.ascontiguousarray(np.moveaxis(weights, 0, 2))
-        in_x += at_rows @ self.C
-        in_u += at_rows[:-1] @ self.D + forces
-        band, on_end = loop.forces(-self.solve_equations.T @ loop.gradient(in_x, in_u))
-        in_x[-1][:, loop.fixed_end] += on_end
-        eta = loop.adjoint(in_x, in_u + band)
-        spectrum = np.fft.rfft(eta @ lti.B - in_u, axis=0)
-        on_rows = np.zeros((len(lti.F), *weights.shape[1:]))
+        in_x += _product(at_rows, self.C)
+        in_u += _product(at_rows[:-1], self.D) + forces
+        on_rows, band = np.zeros((len(lti.F), *weights.shape[1:])), np.zeros((T // 2 + 1, *in_u.shape[1:]), complex)
         on_rows[self.families] = weights
+        eta = loop.adjoint(in_x, in_u)
+        if self.solve_equations.size:  # of stop bands and a fixed end
+            on_u, on_end = loop.forces(-self.solve_equations.T @ loop.gradient(in_u, eta))
+            in_x[-1][:, loop.fixed_end] += on_end
+            on_rows[loop.fixed_end, T] = on_end.T
+            eta = loop.adjoint(in_x, in_u + on_u)
+        if not lti.passed.all():
+            spectrum = np.fft.rfft(_product(eta, lti.B) - in_u, axis=0)
+            band = np.where(lti.passed.T[:, None], 0.0, spectrum)
         on_rows[:n, 0] += (eta[0] @ lti.A - in_x[0]).T
-        on_rows[loop.fixed_end, T] = on_end.T
-        return RecoveredPlans(x, u, eta, on_rows, np.where(lti.passed.T[:, None], 0.0, spectrum))
+        return RecoveredPlans(x, u, eta, on_rows, band)
 
 
 def condense(lti: Lti) -> CondensedTables:
@@ -274,7 +275,8 @@ def condense(lti: Lti) -> CondensedTables:
     T, n, m = loop.shape
     none = np.zeros(T * m)
     x, u = loop.simulate(np.zeros((T * m, n)), loop.plans(np.eye(T * m)), none)
-    E, hessian = loop.equations(x, u, none), loop.gradient(*loop.slopes(x, u, none))
+    in_x, in_u = loop.slopes(x, u, none)
+    E, hessian = loop.equations(x, u, none), loop.gradient(in_u, loop.adjoint(in_x, in_u))
     solve_equations, Z = _solve_equations(loop, E)
     in_unknowns = Z.T @ hessian @ Z
     in_unknowns = (in_unknowns + in_unknowns.T) / 2

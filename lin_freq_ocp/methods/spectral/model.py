@@ -292,7 +292,7 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     return Lti(
         A=A * x / x[:, None],
         B=B * u / x[:, None],
-        M=cost.stage_hessians()[0] * y * y[:, None] / units.cost,
+        M=cost.stage_hessians[0] * y * y[:, None] / units.cost,
         P=cost.P * x * x[:, None] / units.cost,
         F=np.vstack([np.eye(len(y)), _scaled_rows(problem, x, u) / units.rows[:, None]]),
         passed=~problem.control_stop.T,

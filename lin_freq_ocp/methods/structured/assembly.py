@@ -230,7 +230,7 @@ def _plain_stages(
     """Return the stages in the units of the problem; unused entries of y have the Hessian 0."""
     cost, origin, (T, m), n, width = program.problem.quadratic, program.origin, fixed.shape, len(initial), columns.width
     H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
-    H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians(), cost.P
+    H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians, cost.P
     h.flat[columns.positions] = program.gradient
     time, control = np.nonzero(fixed)
     H[time, n + control], H[time, :, n + control], h[time, n + control] = 0.0, 0.0, 0.0

@@ -23,6 +23,8 @@ from lin_freq_ocp.base.arrays import (
     first_largest,
     one_component,
     seal,
+    split_signals,
+    stack_signals,
     times_vectors,
     to_shape,
     total,
@@ -330,86 +332,77 @@ class QuadraticCost(Cost):
         """Return x - x_ref, (..., T+1, n), and u - u_ref, (..., T, m)."""
         return x - self.x_ref if "x_ref" in self._nonzero else x, u - self.u_ref if "u_ref" in self._nonzero else u
 
+    def deviations_of(self, z: Array) -> Array:
+        """Return stacked signals (..., T+1, n + m) less the references."""
+        if self._nonzero.isdisjoint(("x_ref", "u_ref")):
+            return z
+        times, (n, m) = z.shape[-2], self.S.shape[-2:]
+        return z - stack_signals(np.broadcast_to(self.x_ref, (times, n)), np.broadcast_to(self.u_ref, (times - 1, m)))
+
+    def bend(self, deviations: Array) -> Array:
+        """Return the slopes of the quadratic part at stacked deviations from the references, (..., T+1, n + m)."""
+        H, n, slopes = self.stage_hessians, self.S.shape[-2], np.zeros_like(deviations)
+        slopes[..., :-1, :] = times_vectors(H[0] if len(H) == 1 else H, deviations[..., :-1, :])
+        slopes[..., -1, :n] = deviations[..., -1, :n] @ self.P
+        return slopes
+
+    def linear_slopes(self, horizon: int) -> Array | None:
+        """Return q and r of all times, and p, stacked, (T+1, n + m); None if they are zero."""
+        if self._nonzero.isdisjoint("qrp"):
+            return None
+        T, n, m = horizon, *self.S.shape[-2:]
+        in_x = np.concatenate([np.broadcast_to(self.q, (T, n)), np.broadcast_to(self.p, (1, n))])
+        return stack_signals(in_x, np.broadcast_to(self.r, (T, m)))
+
+    def terms_at(self, z: Array) -> tuple[Array, Array | None]:
+        """Return the quadratic part of every time, (..., T+1), and the linear terms by component, None without."""
+        of_deviations, linear = self.deviations_of(z), self.linear_slopes(z.shape[-2] - 1)
+        return 0.5 * (of_deviations * self.bend(of_deviations)).sum(-1), None if linear is None else linear * z
+
     def stage_values(self, x: Array, u: Array) -> Array:
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (..., T+1)."""
-        a, b = self.deviations(x, u)
-        inner, last = a[..., :-1, :], a[..., -1, :]
-        values = np.empty(a.shape[:-1], dtype=np.result_type(a, b))
-        values[..., :-1] = (0.5 * b * times_vectors(self.R, b)).sum(-1)
-        if "Q" in self._nonzero or "S" in self._nonzero:
-            of_x = 0.5 * times_vectors(self.Q, inner)
-            values[..., :-1] += (inner * (of_x + times_vectors(self.S, b) if "S" in self._nonzero else of_x)).sum(-1)
-        values[..., -1] = np.vecdot(0.5 * last @ self.P, last)
-        for linear in self._linear_terms(x, u):
-            values += linear.sum(-1)
-        return values
+        quadratic, linear = self.terms_at(stack_signals(x, u))
+        return quadratic if linear is None else quadratic + linear.sum(-1)
 
     def value_and_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the total cost, and the sum of its terms, each in absolute value; a time has one quadratic term."""
-        values = self.stage_values(x, u)
-        quadratic = values - sum(part.sum(-1) for part in self._linear_terms(x, u))
-        return values.sum(-1), np.abs(quadratic).sum(-1) + self.sum_of_linear_terms(x, u)
-
-    def sum_of_linear_terms(self, x: Array, u: Array) -> Array:
-        """Return the sum of the absolute values of the linear terms."""
-        return sum((total(np.abs(part)) for part in self._linear_terms(x, u)), np.zeros(x.shape[:-2]))
+        quadratic, linear = self.terms_at(stack_signals(x, u))
+        value, terms = quadratic.sum(-1), np.abs(quadratic).sum(-1)
+        return (value, terms) if linear is None else (value + total(linear), terms + total(np.abs(linear)))
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
-        squares = replace(self.magnitudes(), q=0.0, r=0.0, p=0.0)
-        return squares.value(*map(np.abs, self.deviations(x, u)))
-
-    def _linear_terms(self, x: Array, u: Array) -> list[Array]:
-        """Return q'x_t and p'x_T, and r'u_t, entry by entry, (..., T+1, n) and (..., T+1, m), unless they are zero."""
-        parts = list[Array]()
-        if "q" in self._nonzero or "p" in self._nonzero:
-            parts.append(np.concatenate([x[..., :-1, :] * self.q, x[..., -1:, :] * self.p], axis=-2))
-        if "r" in self._nonzero:
-            parts.append(np.concatenate([u * self.r, np.zeros_like(u[..., :1, :])], axis=-2))
-        return parts
+        sizes = np.abs(self.deviations_of(stack_signals(x, u)))
+        return float(0.5 * (sizes * self.magnitudes.bend(sizes)).sum())
 
     def value(self, x: Array, u: Array) -> float:
         """Return the total cost."""
         return float(self.stage_values(x, u).sum())
 
+    def steady_value(self, x: Array, u: Array, horizon: int) -> float:
+        """Return the total cost of a state (n,) and a control (m,) that stay, without references."""
+        z, H, linear = np.concatenate([x, u]), self.stage_hessians, self.linear_slopes(horizon)
+        value = 0.5 * (horizon / len(H) * (z @ H.sum(0) @ z) + x @ self.P @ x)
+        return float(value if linear is None else value + linear.sum(0) @ z)
+
     def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the gradients in x, (..., T+1, n), and in u, (..., T, m)."""
-        a, b = self.deviations(x, u)
-        inner, last = a[..., :-1, :], a[..., -1, :]
-        in_x, in_u = np.empty(a.shape, a.dtype), times_vectors(self.R, b)
-        in_x[..., :-1, :], in_x[..., -1, :] = times_vectors(self.Q, inner), last @ self.P.T + self.p
-        if "q" in self._nonzero or "r" in self._nonzero:
-            in_x[..., :-1, :] += self.q
-            in_u += self.r
-        if "S" in self._nonzero:
-            in_x[..., :-1, :] += times_vectors(self.S, b)
-            in_u += times_vectors(np.swapaxes(self.S, -1, -2), inner)
-        return in_x, in_u
-
-    def magnitudes(self) -> QuadraticCost:
-        """Return the cost with the absolute values of all data, without references."""
-        return self._magnitudes
+        slopes, linear = self.bend(self.deviations_of(stack_signals(x, u))), self.linear_slopes(u.shape[-2])
+        return split_signals(slopes if linear is None else slopes + linear, self.S.shape[-2])
 
     @cached_property
-    def _magnitudes(self) -> QuadraticCost:
+    def magnitudes(self) -> QuadraticCost:
+        """The cost with the absolute values of all data, without references."""
         weights = {field: np.abs(getattr(self, field)) for field in WEIGHTS}
         return _cost_of_checked(**weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
-    def gradient_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of the gradient, products with deviations, as there."""
-        return self.magnitudes().gradient(*map(np.abs, self.deviations(x, u)))
-
     def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
-        plain = self.magnitudes()
-        return plain.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
-
-    def stage_hessians(self) -> Array:
-        """Return [[Q, S], [S', R]], read-only, (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
-        return self._stage_hessians
+        return self.magnitudes.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
 
     @cached_property
-    def _stage_hessians(self) -> Array:
+    def stage_hessians(self) -> Array:
+        """[[Q, S], [S', R]], read-only, (1, n+m, n+m) if constant in time, else (T, n+m, n+m)."""
         Q, R, S = (part[None] if part.ndim == 2 else part for part in (self.Q, self.R, self.S))
         times = max(len(Q), len(R), len(S))
         n, m = S.shape[1:]
@@ -421,11 +414,11 @@ class QuadraticCost(Cost):
     @cached_property
     def rises(self) -> tuple[Array, float]:
         """Return the ``least_rise`` of the stage Hessians, (1,) if constant in time, else (T,), and that of P."""
-        return np.array([least_rise(hessian) for hessian in self.stage_hessians()]), least_rise(self.P)
+        return np.array([least_rise(hessian) for hessian in self.stage_hessians]), least_rise(self.P)
 
     def nonconvexity(self) -> tuple[int, float] | None:
         """Return (time, smallest eigenvalue) of the worst indefinite Hessian, or None if the cost is convex."""
-        stage, terminal = _eigenvalues(self.stage_hessians()), _eigenvalues(self.P)
+        stage, terminal = _eigenvalues(self.stage_hessians), _eigenvalues(self.P)
         smallest = np.append(stage[:, 0], terminal[0])
         rounding = CONVEXITY_TOLERANCE * np.append(np.abs(stage).max(1), np.abs(terminal).max())
         smallest = np.where(smallest < -rounding, smallest, 0.0)

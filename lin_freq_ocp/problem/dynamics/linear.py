@@ -16,6 +16,7 @@ from lin_freq_ocp.base.arrays import (
     Array,
     assign,
     brief,
+    largest_over_time,
     positive_number,
     real_array,
     times_vectors,
@@ -357,25 +358,31 @@ class LinearDynamics(StateEquations):
 
     def successors(self, x: Array, u: Array) -> Array:
         """Return f_t(x_t, u_t) for all t < T; x is (..., T+1, n) or (..., T, n), u is (..., T, m)."""
-        return times_vectors(self.A, x[..., : u.shape[-2], :]) + times_vectors(self.B, u) + self.offset
+        return times_vectors(self._gain, np.concatenate([x[..., : u.shape[-2], :], u], axis=-1)) + self.offset
 
     def pull_back(self, eta: Array) -> tuple[Array, Array]:
         """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
-        return times_vectors(np.swapaxes(self.A, -1, -2), eta), times_vectors(np.swapaxes(self.B, -1, -2), eta)
+        through = times_vectors(np.swapaxes(self._gain, -1, -2), eta)
+        return through[..., : self.state_dim], through[..., self.state_dim :]
+
+    @cached_property
+    def _gain(self) -> Array:
+        """[A B], with one per time if A or B has."""
+        times = (len(self.A),) if self.A.ndim == 3 else (len(self.B),) if self.B.ndim == 3 else ()
+        return np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (self.A, self.B)], axis=-1)
 
     def successor_sizes(self, x: Array, u: Array) -> Array:
         """Return the sums of the absolute values of the terms of f_t."""
-        return self.magnitudes().successors(np.abs(x), np.abs(u))
+        return self.magnitudes.successors(np.abs(x), np.abs(u))
 
     def motion_sizes(self, x: Array, u: Array) -> Array:
         """Return the larger of |x_t| and the change by B and d in a step; terms of A x that cancel play no part."""
-        plain = self.magnitudes()
-        moved = times_vectors(plain.B, np.abs(u)) + plain.offset
-        return np.maximum(np.abs(x).max(-2), moved.max(-2))
+        moved = times_vectors(self.magnitudes.B, np.abs(u)) + self.magnitudes.offset
+        return np.maximum(largest_over_time(np.abs(x)), largest_over_time(moved))
 
     def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
-        return self.magnitudes().pull_back(np.abs(eta))
+        return self.magnitudes.pull_back(np.abs(eta))
 
     def stepper(self, horizon: int) -> Step:
         """Return the function from t, x_t (n,) and u_t (m,) to x_{t+1}."""
@@ -388,7 +395,7 @@ class LinearDynamics(StateEquations):
 
     def gains(self) -> tuple[Array, Array, Array]:
         """Return the largest |A| (n, n), |B| (n, m) and |d| (n,) over times."""
-        plain = self.magnitudes()
+        plain = self.magnitudes
         A, B, d = plain.A, plain.B, plain.offset
         return A if A.ndim == 2 else A.max(0), B if B.ndim == 2 else B.max(0), d if d.ndim == 1 else d.max(0)
 
@@ -419,10 +426,8 @@ class LinearDynamics(StateEquations):
         known = self.plant, [*(self.known_states or ()), *(names if A.any() else ())]
         return LinearDynamics(block, with_rows(self.B, B), with_columns(self.offset, k), *labels, *known)
 
-    def magnitudes(self) -> LinearDynamics:
-        """Return the dynamics of |A|, |B| and |d|, which bound the sum of the absolute values of all terms."""
-        return self._magnitudes
-
     @cached_property
-    def _magnitudes(self) -> LinearDynamics:
-        return with_fields(self, A=np.abs(self.A), B=np.abs(self.B), offset=np.abs(self.offset), plant=None)
+    def magnitudes(self) -> LinearDynamics:
+        """The dynamics of |A|, |B| and |d|, which bound the sum of the absolute values of all terms."""
+        A, B, offset, gain = map(np.abs, (self.A, self.B, self.offset, self._gain))
+        return with_fields(self, A=A, B=B, offset=offset, plant=None, _gain=gain)

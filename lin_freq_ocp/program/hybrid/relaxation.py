@@ -105,7 +105,7 @@ class ModeRelaxation:
             groups.append(template.add(sense, right[None], (row, column[None], entries.data[None])))
         self._host_rows = tuple(groups)
         self._x_boxes, self._u_boxes = _box_rows(template, self._at.x), _box_rows(template, self._at.y[:, n:])
-        stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, n + m, n + m))
+        stage_hessians = np.broadcast_to(problem.quadratic.stage_hessians, (T, n + m, n + m))
         roots = np.sqrt(units.cost) * symmetric_roots(stage_hessians * np.outer(sizes, sizes))
         self._rows = mode_rows(template, self._stages, self._at, roots)
         mode_cones, host_sizes = self._rows.cone.rows, np.array(form.cones, dtype=np.intp)
@@ -202,7 +202,7 @@ class ModeRelaxation:
     @property
     def state_curvature(self) -> Array:
         """Return the largest diagonal of the cost's Hessian for each state, (n,)."""
-        stage = np.abs(self.problem.quadratic.stage_hessians()).max(axis=0).diagonal()[: self._n]
+        stage = np.abs(self.problem.quadratic.stage_hessians).max(axis=0).diagonal()[: self._n]
         return np.maximum(stage, np.abs(np.diagonal(self.problem.quadratic.P)))
 
     @cached_property
@@ -216,7 +216,7 @@ class ModeRelaxation:
         rows, price, hessians = np.zeros((len(dense), T + 1, k)), np.zeros((T + 1, k)), np.zeros((T + 1, k, k))
         for part, of_host in ((rows, dense), (price, self._price)):
             part[..., :T, :], part[..., T, :n] = of_host[..., at.y], of_host[..., at.x[T]]
-        hessians[:T] = self._scaling.cost * (np.broadcast_to(cost.stage_hessians(), (T, k, k)) * np.outer(units, units))
+        hessians[:T] = self._scaling.cost * (np.broadcast_to(cost.stage_hessians, (T, k, k)) * np.outer(units, units))
         hessians[T, :n, :n] = self._scaling.cost * cost.P * np.outer(units[:n], units[:n])
 
         def with_end(part: Array, filled: float = 0.0) -> Array:

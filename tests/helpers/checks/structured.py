@@ -181,7 +181,7 @@ def _rounding(problem: lfo.OptimalControlProblem) -> float:
     """Return the rounding of the quadratic cost at the sizes in the data."""
     x, u = stated_sizes(problem)
     in_x, in_u = np.broadcast_to(x, (problem.horizon + 1, len(x))), np.broadcast_to(u, (problem.horizon, len(u)))
-    return float(np.finfo(float).eps * problem.quadratic.magnitudes().value(in_x, in_u))
+    return float(np.finfo(float).eps * problem.quadratic.magnitudes.value(in_x, in_u))
 
 
 def _structured(compiled: bool | None) -> Callable[[lfo.OptimalControlProblem], Answer]:

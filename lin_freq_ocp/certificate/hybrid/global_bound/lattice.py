@@ -50,7 +50,7 @@ def stage_costs(problem: OptimalControlProblem, multipliers: Multipliers) -> Sta
     require_fitting(problem, multipliers)
     x_ref, u_ref = np.broadcast_to(cost.x_ref, (T + 1, n)), np.broadcast_to(cost.u_ref, (T, m))
     y_ref = np.hstack([x_ref[:T], u_ref])
-    hessians = np.array(np.broadcast_to(cost.stage_hessians(), (T, n + m, n + m)))
+    hessians = np.array(np.broadcast_to(cost.stage_hessians, (T, n + m, n + m)))
     of_reference = np.einsum("tij,tj->ti", hessians, y_ref)
     linear_costs = np.concatenate([np.broadcast_to(cost.q, (T, n)), np.broadcast_to(cost.r, (T, m))], axis=1)
     terminal = cost.P @ x_ref[T]

@@ -146,7 +146,7 @@ class _StageCosts:
     def __init__(self, problem: OptimalControlProblem, multipliers: Multipliers | None):
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         self._cost, self._n = problem.quadratic, n
-        self._hessians = np.broadcast_to(self._cost.stage_hessians(), (T, n + m, n + m)).copy()  # BLAS takes no views
+        self._hessians = np.broadcast_to(self._cost.stage_hessians, (T, n + m, n + m)).copy()  # BLAS takes no views
         x_ref, u_ref = np.broadcast_to(self._cost.x_ref, (T + 1, n)), np.broadcast_to(self._cost.u_ref, (T, m))
         self._formulas = problem.cost.formulas
         self._references, self._last = np.hstack([x_ref[:-1], u_ref]), x_ref[-1]

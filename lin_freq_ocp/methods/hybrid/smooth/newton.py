@@ -160,7 +160,7 @@ class NewtonSystem:
         F[self.x[1:]] += eta
         F[at] -= np.einsum("tij,ti->tj", slopes, eta)
         F[self.eta] = x[1:] - values
-        hessians = np.broadcast_to(problem.quadratic.stage_hessians(), (T, at.shape[1], at.shape[1]))
+        hessians = np.broadcast_to(problem.quadratic.stage_hessians, (T, at.shape[1], at.shape[1]))
         curved = hessians - np.einsum("ti,tijk->tjk", eta, curvatures)
         J.add(at, at, curved)
         J.add(at, self.eta, -slopes.swapaxes(1, 2))
