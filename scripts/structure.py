@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_192,
-    "code lines": 45_766,
-    "code lines, linear part": 21_739,
-    "code lines, hybrid": 8_517,
+    "shipped lines": 49_217,
+    "code lines": 45_791,
+    "code lines, linear part": 21_721,
+    "code lines, hybrid": 8_516,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,
@@ -63,10 +63,10 @@ LIMITS: dict[str, float] = {
     "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.3,
+    "functions used once [%]": 12.1,
     "files entered by a solve": 47,
-    "functions entered by a solve": 384,
-    "calls of a solve": 754,
+    "functions entered by a solve": 378,
+    "calls of a solve": 725,
     "modules that tests import": 48,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
