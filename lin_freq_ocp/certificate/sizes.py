@@ -56,7 +56,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
-        sizes = _moved_sizes(np.hstack([A, B]), sizes, ~alone | (by_cost > 0))
+        if not problem.cost.has_formulas:  # they may price any component
+            sizes = _moved_sizes(np.hstack([A, B]), sizes, ~alone | (by_cost > 0))
     if not sizes.all() and problem.origin is not None:
         sizes[:n] = np.where(sizes[:n] > 0, sizes[:n], np.abs(problem.origin))
     sizes = np.where(sizes > 0, sizes, 1.0)
