@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_103,
-    "code lines": 45_677,
-    "code lines, linear part": 21_723,
+    "shipped lines": 49_116,
+    "code lines": 45_690,
+    "code lines, linear part": 21_736,
     "code lines, hybrid": 8_500,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.2,
+    "functions used once [%]": 12.3,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
     "calls of a solve": 754,
