@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_116,
-    "code lines": 45_690,
-    "code lines, linear part": 21_736,
-    "code lines, hybrid": 8_500,
+    "shipped lines": 49_211,
+    "code lines": 45_785,
+    "code lines, linear part": 21_750,
+    "code lines, hybrid": 8_581,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,
@@ -63,10 +63,10 @@ LIMITS: dict[str, float] = {
     "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.3,
+    "functions used once [%]": 12.2,
     "files entered by a solve": 47,
     "functions entered by a solve": 384,
-    "calls of a solve": 754,
+    "calls of a solve": 755,
     "modules that tests import": 48,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
