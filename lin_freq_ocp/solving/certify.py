@@ -6,7 +6,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from lin_freq_ocp.base.arrays import real_array
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.certificate.peaks import peak_points
@@ -18,7 +20,9 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.solving.families import Options, family_of
 from lin_freq_ocp.solving.judging import LARGEST_TOLERANCE, correct_point
 from lin_freq_ocp.solving.outcome import Evidence
 from lin_freq_ocp.solving.solve import solve_judged
@@ -42,8 +46,9 @@ def certify(
     ----------
     problem : OptimalControlProblem
     trajectory : Trajectory, (T, m), Result or SavedSolution
-        A trajectory; or controls alone, (T, m), which are simulated from the initial state; or a result of solve or
-        load: its trajectory, its search tree, which is checked again, and its multipliers unless others are given.
+        A trajectory; or controls alone, (T, m), which are simulated from the initial state, or, where that is free or
+        linked to the end, from the one that makes them cheapest; or a result of solve or load: its trajectory, its
+        search tree, which is checked again, and its multipliers unless others are given.
     multipliers : Multipliers, optional
         By default, those of an optimum of the problem: every optimal trajectory of a convex problem has them. If they
         do not satisfy the maximum principle, normal multipliers (eta_C = 1) that fit the trajectory best are computed.
@@ -95,7 +100,7 @@ def certify(
             raise ProblemError("trajectory", got, expected)
         multipliers = getattr(result, "multipliers", None) if multipliers is None else multipliers
     if not isinstance(trajectory, Trajectory):
-        trajectory = simulate(problem, real_array("u", trajectory))
+        trajectory = _trajectory_of(problem, real_array("u", trajectory))
     problem.require(trajectory)
     translation, subject = translation_of(problem), (problem, trajectory)
     problem, at = translation.judged_at(trajectory)
@@ -106,6 +111,23 @@ def certify(
         if evidence is not None:
             certificate = replace(certificate, bound=evidence.verified(problem))
     return replace(certificate.raised(translation.cost), subject=subject)
+
+
+def _trajectory_of(problem: OptimalControlProblem, u: Array) -> Trajectory:
+    """Return the trajectory of controls; where they leave the initial state open, the cheapest that is feasible.
+
+    If none is, only the ends count, which then determine the initial state.
+    """
+    T, m = problem.horizon, problem.control_dim
+    if problem.response is not None or problem.initial_box.fixed.all() or u.shape != (T, m):
+        return simulate(problem, u)
+    # the spectra of controls say nothing of x_0, and rounding would contradict them
+    given = replace(problem, control_set=[Box(now, now) for now in u], control_spectrum=None)
+    for one in (given, replace(given, state_set=None, state_spectrum=None, output_spectrum=None, stage_rows=None)):
+        found = solve_judged(one, Options(family_of(one).in_loop)).trajectory
+        if found is not None:
+            return Trajectory(found.x, u)
+    return simulate(problem, u, problem.initial_box.project(np.zeros(problem.state_dim)))
 
 
 def _judge_to_rounding(

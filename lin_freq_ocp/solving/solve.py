@@ -93,11 +93,18 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
     """
     if not translation.moves:
         return outcome
-    allowed, optimal = allowed_residual(tolerance), outcome.status == Status.OPTIMAL
+    allowed, optimal, before = allowed_residual(tolerance), outcome.status == Status.OPTIMAL, outcome.certificate
     outcome = recover_outcome(translation, outcome, allowed)
     trajectory, unproven = outcome.trajectory, outcome.status in (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR)
     if outcome.certificate is None or trajectory is None or not unproven:
         return outcome
+    if optimal and before is not None and translation.problem.mode_names:
+        # what rounding to these digits changes of a proven optimum, its cost and residuals, is rounding of the data
+        after = outcome.certificate
+        changed = abs(after.cost - translation.cost - before.cost) + after.worth_of_residuals + before.allowed_gap
+        rounded = replace(after, data_rounding=changed)
+        if changed < np.inf and rounded.globally_optimal:
+            return replace(outcome, status=Status.OPTIMAL, message="", certificate=rounded)
     if optimal and outcome.multipliers is not None and not translation.problem.mode_names:
         proof = None
         with suppress(UnsupportedError):

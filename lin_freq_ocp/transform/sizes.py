@@ -76,13 +76,15 @@ def natural_sizes(problem: OptimalControlProblem) -> tuple[Array, Array, Mask]:
 
 
 def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
-    """Return the largest of the ends, levels and references, (n+m,)."""
+    """Return the largest of the ends, of values that controls are fixed at, of levels and references, (n+m,)."""
     cost = problem.quadratic
     of_x, of_u = cost.weighs
     states = np.abs(np.where(of_x, cost.x_ref, 0.0)).reshape(-1, len(of_x)).max(0)
     controls = np.abs(np.where(of_u, cost.u_ref, 0.0)).reshape(-1, len(of_u)).max(0)
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
-    return np.concatenate([np.maximum(ends, states), np.maximum(controls, problem.level_sizes)])
+    tube = problem.control_tube
+    fixed = np.where(tube.fixed, np.abs(tube.lower), 0.0).max(0)
+    return np.concatenate([np.maximum(ends, states), np.maximum.reduce([controls, fixed, problem.level_sizes])])
 
 
 def _slope_of_cost(problem: OptimalControlProblem) -> tuple[Array, Mask]:

@@ -292,3 +292,32 @@ def test_a_period_with_a_state_band_is_written_and_reported(tmp_path, blank):
     lfo.solve(loaded).save(tmp_path / "solution.npz")
     saved = lfo.load(tmp_path / "solution.npz")
     assert lfo.certify(loaded, saved.trajectory, saved.multipliers).pmp == "satisfied"
+
+
+# --- controls alone --------------------------------------------------------------------------------------------------
+
+WITHOUT_A_START: dict[str, dict[str, object]] = {
+    "periodic ends": {},
+    "a band": {"control_spectrum": lfo.low_pass(0.6)},
+    "linked ends": {"terminal_state": lfo.sets.LinkedEnds(np.eye(2), np.eye(2), [0.1, 0.2])},
+    "a box of initial states": {"terminal_state": None, "initial_state": lfo.Box([-1, -2], [0.5, 2])},
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_A_START)
+def test_controls_alone_get_the_initial_state_that_makes_them_cheapest(name):
+    problem = double_integrator(**WITHOUT_A_START[name])
+    result = lfo.solve(problem)
+    certificate = lfo.certify(problem, result.trajectory.u)
+    assert certificate.globally_optimal
+    assert certificate.cost == pytest.approx(result.cost, rel=1e-9)
+    worse = lfo.certify(problem, 0.9 * result.trajectory.u)
+    assert worse.feasible
+    assert worse.pmp == "violated"
+    assert worse.cost > 1.001 * result.cost
+
+
+def test_controls_that_leave_the_sets_are_judged_where_their_ends_meet():
+    problem = double_integrator(state_set=lfo.Box([-0.5, None], [0.5, None]))
+    certificate = lfo.certify(problem, 2 * lfo.solve(problem).trajectory.u)
+    assert {condition.label for condition in certificate.failed if condition.on_feasibility} == {"S-x"}

@@ -12,7 +12,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "clarke": "Flip SwitchingFacts modes_along", "global_bound.step": "OutOfTimeError taylor_bounds",
     "global_bound.bound": "LEVEL_BYTES terminal_minorants value_bounds",
     "global_bound.lattice": "CostToGo Lattice Minima QuadraticForm", "smooth": "kinks nearest_in_ball",
-    "tree": "IntervalReach TreeBound tree_bound",
+    "tree": "IntervalReach TreeBound level_boxes tree_bound",
 })
 # fmt: on
 

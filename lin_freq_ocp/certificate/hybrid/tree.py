@@ -15,12 +15,16 @@ bounds the cost of every trajectory. Only masks and multipliers are taken from t
 The boxes are those that every trajectory of a mask stays in, computed apart from the reach of the search. Intervals go
 forward in time through the region and the map of each mode. As long as a single mode is possible, zonotopes enclose its
 images as well: unlike intervals they do not grow under rotations.
+
+Of a cost that is never negative, a trajectory that costs less than a level stays near its references: where a diagonal
+of curvatures m is below the Hessians, m/2 (x - x_ref)^2 of any time is less than the level. Beside bounds that are far
+from a small motion, that box is the region to search. J* is at least the least of D within the box and the level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,13 +33,22 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, box_minimum, cost_is_never_negative
 from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, FINITE, INFINITE, INTERVAL_ROUNDING
+from lin_freq_ocp.certificate.tolerances import (
+    ARITHMETIC_ROUNDING,
+    FINITE,
+    INFINITE,
+    INTERVAL_ROUNDING,
+    RADIUS_MARGIN,
+    STATE_ROUNDING,
+)
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.limits import replace_bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,11 +217,47 @@ class TreeBound:
         return Bound(self.value, RIGOROUS, sets=source) if np.isfinite(self.value) else None
 
 
+def within_level(problem: OptimalControlProblem, level: float) -> OptimalControlProblem:
+    """Return the problem with bounds that every trajectory of a cost below the level satisfies."""
+    boxes = level_boxes(problem, level)
+    if boxes is None:
+        return problem
+    state_set, control_set = map(replace_bounds, (problem.state_set, problem.control_set), boxes)
+    return replace(problem, state_set=state_set, control_set=control_set)
+
+
+def level_boxes(problem: OptimalControlProblem, level: float) -> tuple[Box, Box] | None:
+    """Return bounds of states, (T+1, n), and controls, (T, m), of all trajectories that cost less than the level.
+
+    None if the cost may be negative, or if the controls have levels of their own.
+    """
+    negative = problem.cost.has_formulas or not cost_is_never_negative(problem)
+    if level == np.inf or negative or problem.level_sizes.any():
+        return None
+    T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
+    of_stage, of_end = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
+    if of_stage is None or of_end is None:
+        return None
+    of_stage = np.broadcast_to(of_stage, (T, n + m))
+    tubes, sides = (problem.state_boxes, problem.control_tube), list[Box]()
+    curvatures = np.vstack([of_stage[:, :n], of_end]), of_stage[:, n:]
+    for tube, curvature, reference in zip(tubes, curvatures, (cost.x_ref, cost.u_ref), strict=True):
+        far = np.full(curvature.shape, np.inf)
+        radius = RADIUS_MARGIN * np.sqrt(np.divide(2 * level, curvature, out=far, where=curvature > 0))
+        radius += STATE_ROUNDING * np.abs(reference)
+        # a side without a bound keeps none: which problems the search takes does not depend on their size
+        pairs = ((given, reference + side) for given, side in zip(tube.bounds, (-radius, radius), strict=True))
+        limits = (np.where(np.isinf(given), given, np.clip(end, tube.lower, tube.upper)) for given, end in pairs)
+        sides.append(Box(*limits))
+    return sides[0], sides[1]
+
+
 def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.inf) -> TreeBound:
     """Check that the leaves of a tree cover all sequences, and compute the bound of the multipliers of each leaf.
 
     Leaves that are not checked before ``end``, by ``clock.now``, have no bound.
     """
+    problem = within_level(problem, tree.level)
     reached, covers = reached_nodes(problem, tree)
     parents = {node.parent for node in tree.nodes}
     leaves = [index for index in range(len(tree.nodes)) if index not in parents]
@@ -222,7 +271,7 @@ def tree_bound(problem: OptimalControlProblem, tree: ModeTree, end: float = np.i
     unit, error = cost_unit(problem)
     if unit > 0:  # the least cost that is no lower
         bounds = np.maximum(bounds, np.ceil((bounds - error) / unit) * unit - error)
-    value = float(np.nanmin(bounds)) if covers and len(bounds) else -np.inf
+    value = min(float(np.nanmin(bounds)), tree.level) if covers and len(bounds) else -np.inf
     return TreeBound(value, covers, bounds)
 
 

@@ -61,6 +61,10 @@ class ModeNode:
 
 @dataclass(frozen=True, eq=False)
 class ModeTree:
-    """All nodes of a mode search (``Result.tree``); a leaf is a node that is no parent."""
+    """All nodes of a mode search (``Result.tree``); a leaf is a node that is no parent.
+
+    They cover the trajectories that cost less than ``level``.
+    """
 
     nodes: tuple[ModeNode, ...]
+    level: float = np.inf

@@ -243,6 +243,14 @@ class SumMap(MatrixMap):
         total.eliminate_zeros()
         return total, self.constant
 
+    def form_at_origin(self, n: int, m: int) -> tuple[Array, Array]:
+        """Return the largest effects of signals that do not change in size, and the values at the origin."""
+        forms = [
+            np.broadcast_to(np.abs(stage.stage_form(n, m)[0]), (len(stage.times), *stage.shape[1:], n + m))
+            for stage in self.stages
+        ]
+        return np.concatenate(forms).sum(axis=0, keepdims=True), self.constant[None]
+
     def magnitudes(self) -> AffineMap:
         return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
 

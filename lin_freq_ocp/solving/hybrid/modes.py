@@ -17,11 +17,12 @@ from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import Bound
-from lin_freq_ocp.certificate.hybrid.tree import TreeBound, tree_bound
+from lin_freq_ocp.certificate.hybrid.tree import TreeBound, level_boxes, tree_bound, within_level
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
-from lin_freq_ocp.certificate.verdict import Certificate
-from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex
+from lin_freq_ocp.certificate.verdict import Certificate, judge
+from lin_freq_ocp.methods.candidate import Candidate, SolveOptions, require_convex, zero_multipliers
 from lin_freq_ocp.methods.convex.sparse_program import ProgramCache, convex_candidates
+from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.branch_and_bound import CoverNode, TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import GAP, SearchLimits, SearchOutcome, SearchProgress, refine_leaves
 from lin_freq_ocp.methods.hybrid.search.enumeration import enumerate_sequences
@@ -29,6 +30,7 @@ from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.parts import search_in_parts
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.hybrid.path_relaxation import PathRelaxation
 from lin_freq_ocp.program.hybrid.relaxation import ModeRelaxation
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -39,6 +41,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
 from lin_freq_ocp.transform.reductions import Reduced
+from lin_freq_ocp.transform.sizes import FAR_BEYOND
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,7 @@ class TreeEvidence(Evidence):
                 multipliers = reduced.multipliers(node.proof.multipliers)
                 nodes[index] = replace(node, proof=replace(node.proof, multipliers=multipliers))
         bound = replace(bound, value=bound.value + cost, bounds=bound.bounds + cost)
-        return TreeEvidence(replace(self.tree, nodes=tuple(nodes)), bound)
+        return TreeEvidence(replace(self.tree, nodes=tuple(nodes), level=self.tree.level + cost), bound)
 
     def __str__(self) -> str:
         return f"tree      {len(self.tree.nodes)} nodes, {self.bound.leaves} leaves, each checked"
@@ -115,6 +118,7 @@ class TreeCache(SearchCache):
 SEQUENCE_BACKEND = "clarabel"  # solves the best sequence accurately, for its multipliers
 PROOF_MARGIN = 1.5  # multiple of the measured time of the proof that is kept back when a search is continued
 LEAST_FURTHER = 0.1  # of the time searched before: a shorter continuation is not worth a second proof
+UNPROVEN = (Status.LOCALLY_OPTIMAL, Status.NUMERICAL_ERROR)
 LEAST_PROOF_SECONDS = 0.25  # seconds for the best sequence and the leaves, even if the search has used all the time
 
 
@@ -129,15 +133,38 @@ class _Search:
     takes_start: ClassVar[bool]
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Search, and judge the best sequence's trajectory and the tree."""
+        """Search, and judge the best sequence's trajectory and the tree.
+
+        A motion far smaller than the bounds is sought among those that cost less than a known one.
+        """
         require_convex(problem)
+        end = now() + request.time_limit
+        first = _level_of(problem, _rest(problem), FAR)
+        outcome = self._prove(problem, request, first)
+        if first < np.inf:
+            outcome = self._improve(outcome, np.inf, request, end)
+        if outcome.status in UNPROVEN:
+            known = [outcome.trajectory] if outcome.trajectory else _in_single_modes(problem, end)
+            level = min((_level_of(problem, one, FAR_BEYOND) for one in known), default=np.inf)
+            outcome = outcome if level == np.inf else self._improve(outcome, level, request, end)
+        return outcome
+
+    def _improve(self, outcome: Outcome, level: float, request: Request, end: float) -> Outcome:
+        """Return an outcome, or that of a further search for costs below a level where it is not proven."""
+        if outcome.status == Status.OPTIMAL or outcome.interrupted or now() >= end:
+            return outcome
+        again = self._prove(outcome.problem, request.with_end(end), level)
+        return again if again.status == Status.OPTIMAL or outcome.trajectory is None else outcome
+
+    def _prove(self, problem: OptimalControlProblem, request: Request, level: float) -> Outcome:
+        """Search for costs below a level, and judge what is found."""
         limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
-        started = now()
-        found = self._search(problem, limits, request)
+        started, request = now(), request if level == np.inf else replace(request, tree=None)
+        found = self._search(within_level(problem, level), limits, request)
         searched, end = now() - started, started + request.time_limit
         seconds = {"setup": found.setup, "solve": searched - found.setup}
         programs = request.tree.programs if isinstance(request.tree, TreeCache) else None
-        outcome = _judge_search(problem, self.shorthand, found, self.gap, seconds, end, programs)
+        outcome = _judge_search(problem, self.shorthand, found, self.gap, seconds, end, level, programs)
         if found.resume is not None and not outcome.interrupted:
             # time is left: the judge needs less than what was kept back. After a search that is longer by a factor, it
             # needs about that factor more
@@ -147,7 +174,7 @@ class _Search:
                 clock = now()
                 longer = found.resume(further)
                 seconds = {**seconds, "solve": seconds["solve"] + now() - clock}
-                after = _judge_search(problem, self.shorthand, longer, self.gap, seconds, end, programs)
+                after = _judge_search(problem, self.shorthand, longer, self.gap, seconds, end, level, programs)
                 certify = outcome.seconds["certify"] + after.seconds["certify"]
                 outcome = after if _bound_of(after) >= _bound_of(outcome) else outcome
                 outcome = replace(outcome, seconds={**after.seconds, "certify": certify})
@@ -251,12 +278,14 @@ class MixedInteger:
         claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
         left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
         clock = now()
-        outcome = TreeSearch(problem, replace(limits, seconds=left), progress=request.progress).run(claim.sequence)
+        level = _level_of(problem, _rest(problem), FAR)
+        search = TreeSearch(within_level(problem, level), replace(limits, seconds=left), progress=request.progress)
+        outcome = search.run(claim.sequence)
         late = now() > end  # the message of the search names the rest of the limit
         if late and outcome.message and not outcome.interrupted:
             outcome = replace(outcome, message=limits.out_of_time)
         seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
-        result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end), backend=backend)
+        result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end, level), backend=backend)
         claimed, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
         certificate, agreed = result.certificate, False
         if claim.cost is not None and certificate is not None:
@@ -271,6 +300,41 @@ def _bound_of(outcome: Outcome) -> float:
     return -np.inf if outcome.lower_bound is None else outcome.lower_bound
 
 
+LEVEL_MARGIN = 2.0  # of the cost of a trajectory: an optimum lies well inside the box of costs below this
+FAR = 1e6  # widths of that box from which bounds are far: to the accuracy of programs, 1e-8, motions are then nothing
+
+
+def _level_of(problem: OptimalControlProblem, trajectory: Trajectory | None, far: float) -> float:
+    """Return a cost below which to search, as a trajectory costs less; inf if it is not feasible, or no bound is far.
+
+    ``far``: how many widths of the box of that level a bound is away.
+    """
+    if trajectory is None or problem.level_sizes.any():
+        return np.inf
+    level = LEVEL_MARGIN * problem.value(trajectory.x, trajectory.u)
+    boxes = level_boxes(problem, level) if level > 0 else None
+    if boxes is None:
+        return np.inf
+    pairs = zip(boxes, (problem.state_boxes, problem.control_tube), strict=True)
+    if not any((tube.upper - tube.lower > far * (box.upper - box.lower)).any() for box, tube in pairs):
+        return np.inf
+    return level if judge(problem, trajectory, zero_multipliers(problem, 1.0)).feasible else np.inf
+
+
+def _rest(problem: OptimalControlProblem) -> Trajectory | None:
+    """Return the trajectory at rest, with zeros where no cost asks for other values."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    return trajectory_at_rest(problem, Trajectory(np.zeros((T + 1, n)), np.zeros((T, m))))
+
+
+def _in_single_modes(problem: OptimalControlProblem, end: float) -> list[Trajectory]:
+    """Return the optimal trajectories of those that stay in one mode."""
+    T, modes = problem.horizon, range(len(problem.mode_names))
+    limit = None if end == np.inf else end - now()
+    points = (_solve_sequence(problem, np.full(T, mode), limit, None) for mode in modes)
+    return [point.trajectory for point in points if point is not None]
+
+
 def _judge_search(
     problem: OptimalControlProblem,
     method: str,
@@ -278,12 +342,14 @@ def _judge_search(
     gap: float,
     seconds: dict[str, float],
     end: float,
+    level: float,
     programs: ProgramCache | None = None,
 ) -> Outcome:
     """Return the outcome of a search: its best sequence solved alone, and its tree checked leaf by leaf.
 
-    ``programs`` are those of sequences of like problems.
+    ``programs`` are those of sequences of like problems. The search was for costs below ``level``.
     """
+    outcome, within = replace(outcome, tree=replace(outcome.tree, level=level)), within_level(problem, level)
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end, limit = clock + left, None if left == np.inf else left
@@ -297,7 +363,7 @@ def _judge_search(
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            tree = refine_leaves(problem, outcome.tree, weak, end, kind)
+            tree = refine_leaves(within, outcome.tree, weak, end, kind)
             bound = tree_bound(problem, tree, end)
             if bound.value > proof.value:
                 outcome, proof = replace(outcome, tree=tree), bound

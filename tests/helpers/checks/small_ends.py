@@ -20,7 +20,7 @@ NO_POINT = {"initial box", "initial ball", "free initial state", "periodic ends"
 NEAREST_TO_REST = {  # the distance from which their optima near rest are found and proven
     "convex path constraint": 1e-13,
     "piecewise-smooth dynamics": 1e-13,
-    "piecewise-affine dynamics": 1e-6,
+    "piecewise-affine dynamics": 1e-11,
     "part of the fundamental": np.inf,
 }
 KINKS = {"piecewise-smooth dynamics", "cost by formulas with a kink"}  # no multipliers are found for both, at rest

@@ -150,7 +150,7 @@ def refine_leaves(
         answer = None if reach is None else solve_relaxation(relaxation, reach, FINE, end)
         if answer is not None and answer.duals is not None:
             nodes[index] = replace(nodes[index], bound=answer.bound, proof=relaxation.multipliers(answer.duals))
-    return ModeTree(tuple(nodes))
+    return replace(tree, nodes=tuple(nodes))
 
 
 def one_mode_each(allowed: Mask, t: int) -> list[Mask]:
