@@ -207,10 +207,7 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
     if not isinstance(description, RobustProblem):
         raise ProblemError("disturbance", "nothing", "a table [disturbance] in the problem file, the set of the loads")
     worst = worst_case(description.given, description.uncertainty, load_trajectory(plan, description)[0])
-    if as_json:
-        console.print_json(worst_case_summary(description, worst))
-    else:
-        console.print_lines(str(worst))
+    console.print_json(worst_case_summary(description, worst)) if as_json else console.print_lines(str(worst))
     return console.PROVEN if worst.holds else console.NOT_PROVEN
 
 

@@ -445,6 +445,7 @@ LOAD_SET = Value(  # a table, or an array of measured loads
 )
 MADE_OF = "rate_limit", "disturbance", "robust"  # tables that change the problem of the others
 NO_FEEDBACK = "none"  # TOML has no null
+ANY: FileValue = None  # in place of the problem of the other tables
 GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
 
 
@@ -452,7 +453,9 @@ DISTURBANCE = TableRecord(
     Disturbance,
     own="disturbance",
     values=lambda load: vars(load) | {"gain": NO_FEEDBACK if load.gain is None else load.gain},
-    **{"set": LOAD_SET, "gain": GAIN, "start": SETS},
+    set=LOAD_SET,
+    gain=GAIN,
+    start=SETS,
 )
 
 
@@ -507,9 +510,9 @@ PROBLEM = TableRecord(
     state_spectrum=Tables(SPECTRUM),
     stage_rows=Tables(STAGE_ROWS),
     output_spectrum=Tables(OUTPUTS),
-    rate_limit=TableRecord(_keys, like=partial(rate_limited, None)),
+    rate_limit=TableRecord(_keys, like=partial(rate_limited, ANY)),
     disturbance=DISTURBANCE,
-    robust=TableRecord(_keys, like=partial(tightened, None, None)),
+    robust=TableRecord(_keys, like=partial(tightened, ANY, ANY)),
 )
 
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class ProblemData:
     stage_rows: tuple[StageRows, ...]
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
-    uncertainty: ClassVar[object] = None  # against which ``robust`` has tightened the limits
+    uncertainty = cast("object", None)  # against which ``robust`` has tightened the limits
 
     @property
     def origin(self) -> Array | None:

@@ -25,7 +25,7 @@ from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
 def bin_values(spectrum: SpectrumMap, trajectory: Trajectory) -> ComplexArray:
     """Return the complex values of a spectrum, (bins,)."""
-    return replace(spectrum, joint=False).values(trajectory.x, trajectory.u) @ np.array([1.0, 1j])
+    return replace(spectrum, joint=False).values(trajectory.x, trajectory.u) @ np.array([1.0, 1j], dtype=np.complex128)
 
 
 def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray) -> tuple[Array, Array | None]:

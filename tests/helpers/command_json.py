@@ -38,7 +38,7 @@ CERTIFICATE = {
 }
 VALUES = {"cost": (float, None), "lower_bound": (float, None), "gap": (float, None), "bound": (str, None)}
 CERTIFY = {**HEAD, **VALUES, "certificate": CERTIFICATE}
-OPTIONAL = {"between_samples"}  # with a continuous plant and state bounds: see test_between_samples
+OPTIONAL = {"between_samples", "worst_case"}  # of a continuous plant with state bounds; of a file with loads
 TOO_WEAK = ("--set", "horizon=60", "--set", "control_bound=1")
 """An infeasible pendulum that is explained in less than the time there is for it."""
 

@@ -64,14 +64,14 @@ def comparison_figure(comparison: ComparisonOutcome) -> Figure:
 
 def result_data(result: Outcome) -> PlotData:
     """Return the solution as plot data; SolveError if it has no trajectory."""
-    problem = result.problem
-    loaded = isinstance(problem, RobustProblem) and isinstance(problem.uncertainty, Disturbance)
-    given = problem.given if loaded else problem
+    given = problem = result.problem
+    if isinstance(problem, RobustProblem) and isinstance(problem.uncertainty, Disturbance):
+        given = problem.given
     shown = measured_solution(solution_label(result), given, result)
     if shown is None:
         raise SolveError(f"The solve ended without a trajectory to show ({result.status}).", result)
     plan = Trace(shown.label, shown, look.STYLES[CONSTRAINED])
-    if not loaded:
+    if given is problem or not isinstance(problem, RobustProblem):
         return PlotData(problem, (plan,))
     worst = problem.uncertainty.worst(given, result).closest
     if worst is None or worst.trajectory is None:

@@ -49,7 +49,7 @@ def time_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str =
         if np.isfinite(sides[0]).any():
             ends = [np.append(side, side[-1:]) if zero_order_hold else side for side in sides]
             at, step = data.time.factor * np.arange(len(ends[0])), "post" if zero_order_hold else None
-            ax.fill_between(at, *ends, step=step, color=look.BAND, linewidth=0, zorder=0)
+            ax.fill_between(at, ends[0], ends[1], step=step, color=look.BAND, linewidth=0, zorder=0)
     for level in data.control_levels(component):
         ax.axhline(float(level), color=look.BOUND, linestyle=look.LEVEL_LINE, linewidth=0.9, zorder=1)
     limits = [(line, look.BOUND, look.SOFT if line.soft else "-") for line in component.row_bounds]
