@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_217,
-    "code lines": 45_791,
-    "code lines, linear part": 21_721,
-    "code lines, hybrid": 8_516,
+    "shipped lines": 49_326,
+    "code lines": 45_900,
+    "code lines, linear part": 21_749,
+    "code lines, hybrid": 8_597,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,
@@ -66,7 +66,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 12.1,
     "files entered by a solve": 47,
     "functions entered by a solve": 378,
-    "calls of a solve": 725,
+    "calls of a solve": 726,
     "modules that tests import": 48,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
