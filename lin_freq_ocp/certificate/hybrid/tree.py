@@ -235,7 +235,7 @@ def level_boxes(problem: OptimalControlProblem, level: float) -> tuple[Box, Box]
     if level == np.inf or negative or problem.level_sizes.any():
         return None
     T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
-    of_stage, of_end = diagonal_curvature(cost.stage_hessians()), diagonal_curvature(cost.P)
+    of_stage, of_end = diagonal_curvature(cost.stage_hessians), diagonal_curvature(cost.P)
     if of_stage is None or of_end is None:
         return None
     of_stage = np.broadcast_to(of_stage, (T, n + m))
