@@ -115,7 +115,7 @@ def robust(
         raise ProblemError("problem", "one of robust, with margins", "one without", advice)
     changes = _require_uncertainty(uncertainty).tightened(problem, end)
     given = {field.name: getattr(problem, field.name) for field in fields(OptimalControlProblem)}
-    return RobustProblem(problem, uncertainty, end, **{**given, **changes})
+    return RobustProblem(problem, uncertainty, end, None, **{**given, **changes})
 
 
 @one_blas_thread
