@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError
@@ -189,14 +189,14 @@ class Gaussian(Loads):
             raise ProblemError("Gaussian.probability", brief(probability), "one number above 0.5 and below 1")
         self.covariance, self.probability, self.dimension = matrix, float(share), len(matrix)
         self.root = scale[:, None] * vectors * np.sqrt(values.clip(min=0.0))
-        self.largest, self.error = float(ndtri(share)) * size, np.zeros(self.dimension)
+        self.largest, self.error = NormalDist().inv_cdf(float(share)) * size, np.zeros(self.dimension)
         self.words = f"Gaussian loads; each limit at each time by itself holds with probability {self.probability:g}"
 
     def contribution(self, S: Array, times: slice) -> Array:
         return ((S @ self.root) ** 2).sum(axis=-1)
 
     def margin(self, total: Array) -> Array:
-        return float(ndtri(self.probability)) * np.sqrt(total)
+        return NormalDist().inv_cdf(self.probability) * np.sqrt(total)
 
     def worst(self, S: Array, count: int) -> None:
         return None

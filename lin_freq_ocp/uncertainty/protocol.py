@@ -39,6 +39,13 @@ class RobustProblem(OptimalControlProblem):
         With the limits as they were given, which ``worst_case`` judges.
     uncertainty : Disturbance or Plants
     end : "invariant" or None
+
+    Examples
+    --------
+    >>> problem = lfo.library.double_integrator(cutoff_hz=None, terminal_state=None)
+    >>> plans = lfo.robust(problem, lfo.Disturbance(lfo.Box(-1e-3, 1e-3), input=[[0.0], [1.0]]))
+    >>> plans.given is problem
+    True
     """
 
     given: OptimalControlProblem
