@@ -18,6 +18,9 @@ from helpers.random.linear import random_linear
 KINDS = "any", "uncosted", "masked"
 METHODS = "auto", "structured", "convex"
 MARGIN = 0.1  # part of the tolerance that the residuals of a proven optimum stay below
+AS_GOOD = (
+    1.5  # or this multiple of those with the multipliers of the solve: a trajectory may be that far from the optimum
+)
 TOLERANCE = 1e-6  # of the judge
 
 
@@ -31,6 +34,8 @@ class Outcome:
         Of the solve; problems that it does not prove optimal say nothing.
     worst : float
         The largest residual of the trajectory alone, relative to its tolerance.
+    own : float
+        The same with the multipliers of the solve.
     """
 
     name: str
@@ -39,11 +44,13 @@ class Outcome:
     pmp: str = ""
     globally_optimal: bool = True
     worst: float = 0.0
+    own: float = 0.0
 
     @property
     def passed(self) -> bool:
-        """Whether the trajectory alone is certified with a margin, or was not proven optimal."""
-        return self.status != "optimal" or (self.pmp == "satisfied" and self.globally_optimal and self.worst < MARGIN)
+        """Whether the trajectory alone is certified, with a margin or as well as the solve, or was not proven optimal."""
+        allowed = max(MARGIN, AS_GOOD * self.own)
+        return self.status != "optimal" or (self.pmp == "satisfied" and self.globally_optimal and self.worst < allowed)
 
 
 def check(seed: int) -> Outcome:
@@ -61,8 +68,8 @@ def judged_alone(problem: lfo.OptimalControlProblem, method: str, kind: str) -> 
     if result.status != "optimal":
         return Outcome(name, kind, result.status)
     certificate = lfo.certify(problem, result.trajectory)
-    worst = certificate.worst.relative / TOLERANCE
-    return Outcome(name, kind, result.status, certificate.pmp, certificate.globally_optimal, worst)
+    worst, own = (one.worst.relative / TOLERANCE for one in (certificate, result.certificate))
+    return Outcome(name, kind, result.status, certificate.pmp, certificate.globally_optimal, worst, own)
 
 
 def any_problem(seed: int) -> lfo.OptimalControlProblem:
