@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_326,
-    "code lines": 45_900,
+    "shipped lines": 49_329,
+    "code lines": 45_903,
     "code lines, linear part": 21_749,
-    "code lines, hybrid": 8_597,
+    "code lines, hybrid": 8_600,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,

@@ -313,7 +313,10 @@ class _Bounding:
         if self.best == -float("inf"):
             return message or UNBOUNDED
         self.judged = self.judged.with_bound(Bound(self.best, RIGOROUS, sets=self.sets))
-        return "" if self._proven else message or f"the global bound leaves a gap of {self.judged.certificate.gap:.1e}"
+        if self._proven:
+            return ""
+        trivial = message and self.best == self.search.least
+        return message if trivial else f"the global bound leaves a gap of {self.judged.certificate.gap:.1e}"
 
     def _take(self, bound: Bound | None) -> None:
         if bound is not None and bound.kind == RIGOROUS and bound.value > self.best:

@@ -48,7 +48,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether the trajectory alone is certified, with a margin or as well as the solve, or was not proven optimal."""
+        """Whether the trajectory alone is certified, with a margin or as by the solve, or was not proven optimal."""
         allowed = max(MARGIN, AS_GOOD * self.own)
         return self.status != "optimal" or (self.pmp == "satisfied" and self.globally_optimal and self.worst < allowed)
 
