@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, times_vectors
+from lin_freq_ocp.base.arrays import SAME, Array, Indices, Mask, times_vectors
 from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plural, short_name, vector
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -149,8 +149,10 @@ class WorstCase:
 
     @property
     def closest(self) -> Worst | None:
-        """Return the limit that the worst case violates most, or comes closest to, relative to its terms."""
-        return max(self.limits, key=lambda one: one.violation / (one.size or 1.0), default=None)
+        """Return the limit that the worst case violates most, or comes closest to, relative to its terms; the first."""
+        violations = [one.violation / (one.size or 1.0) for one in self.limits]
+        largest = max(violations, default=0.0) - SAME
+        return next((one for one, violation in zip(self.limits, violations, strict=True) if violation >= largest), None)
 
     @property
     def verdict(self) -> str:

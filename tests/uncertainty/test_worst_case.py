@@ -177,3 +177,11 @@ def test_a_plan_of_another_tool_is_judged_by_its_controls_and_its_states():
     K = LOAD.feedback(problem)
     x, _ = simulate(problem, K, plan, np.eye(2), np.zeros((1, 4, 2)))
     assert worst["x_0, upper"].planned == pytest.approx(x[0, worst["x_0, upper"].index, 0], abs=1e-14)
+
+
+def test_of_limits_that_are_equally_close_but_for_rounding_the_first_is_the_closest():
+    worst = lfo.worst_case(tube(), LOAD, lfo.solve(lfo.robust(tube(), LOAD)))
+    first = worst.closest
+    closer = replace(first, margin=first.margin + 1e-12 * first.size)
+    assert closer.violation > first.violation
+    assert replace(worst, limits=(first, closer)).closest is first
