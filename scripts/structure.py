@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_331,
-    "code lines": 45_905,
+    "shipped lines": 49_332,
+    "code lines": 45_906,
     "code lines, linear part": 21_749,
     "code lines, hybrid": 8_600,
     SHARE_SAID: 19.5,  # at least

@@ -137,7 +137,7 @@ class Disturbance(Uncertainty):
             raise UnsupportedError(f"disturbance.forever: got True; expected {expected}.")
         return ErrorLoop(loads, start, A_K, a, K, E, T, self.forever)
 
-    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+    def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the limits of the plan: those of a problem less their margins; see ``robust``."""
         loop, T = self.error_loop(problem), problem.horizon
         n, m = problem.state_dim, problem.control_dim

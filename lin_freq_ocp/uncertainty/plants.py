@@ -75,7 +75,7 @@ class Plants(Uncertainty):
                 raise ProblemError(field, got, f"{known[0]} states, {known[1]} controls, {own.sampling_time} s")
             plant.require_horizon(problem.horizon)
 
-    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+    def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the fields of a problem in the states of all plants; see ``robust``."""
         self._require(problem)
         if end is not None:

@@ -21,7 +21,7 @@ class Uncertainty(ABC):
     """What is uncertain about a problem."""
 
     @abstractmethod
-    def tightened(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> Mapping[str, object]:
+    def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> Mapping[str, object]:
         """Return the fields in which the problem whose plans hold for all cases differs from a given one."""
 
     @abstractmethod
@@ -120,7 +120,7 @@ def robust(
     if problem.uncertainty is not None:
         advice = "problem.given has the limits without margins."
         raise ProblemError("problem", "one of robust, with margins", "one without", advice)
-    changes = _require_uncertainty(uncertainty).tightened(problem, end)
+    changes = _require_uncertainty(uncertainty).plan_limits(problem, end)
     given = {field.name: getattr(problem, field.name) for field in fields(OptimalControlProblem)}
     return RobustProblem(problem, uncertainty, end, None, **{**given, **changes})
 

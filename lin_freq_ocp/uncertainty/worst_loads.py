@@ -173,7 +173,8 @@ class WorstCase:
         if self.price is not None and self.cost:
             lines.append(f"1 % larger loads cost {number(100 * 0.01 * self.price / abs(self.cost), 3)} %.")
         if self.nominal and self.cost is not None:
-            more = number(100 * (self.cost - self.nominal) / abs(self.nominal), 3)
+            share = (self.cost - self.nominal) / abs(self.nominal)
+            more = number(100 * share if abs(share) > SAME else 0.0, 3)
             costs = f"The cost is {number(self.cost)}; that of the plan for no loads {number(self.nominal)}"
             lines.append(f"{costs}: {more} % more.")
         return "\n".join(line.rstrip() for line in lines)

@@ -124,7 +124,7 @@ def phase_panel(ax: Axes, data: PlotData, pair: Sequence[ProblemSignal], letter:
     if obstacles and len({split_unit(state.name)[1] for state in pair}) == 1:
         ax.set_aspect("equal")
         width = max(views[0].length, PROPORTION * views[1].length)
-        views = [seen.widened(length) for seen, length in zip(views, (width, width / PROPORTION), strict=True)]
+        views = [seen.with_length(length) for seen, length in zip(views, (width, width / PROPORTION), strict=True)]
     bounds = [state.bounds for state in pair]
     if not any((bound != bound[0]).any() for both in bounds for bound in both):  # a box, whose open sides lie outside
         low = [max(float(lower[0]), 2 * seen.low - seen.high) for (lower, _), seen in zip(bounds, views, strict=True)]

@@ -74,7 +74,7 @@ class View:
         """Return the length of the range."""
         return self.high - self.low
 
-    def widened(self, length: float) -> View:
+    def with_length(self, length: float) -> View:
         """Return a range of this length about the same centre."""
         more = (length - self.length) / 2
         return View(self.low - more, self.high + more, self.outside)
