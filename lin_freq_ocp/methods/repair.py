@@ -63,8 +63,9 @@ def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterato
             yield of_x, np.zeros_like(u), -float(of_x[:, j] @ x[:, j])
     for term in problem.terms:
         values, penalty = term.map.values(x, u), term.penalty
-        excess, dim = penalty.excess(values), values.shape[1]
-        active = np.argwhere(np.isinf(penalty.weights) & (excess >= -HELD_DISTANCE * np.abs(values).max(initial=0.0)))
+        excess, dim, largest = penalty.excess(values), values.shape[1], np.abs(values).max(axis=0, initial=0.0)
+        near = HELD_DISTANCE * (largest if excess.shape[1] == dim else largest.max())
+        active = np.argwhere(np.isinf(penalty.weights) & (excess >= -near))
         if len(active) and dim * values.size <= MOST_ROW_ENTRIES:
             slopes = [penalty.excess_slope(values, np.broadcast_to(unit, values.shape), 0.0) for unit in np.eye(dim)]
             for group, k in active:

@@ -4,7 +4,7 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "disturbance": "Disturbance", "loads": "Gaussian Records", "plants": "Plants",
+    "discs": "Discs radius_of_coherence", "disturbance": "Disturbance", "loads": "Gaussian Records", "plants": "Plants",
     "protocol": "RobustProblem robust worst_case", "worst_loads": "Worst WorstCase",
 })
 # fmt: on

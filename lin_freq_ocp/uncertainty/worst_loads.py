@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import SAME, Array, Indices, Mask, times_vectors
+from lin_freq_ocp.base.arrays import SAME, Array, ComplexArray, Indices, Mask, times_vectors
 from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plural, short_name, vector
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -46,8 +46,8 @@ class Worst:
     loads : (T, k) or None
     trajectory : Trajectory or None
         The states and controls of the simulation.
-    plant : int or None
-        The number of the plant, from 1.
+    plant : int, (bins, p, m), or None
+        The number of the plant, from 1, or its response.
     in_spectrum : bool
         Whether the index is a bin.
     sign : {1, -1}
@@ -70,7 +70,7 @@ class Worst:
     start: Array | None = None
     loads: Array | None = None
     trajectory: Trajectory | None = None
-    plant: int | None = None
+    plant: int | ComplexArray | None = None
     in_spectrum: bool = False
     sign: int = 1
 
@@ -94,7 +94,7 @@ class Worst:
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
         shown = (NOTHING if np.isnan(value) else f"{value:.5g}" for value in values)
-        case = "" if self.plant is None else f"  plant {self.plant}"
+        case = f"  plant {self.plant}" if isinstance(self.plant, int) else ""
         acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
         if acting is not None and acting.any():
             case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"

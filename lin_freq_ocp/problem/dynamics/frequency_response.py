@@ -313,8 +313,9 @@ class FrequencyResponse(StateEquations):
 
     def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> FrequencyResponse:
         """Return the response of the outputs of several plants to the same controls, with these names."""
-        plants, none = cast("Sequence[FrequencyResponse]", plants), np.zeros((horizon + self.padded, self.state_dim))
-        known = np.hstack([none if one.disturbance is None else one.disturbance for one in plants])
+        plants, times = cast("Sequence[FrequencyResponse]", plants), horizon + self.padded
+        signals = [np.zeros((times, one.state_dim)) if one.disturbance is None else one.disturbance for one in plants]
+        known = np.hstack(signals)
         G, offset = np.hstack([one.G for one in plants]), np.hstack([one.offset for one in plants])
         return FrequencyResponse(G, self.sampling_time, offset, known, self.mode, names, self.control_names)
 

@@ -8,6 +8,7 @@ else in the package tells maps apart. ``AffineMap`` and ``MatrixMap`` document t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import ClassVar, Self
 
@@ -253,6 +254,58 @@ class SumMap(MatrixMap):
 
     def magnitudes(self) -> AffineMap:
         return SumMap(tuple(stage.magnitudes() for stage in self.stages), np.abs(self.constant))
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedMap(AffineMap):
+    """The values of several maps, one after the other, as a single group."""
+
+    parts: tuple[AffineMap, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return 1, sum(self._counts)
+
+    @property
+    def positions(self) -> Indices:
+        return np.arange(0)
+
+    @property
+    def additions(self) -> float:
+        return max(part.additions for part in self.parts)
+
+    @property
+    def dense_size(self) -> tuple[int, int]:
+        rows, entries = zip(*(part.dense_size for part in self.parts), strict=True)
+        return sum(rows), sum(entries)
+
+    def values(self, x: Array, u: Array) -> Array:
+        return np.concatenate([part.values(x, u).ravel() for part in self.parts])[None]
+
+    def sizes(self, x: Array, u: Array) -> Array:
+        return np.concatenate([part.sizes(x, u).ravel() for part in self.parts])[None]
+
+    def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        pulled = [part.pull_back(own, shapes) for part, own in self._split(weights)]
+        return sum(one for one, _ in pulled), sum(one for _, one in pulled)
+
+    def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
+        pulled = [part.pulled_sizes(own, shapes) for part, own in self._split(weights)]
+        return sum(one for one, _ in pulled), sum(one for _, one in pulled)
+
+    def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
+        rows, constants = zip(*(part.rows(horizon, n, m) for part in self.parts), strict=True)
+        return sp.csr_array(sp.vstack(rows)), np.concatenate([constant.ravel() for constant in constants])
+
+    @property
+    def _counts(self) -> list[int]:
+        """Return the numbers of values of the parts."""
+        return [part.shape[0] * part.shape[1] for part in self.parts]
+
+    def _split(self, weights: Array) -> Iterator[tuple[AffineMap, Array]]:
+        """Yield each part with its own weights."""
+        each = np.split(weights[0], np.cumsum(self._counts)[:-1])
+        return ((part, own.reshape(part.shape)) for part, own in zip(self.parts, each, strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,318 @@
+"""Plants whose frequency response is known up to a disc at each bin: |G_kij - Ghat_kij| <= radius_kij.
+
+A row c'y_t + d'u_t <= e holds for all of them if and only if c'yhat_t + d'u_t + |c|'margin(u) <= e, where
+
+    margin_i(u) = 1/N sum_k w_k sum_j radius_kij |uhat_kj|,    w_k = 1 at k = 0 and N/2, else 2.
+
+The number is the same for all times and both signs. These rows are convex in the controls, so the robust problem is an
+ordinary one, with an ordinary certificate (docs/robust.md).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import (
+    Array,
+    ComplexArray,
+    brief,
+    complex_array,
+    positive_integer,
+    positive_number,
+    real_array,
+)
+from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
+from lin_freq_ocp.base.phrases import join_words, number, plural
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, Signal, entries_of
+from lin_freq_ocp.problem.terms.maps import JoinedMap, StageMap
+from lin_freq_ocp.problem.terms.norm_rows import NormRows
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.transform.reformulations import augment_states
+from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.uncertainty.leakage import bin_values
+from lin_freq_ocp.uncertainty.protocol import Uncertainty
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
+
+WORST_POWER = "worst case of the cost"
+FEWEST_AVERAGES = 2
+
+
+class Discs(Uncertainty):
+    """At each bin, each entry of the response is anywhere within a disc around the given one, independently.
+
+    Parameters
+    ----------
+    radius : (bins, p, m), or (bins,) with one output and one control, or a number
+        Of the discs, in the units of G; see ``radius_of_coherence``.
+    cost : {"nominal", "worst"}
+        "worst" minimises the cost of the worst plant instead of that of the given response: for costs y'S u + u'R u
+        of one control, such as absorbed power.
+
+    Raises
+    ------
+    ProblemError
+        If a radius is negative or not a number; what does not fit a problem is found with it.
+
+    Notes
+    -----
+    Real plants are causal and smooth over frequency, so that the true worst case may be less. ``docs/robust.md`` has
+    the theorem.
+
+    Examples
+    --------
+    >>> problem = lfo.library.wave_energy(horizon=100, force=1000.0)
+    >>> problem = replace(problem, state_set=lfo.Box(-0.24, 0.24))
+    >>> discs = lfo.Discs(0.05 * np.abs(problem.dynamics.G))
+    >>> found = lfo.solve(lfo.robust(problem, discs))
+    >>> found.status, bool(lfo.worst_case(problem, discs, found))
+    ('optimal', True)
+    """
+
+    def __init__(self, radius: ArrayLike, cost: Literal["nominal", "worst"] = "nominal"):
+        self.radius = real_array("discs.radius", radius)
+        if self.radius.ndim not in (0, 1, 3) or (self.radius < 0).any():
+            got = brief(radius) if self.radius.ndim in (0, 1, 3) else f"shape {self.radius.shape}"
+            raise ProblemError("discs.radius", got, "radii of shape (bins, p, m), zero or above")
+        if cost not in ("nominal", "worst"):
+            raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
+        self.cost = cost
+
+    def radii(self, problem: OptimalControlProblem) -> Array:
+        """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
+        plant = problem.dynamics
+        if not isinstance(plant, FrequencyResponse):
+            expected, advice = "a FrequencyResponse", "Loads of a LinearDynamics are lfo.Disturbance."
+            raise ProblemError("dynamics", type(plant).__name__, f"{expected}, with Discs", advice)
+        shape, given = plant.G.shape, self.radius
+        given = given[:, None, None] if given.ndim == 1 and shape[1:] == (1, 1) else given
+        if given.shape not in ((), shape):
+            raise ProblemError("discs.radius", f"shape {given.shape}", f"shape {shape}, that of G, or one number")
+        return np.broadcast_to(given, shape)
+
+    def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
+        """Return the fields with the limits of all plants; see ``robust``."""
+        radius = self.radii(problem)
+        if end is not None:
+            raise UnsupportedError("end: got 'invariant' with Discs; expected None, or a Disturbance.")
+        if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
+            got = "cost, stage_rows: got norms or formulas"
+            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
+        n, wide = problem.state_dim, problem
+        if self.cost == "worst":
+            wide, radius = _with_worst_cost(problem, radius), np.pad(radius, ((0, 0), (0, 1), (0, 0)))
+        fixed = [end.fixed.any() for end in problem.ends]
+        soft = [term.hard or term.map.stage_form(n, problem.control_dim) is None for term in problem.terms]
+        kept = {
+            "fixed and linked ends": any(fixed) or bool(problem.terminal_state.links(n, problem.horizon)),
+            "soft limits": not all(soft),
+            "limits of spectra of outputs": bool(problem.state_spectrum or problem.output_spectrum),
+        }
+        if any(kept.values()):
+            named = join_words([words for words, there in kept.items() if there])
+            text = f"robust: {named} hold for the plan. lfo.worst_case says what other plants do to them."
+            warn_user(text, ClosedLoopWarning)
+        found = _limits_of_all(wide, radius)
+        same = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
+        return same | {"output_spectrum": [*entries_of(wide.output_spectrum), *found] or None}
+
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+        """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
+        radius, T = self.radii(problem), problem.horizon
+        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
+        assert trajectory is not None  # worst_case checks it
+        u, limits, leaks = trajectory.u, list[Worst](), list[Worst]()
+        if u.shape != (T, problem.control_dim):
+            raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
+        nominal, size = simulate(problem, u), np.abs(_spectrum(problem, u))
+        margin = np.einsum("k,kij,kj->i", _weights(problem), radius, size)
+        closed = problem.response is not None and problem.response.closed
+        for rows in hard_rows(problem, True, margin > 0):
+            for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
+                other = _worst_plant(problem, radius, u, c, one.index)
+                under = simulate(replace(problem, dynamics=other), u)
+                value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
+                limits.append(replace(one, attained=one.sign * value, trajectory=under, plant=other.G))
+        for name, spectrum, levels in limited_spectra(problem):
+            of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
+            if of_x.any() and not closed:
+                raise UnsupportedError(f"{name}: got a spectrum of a zero-padded response; expected a periodic one.")
+            levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
+            planned = np.abs(bin_values(spectrum, nominal))
+            added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else 0 * planned
+            judged = not np.isnan(levels).any()
+            k = int(np.argmin(levels - planned - added) if judged else np.argmax(added))
+            values = (float(part[k]) for part in (planned, added, levels))
+            one = Worst(name, int(spectrum.bins[k]), *values, size=float(planned[k] + added[k]), in_spectrum=True)
+            if judged or of_x.any():
+                (limits if judged else leaks).append(one)
+        largest = number(float(radius.max(initial=0.0)), 3)
+        return WorstCase(f"every plant within discs of radii up to {largest}; u = v", tuple(limits), tuple(leaks))
+
+
+def radius_of_coherence(
+    G: ArrayLike, coherence: ArrayLike, averages: int, confidence: float = 0.95, bins: int = 1
+) -> Array:
+    """Return the radii of discs that contain a measured response with a probability, at all of so many bins together.
+
+    For the estimate Gxy / Gxx of independent records and Gaussian noise at the output this is exact, whatever the
+    input: |G - Ghat|^2 <= |Ghat|^2 (1 - c)/c (a^(-1/(averages - 1)) - 1) with a = (1 - confidence)/bins, a quantile of
+    an F distribution with 2 and 2 averages - 2 degrees of freedom.
+
+    Parameters
+    ----------
+    G : (k,) or (k, p, m) complex
+        The estimate.
+    coherence : as G
+        c of each, above 0 and at most 1.
+    averages : int
+        Independent records, at least 2; overlapping segments count less than their number.
+    confidence : float
+        Probability that the discs contain the response, between 0 and 1.
+    bins : int
+        Over how many bins at once.
+
+    Raises
+    ------
+    ProblemError
+        If an argument does not fit its description.
+
+    References
+    ----------
+    Bendat and Piersol, "Random Data", chapter 9.
+
+    Examples
+    --------
+    >>> np.round(lfo.radius_of_coherence([1.0, 2.0], [0.9, 0.99], averages=16, confidence=0.9), 4).tolist()
+    [0.1356, 0.0818]
+    """
+    estimate, c = complex_array("G", G), real_array("coherence", coherence)
+    count, number_of_bins = positive_integer("averages", averages), positive_integer("bins", bins)
+    if c.shape != estimate.shape or not ((c > 0) & (c <= 1)).all():
+        got = brief(coherence) if c.shape == estimate.shape else f"shape {c.shape}"
+        raise ProblemError("coherence", got, f"shape {estimate.shape}, above 0 and at most 1")
+    if count < FEWEST_AVERAGES:
+        raise ProblemError("averages", brief(averages), f"at least {FEWEST_AVERAGES}")
+    if not 0 < positive_number("confidence", confidence) < 1:
+        raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1")
+    surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (count - 1))
+    return np.abs(estimate) * np.sqrt((1 - c) / c * surplus)
+
+
+class DiscLimits(FrequencyConstraint):
+    """Limits on linear outputs at each time, for every plant of discs: rows with norms of bins of the controls.
+
+    Parameters
+    ----------
+    limits : (samples, outputs)
+        Upper limits; infinite where there is none.
+    radii : (outputs, bins, controls)
+        By how much one unit of |uhat_kj| moves the output at most.
+    record : int
+        N, of the spectra of controls.
+    """
+
+    label = "limits for every plant"
+
+    def __init__(self, limits: Array, radii: Array, record: int):
+        self.limits, self.radii, self.record = limits, radii, record
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return the constraint in words."""
+        return f"{plural(int(np.isfinite(self.limits).sum()), 'limit')} of outputs for every plant of the discs"
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield the only term."""
+        of_x, of_u = (itertools.repeat(None) if part is None else part[:, None] for part in (signal.C, signal.D))
+        times = [np.flatnonzero(np.isfinite(limits)) for limits in self.limits.T]
+        rows = [StageMap(own, C, D, np.zeros(1)) for own, C, D in zip(times, of_x, of_u, strict=False)]
+        kinds, kind = np.unique(self.radii, axis=0, return_inverse=True)
+        bins = [np.flatnonzero(used) for used in kinds.any(axis=0).T]
+        window, units = np.ones(signal.length - (signal.D is None)), np.eye(len(bins))
+        spectra = [SpectrumMap(None, row, window, self.record, own) for row, own in zip(units, bins, strict=True)]
+        share = np.hstack([kinds[:, own, j] for j, own in enumerate(bins)])
+        counts = [len(own) for own in times]
+        norm_rows = NormRows(self.limits.T[np.isfinite(self.limits.T)], share, np.repeat(kind.ravel(), counts))
+        yield Term(self.label, signal.kind, JoinedMap((*rows, *spectra)), norm_rows, source)
+
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+        """Return itself: it is on outputs."""
+        return [self]
+
+
+def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[OutputSpectrum]:
+    """Return the hard limits of outputs, for every plant; none without such limits."""
+    response, T = problem.response, problem.horizon
+    assert response is not None  # radii requires it
+    found, weights = list[OutputSpectrum](), _weights(problem)
+    for one in hard_rows(problem, True, np.ones(problem.state_dim, dtype=bool)):
+        limits = one.limits.copy()
+        if response.closed:  # the last state is the first
+            limits[0], limits[T] = np.minimum(limits[0], limits[T]), np.inf
+        if one.C.ndim == 3:
+            raise UnsupportedError(f"{one.term}: got rows that depend on time, with Discs; expected constant ones.")
+        used = np.flatnonzero(one.C.any(axis=1) & np.isfinite(limits).any(axis=0))
+        if len(used):
+            C, D = one.C[used], one.D[used] if one.D.any() else None
+            radii = np.einsum("k,oi,kij->okj", weights, np.abs(C), radius)
+            limited = DiscLimits(limits[: T + (D is None), used], radii, response.record)
+            found.append(OutputSpectrum(C, D, limited, [one.names[i] for i in used]))
+    return found
+
+
+def _with_worst_cost(problem: OptimalControlProblem, radius: Array) -> OptimalControlProblem:
+    """Return the problem with the cost of its worst plant: the products of controls and a further output.
+
+    The mean of y'S u of one control is largest for the plant G + radius sign(S): convex, if the given cost is.
+    """
+    cost, plant = problem.quadratic, problem.dynamics
+    if cost.Q.any() or cost.P.any() or cost.q.any() or cost.p.any() or cost.S.ndim == 3 or problem.control_dim > 1:
+        expected = "y'S u + u'R u + r'u of one control, such as absorbed power"
+        raise UnsupportedError(f"discs.cost: got 'worst' with another cost; expected {expected}.")
+    assert isinstance(plant, FrequencyResponse)  # radii requires it
+    worst = FrequencyResponse(
+        np.einsum("ij,kij->kj", np.abs(cost.S), radius)[:, None], plant.sampling_time, mode=plant.mode
+    )
+    both = plant.stacked([plant, worst], [*plant.state_names, WORST_POWER], problem.horizon)
+    free = np.full(1, np.inf)
+    wide = augment_states(problem, both, Box(-free, free), -free, cost)
+    return replace(wide, cost=replace(wide.quadratic, S=np.vstack([cost.S, np.ones((1, 1))])))
+
+
+def _weights(problem: OptimalControlProblem) -> Array:
+    """Return w_k / N, (bins,)."""
+    response = problem.response
+    assert response is not None  # radii requires it
+    return response.weight / response.record
+
+
+def _spectrum(problem: OptimalControlProblem, u: Array) -> ComplexArray:
+    """Return the spectrum of controls over the record, (bins, m)."""
+    response = problem.response
+    assert response is not None  # radii requires it
+    return np.fft.rfft(u, n=response.record, axis=0)
+
+
+def _worst_plant(problem: OptimalControlProblem, radius: Array, u: Array, c: Array, t: int) -> FrequencyResponse:
+    """Return the plant of the discs for which c'y_t is largest: every bin adds to it with the same sign."""
+    plant, response = problem.dynamics, problem.response
+    assert isinstance(plant, FrequencyResponse)
+    assert response is not None
+    spectrum, k = _spectrum(problem, u), np.arange(len(radius))
+    turned = np.conj(spectrum) * np.exp(-2j * np.pi * (k * t % response.record) / response.record)[:, None]
+    size = np.abs(turned)
+    phase = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 1.0)
+    real = response.weight == 1
+    phase[real] = np.where(phase[real].real >= 0, 1.0, -1.0)
+    return replace(plant, G=plant.G + np.sign(c)[:, None] * radius * phase[:, None, :])
