@@ -54,7 +54,7 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
 def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterator[tuple[Array, Array, float]]:
     """Yield gradients on x and u, and the wanted change, of stopped bins of states, and of hard terms at their limits.
 
-    The gradient of a term is that of its excess.
+    The gradient of a term is that of its excess. Values at a kink of it, such as zeros in a norm, become zero.
     """
     for j, stop in enumerate(problem.state_stop.T):
         for wave in real_rows(problem.state_samples, stop) if stop.any() else ():
@@ -66,12 +66,23 @@ def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterato
         excess, dim, largest = penalty.excess(values), values.shape[1], np.abs(values).max(axis=0, initial=0.0)
         near = HELD_DISTANCE * (largest if excess.shape[1] == dim else largest.max())
         active = np.argwhere(np.isinf(penalty.weights) & (excess >= -near))
-        if len(active) and dim * values.size <= MOST_ROW_ENTRIES:
-            slopes = [penalty.excess_slope(values, np.broadcast_to(unit, values.shape), 0.0) for unit in np.eye(dim)]
-            for group, k in active:
+        if not len(active) or dim * values.size > MOST_ROW_ENTRIES:
+            continue
+        at = np.where(np.abs(values) <= HELD_DISTANCE * term.map.sizes(x, u), 0.0, values)
+        up, down = (
+            np.array([penalty.excess_slope(at, np.broadcast_to(unit, at.shape), 0.0) for unit in units])
+            for units in (np.eye(dim), -np.eye(dim))
+        )
+        kinked, slopes = up + down > 0, np.where(up + down > 0, 0.0, up)
+        wanted = {(group, k): -max(float(excess[group, k]), 0.0) for group, k in active.tolist()}
+        rows = [(group, slopes[:, group, k], change) for (group, k), change in wanted.items()]
+        at_kinks = {(group, i) for group, k in wanted for i in np.flatnonzero(kinked[:, group, k]).tolist()}
+        rows += [(group, np.eye(1, dim, i)[0], -float(values[group, i])) for group, i in sorted(at_kinks)]
+        for group, row, change in rows:
+            if row.any():
                 weights = np.zeros_like(values)
-                weights[group] = [slope[group, k] for slope in slopes]
-                yield *term.map.pull_back(weights, (x.shape, u.shape)), -max(float(excess[group, k]), 0.0)
+                weights[group] = row
+                yield *term.map.pull_back(weights, (x.shape, u.shape)), change
 
 
 class _Repair:

@@ -206,7 +206,9 @@ class LimitRows:
         sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
         planned = self.values(x, u)
         for i in np.flatnonzero(np.isfinite(self.limits).any(axis=0)).tolist():
-            t = int(np.argmin((self.limits - planned - margins)[:, i]))
+            violations = (planned + margins - self.limits)[:, i]
+            t = int(violations.argmax())
+            t = int(np.argmax(violations >= violations[t] - SAME * sizes[t, i]))  # the first: rounding decides no tie
             c, d = (part[i] if part.ndim == 2 else part[t, i] for part in (self.C, self.D))
             sign = 1 if self.signs is None else int(self.signs[i])
             plan, limit = (float(sign * part[t, i]) for part in (planned, self.limits))
