@@ -22,39 +22,51 @@ from lin_freq_ocp.methods.structured.kkt.recursions import break_times, simulate
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON
 from lin_freq_ocp.program.program_rows import real_rows
 
 HELD_DISTANCE = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
 PIECE_GROWTH = 1e6  # of states between breaks; the square of the digits that it costs must be left
+SURPLUSES = 0.0, 1.0, 1.0  # of the excess of terms that a change corrects: norms near zero are not linear in it
 MOST_ROW_ENTRIES = 1e7  # of the rows as signals, and of the slopes of a term
 
 
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
     """Return the repaired trajectory, whose states and controls are within their bounds exactly; None without one.
 
-    None, too, if the repaired trajectory violates a term by more than ROW_ULPS rounding errors of its values. A
+    None, too, if the repaired trajectory, once more repaired, violates a term by more than ROW_ULPS rounding errors of its values. A
     semi-infinite constraint is exceeded between its points; the judge finds by how much.
     """
     states, controls = problem.state_tube, problem.control_tube
-    repair = _Repair(problem, states.project(trajectory.x), controls.project(trajectory.u))
-    entries = repair.count**2 + repair.on_x * (repair.x.size + repair.u.size)
-    change = repair.solve() if entries <= MOST_ROW_ENTRIES else None
-    if change is None:
-        return None
-    moved = repair.x + change[0], repair.u + change[1]
-    x, u = states.project(moved[0]), controls.project(moved[1])
-    beyond = ((x != moved[0]) & ~repair.held_states).any() or ((u != moved[1]) & ~repair.held).any()
-    hard = (term for term in problem.terms if term.hard and term.semi_infinite is None)
-    exceeded = (term.violation(x, u) > ROW_ULPS * EPSILON * term.map.sizes(x, u) for term in hard)
-    return None if beyond or any(map(np.any, exceeded)) else Trajectory(seal(x), seal(u))
+    hard, x, u = (
+        [term for term in problem.terms if term.hard and term.semi_infinite is None],
+        trajectory.x,
+        trajectory.u,
+    )
+    for surplus in SURPLUSES:
+        repair = _Repair(problem, states.project(x), controls.project(u), surplus)
+        entries = repair.count**2 + repair.on_x * (repair.x.size + repair.u.size)
+        change = repair.solve() if entries <= MOST_ROW_ENTRIES else None
+        if change is None:
+            return None
+        moved = repair.x + change[0], repair.u + change[1]
+        x, u = states.project(moved[0]), controls.project(moved[1])
+        if ((x != moved[0]) & ~repair.held_states).any() or ((u != moved[1]) & ~repair.held).any():
+            return None
+        exceeded = (term.violation(x, u) > ROW_ULPS * EPSILON * term.map.sizes(x, u) for term in hard)
+        if not any(map(np.any, exceeded)):
+            return Trajectory(seal(x), seal(u))
+    return None
 
 
-def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterator[tuple[Array, Array, float]]:
+def _coupled_rows(
+    problem: OptimalControlProblem, x: Array, u: Array, surplus: float
+) -> Iterator[tuple[Array, Array, float]]:
     """Yield gradients on x and u, and the wanted change, of stopped bins of states, and of hard terms at their limits.
 
-    The gradient of a term is that of its excess. Values at a kink of it, such as zeros in a norm, become zero.
+    The gradient of a term is that of its excess.
     """
     for j, stop in enumerate(problem.state_stop.T):
         for wave in real_rows(problem.state_samples, stop) if stop.any() else ():
@@ -66,23 +78,29 @@ def _coupled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Iterato
         excess, dim, largest = penalty.excess(values), values.shape[1], np.abs(values).max(axis=0, initial=0.0)
         near = HELD_DISTANCE * (largest if excess.shape[1] == dim else largest.max())
         active = np.argwhere(np.isinf(penalty.weights) & (excess >= -near))
-        if not len(active) or dim * values.size > MOST_ROW_ENTRIES:
-            continue
-        at = np.where(np.abs(values) <= HELD_DISTANCE * term.map.sizes(x, u), 0.0, values)
-        up, down = (
-            np.array([penalty.excess_slope(at, np.broadcast_to(unit, at.shape), 0.0) for unit in units])
-            for units in (np.eye(dim), -np.eye(dim))
-        )
-        kinked, slopes = up + down > 0, np.where(up + down > 0, 0.0, up)
-        wanted = {(group, k): -max(float(excess[group, k]), 0.0) for group, k in active.tolist()}
-        rows = [(group, slopes[:, group, k], change) for (group, k), change in wanted.items()]
-        at_kinks = {(group, i) for group, k in wanted for i in np.flatnonzero(kinked[:, group, k]).tolist()}
-        rows += [(group, np.eye(1, dim, i)[0], -float(values[group, i])) for group, i in sorted(at_kinks)]
-        for group, row, change in rows:
-            if row.any():
+        if len(active) and dim * values.size <= MOST_ROW_ENTRIES:
+            at_zero = np.abs(values) <= HELD_DISTANCE * term.map.sizes(x, u)
+            slopes = _slopes(penalty, values, np.where(at_zero, 0.0, values))
+            for group, k in active:
                 weights = np.zeros_like(values)
-                weights[group] = row
+                weights[group] = slopes[:, group, k]
+                change = -(1 + surplus) * max(float(excess[group, k]), 0.0)
                 yield *term.map.pull_back(weights, (x.shape, u.shape)), change
+
+
+def _slopes(penalty: Penalty, values: Array, rounded: Array) -> Array:
+    """Return the slopes of the excess by each component, (dim, groups, entries).
+
+    They are zero by components of rounded values at which the excess has a kink: no change lowers a norm at zero. Where
+    that leaves nothing, they are those at the values.
+    """
+    units, shape = np.eye(values.shape[1]), values.shape
+    up, down, own = (
+        np.array([penalty.excess_slope(v, np.broadcast_to(sign * unit, shape), 0.0) for unit in units])
+        for v, sign in ((rounded, 1.0), (rounded, -1.0), (values, 1.0))
+    )
+    smooth = np.where(up + down > 0, 0.0, up)
+    return np.where(smooth.any(axis=0), smooth, own)
 
 
 class _Repair:
@@ -93,7 +111,7 @@ class _Repair:
     other held controls do not change. The outputs of a frequency response have no breaks.
     """
 
-    def __init__(self, problem: OptimalControlProblem, x: Array, u: Array):
+    def __init__(self, problem: OptimalControlProblem, x: Array, u: Array, surplus: float):
         self.x, self.u, self.stop, (T, n) = x, u, problem.control_stop, (len(u), x.shape[1])
         self.held_states, self.held = _at_bounds(problem.state_tube, x), _at_bounds(problem.control_tube, u)
         self.held_states[0] = False  # no row holds x_0: it does not change, or is x_T
@@ -106,7 +124,7 @@ class _Repair:
             self.A, self.B, self.breaks = np.zeros((1, n, n)), np.zeros((n, u.shape[1])), np.arange(0)
             self.residual += self.response.states(u) - x
         self.states, self.controls = np.nonzero(self.held_states), np.nonzero(self.held & self.banded)
-        rows = list(islice(_coupled_rows(problem, x, u), int(MOST_ROW_ENTRIES / (x.size + u.size)) + 1))
+        rows = list(islice(_coupled_rows(problem, x, u, surplus), int(MOST_ROW_ENTRIES / (x.size + u.size)) + 1))
         self.of_x = np.array([row[0] for row in rows]).reshape(-1, *x.shape)
         self.of_u = np.array([row[1] for row in rows]).reshape(-1, *u.shape)
         self.starts = len(self.breaks) * n
