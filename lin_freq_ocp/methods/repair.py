@@ -36,8 +36,8 @@ MOST_ROW_ENTRIES = 1e7  # of the rows as signals, and of the slopes of a term
 def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) -> Trajectory | None:
     """Return the repaired trajectory, whose states and controls are within their bounds exactly; None without one.
 
-    None, too, if the repaired trajectory, once more repaired, violates a term by more than ROW_ULPS rounding errors of its values. A
-    semi-infinite constraint is exceeded between its points; the judge finds by how much.
+    None, too, if the repaired trajectory, repaired again, violates a term by more than ROW_ULPS rounding errors of its
+    values. A semi-infinite constraint is exceeded between its points; the judge finds by how much.
     """
     states, controls = problem.state_tube, problem.control_tube
     hard, x, u = (

@@ -16,6 +16,7 @@ from scipy.sparse.linalg import splu
 from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.linear_program import LinearProgram
+from lin_freq_ocp.program.passed_bins import response_basis
 from lin_freq_ocp.program.program import Block, Program, Scaling, regularised_kkt, scale_matrix
 from lin_freq_ocp.transform.sizes import stated_sizes
 
@@ -147,10 +148,24 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     program, problem = linear.sparse, linear.problem
     if not program.P.nnz and program.q.any():  # without curvature, the minimum is unbounded
         return guess
+    columns = linear.column_units(*guess)[: linear.signals]
+    z = _relaxed_response(linear, columns) if problem.response is not None else _relaxed_signals(linear, columns)
+    if z is None:
+        return guess
+    z = np.nan_to_num(z * columns, nan=0.0, posinf=0.0, neginf=0.0)
+    x, u = (signal.max(0) for signal in linear.split_signals(np.abs(z)))
+    # bounds cap the sizes: they say what is allowed, not what happens
+    widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
+    x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
+    x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
+    return x, u
+
+
+def _relaxed_signals(linear: LinearProgram, columns: Array) -> Array | None:
+    """Return the optimum in units ``columns``, (signals,); None if the equations are singular."""
+    program, signals = linear.sparse, linear.signals
     keep = np.flatnonzero(program.equality)
     keep = keep[keep < program.rows[Block.CONTROL_SET].stop]
-    signals = linear.signals
-    columns = linear.column_units(*guess)[:signals]
     P = scale_matrix(program.P[:signals, :signals], columns, columns)
     A = scale_matrix(program.A[keep][:, :signals], np.ones(len(keep)), columns)
     row_units = 1.0 / _row_norms(A)
@@ -160,16 +175,19 @@ def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tu
     kkt = regularised_kkt(P, A, HESSIAN_REGULARISATION, ROW_REGULARISATION)
     right = np.concatenate([-columns * program.q[:signals] / mean, row_units * program.lower[keep]])
     try:
-        z = splu(kkt).solve(right)
+        return splu(kkt).solve(right)[:signals]
     except RuntimeError:  # exactly singular
-        return guess
-    z = np.nan_to_num(z[: len(columns)] * columns, nan=0.0, posinf=0.0, neginf=0.0)
-    x, u = (signal.max(0) for signal in linear.split_signals(np.abs(z)))
-    # bounds cap the sizes: they say what is allowed, not what happens
-    widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
-    x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
-    x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
-    return x, u
+        return None
+
+
+def _relaxed_response(linear: LinearProgram, columns: Array) -> Array:
+    """Return the optimum of a frequency response in units ``columns``, (signals,): that of its passed bins."""
+    program, signals = linear.sparse, linear.signals
+    P = scale_matrix(program.P[:signals, :signals], columns, columns)
+    start, N = response_basis(linear, columns)
+    H, slope = N.T @ (P @ N), N.T @ (P @ start + columns * program.q[:signals])
+    mean = float(np.trace(H)) / max(len(H), 1) or 1.0
+    return start - N @ np.linalg.solve(H + HESSIAN_REGULARISATION * abs(mean) * np.eye(len(H)), slope)
 
 
 def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
