@@ -78,7 +78,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.transform.filtered_control import filtered_control
     from lin_freq_ocp.transform.reformulations import rate_limited
     from lin_freq_ocp.transform.simulation import simulate
-    from lin_freq_ocp.uncertainty import Disturbance, Plants, robust, worst_case
+    from lin_freq_ocp.uncertainty import Discs, Disturbance, Plants, robust, worst_case
 
 __version__ = "0.1.0"
 
@@ -110,7 +110,7 @@ _names, _import_name = lazy_exports(__name__, {
     "transform.reformulations": "rate_limited", "transform.simulation": "simulate", "results": "Trajectory",
     "sets": "Box FiniteSet Periodic StageRows", "solvers": "SpectralSolver", "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
-    "uncertainty": "Disturbance Plants robust worst_case",
+    "uncertainty": "Discs Disturbance Plants robust worst_case",
 })
 # fmt: on
 
@@ -118,14 +118,15 @@ register_later(lambda: import_module("lin_freq_ocp.solving.hybrid"))  # what has
 
 # fmt: off
 __all__ = [
-    "AffineMode", "Box", "DifferentiableFunction", "Disturbance", "FiniteSet", "FrequencyResponse", "LinearDynamics",
-    "MagnitudeBound", "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics",
-    "Plants", "QuadraticCost", "RecedingHorizon", "ResidualVibration", "Solver", "SpectralSolver", "StageRows",
-    "Trajectory", "certify", "certify_log", "compare", "costs", "dynamics", "errors", "explain", "filtered_control",
-    "formulas", "from_casadi", "from_time_response", "generate", "io", "library", "load", "load_run", "load_sweep",
-    "low_pass", "maximum", "minimum", "minimum_time", "norm", "rate_limited", "read_csv", "read_mat", "read_problem",
-    "results", "robust", "sets", "shaper", "signals", "simulate", "solve", "solve_many", "solvers", "spectrum",
-    "stop_band", "sweep", "to_cvxpy", "to_jax", "to_torch", "uncertainty", "worst_case", "write_problem",
+    "AffineMode", "Box", "DifferentiableFunction", "Discs", "Disturbance", "FiniteSet", "FrequencyResponse",
+    "LinearDynamics", "MagnitudeBound", "OptimalControlProblem", "Periodic", "PiecewiseAffineDynamics",
+    "PiecewiseSmoothDynamics", "Plants", "QuadraticCost", "RecedingHorizon", "ResidualVibration", "Solver",
+    "SpectralSolver", "StageRows", "Trajectory", "certify", "certify_log", "compare", "costs", "dynamics", "errors",
+    "explain", "filtered_control", "formulas", "from_casadi", "from_time_response", "generate", "io", "library", "load",
+    "load_run", "load_sweep", "low_pass", "maximum", "minimum", "minimum_time", "norm", "rate_limited", "read_csv",
+    "read_mat", "read_problem", "results", "robust", "sets", "shaper", "signals", "simulate", "solve", "solve_many",
+    "solvers", "spectrum", "stop_band", "sweep", "to_cvxpy", "to_jax", "to_torch", "uncertainty", "worst_case",
+    "write_problem",
 ]
 # fmt: on
 

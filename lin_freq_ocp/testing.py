@@ -317,4 +317,5 @@ def _total_violation(problem: lfo.OptimalControlProblem, x: Array, u: Array) -> 
 
 
 def _of_kind(problem: lfo.OptimalControlProblem, kind: TermKind) -> list[Term]:
-    return [term for term in problem.terms if term.kind == kind and term.name != RATE_LIMIT]
+    implied = {id(term) for term in problem.terms if term.kind.is_link and term.source is None}  # by the dynamics
+    return [term for term in problem.terms if term.kind == kind and term.name != RATE_LIMIT and id(term) not in implied]

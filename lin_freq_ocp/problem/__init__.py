@@ -9,9 +9,10 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "dynamics.measured": "read_response",
     "measures": "Measures measure one_step_residual padded_spectrum", "problem_data": "replace_fields",
     "sets.base": "ConvexSet Part", "sets.box": "end_within", "spectrum.bands": "Band stopped_bins time_signal",
-    "spectrum.base": "FrequencyConstraint", "terms.maps": "AffineMap MatrixMap OutputMap StageMap SumMap",
+    "spectrum.base": "FrequencyConstraint", "terms.maps": "AffineMap JoinedMap MatrixMap OutputMap StageMap SumMap",
     "terms.penalties": "HalfSpaces LargestExcess NormBall StandardCone Within", "terms.term": "Term TermKind",
-    "terms.penalty": "ConicForm HARD Penalty", "terms.spectrum_maps": "FrequencyMap SpectrumMap",
+    "terms.norm_rows": "NormRows", "terms.penalty": "ConicForm HARD Penalty",
+    "terms.spectrum_maps": "FrequencyMap SpectrumMap",
     "terms.semi_infinite": "Limits MagnitudeMask VibrationLimit VibrationMap ZeroOrderHoldMap ZeroOrderHoldMask "
     "limits_on peaks_above",
     "trajectory": "Extremals",

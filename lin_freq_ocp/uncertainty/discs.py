@@ -194,7 +194,7 @@ def radius_of_coherence(
 
     Examples
     --------
-    >>> np.round(lfo.radius_of_coherence([1.0, 2.0], [0.9, 0.99], averages=16, confidence=0.9), 4).tolist()
+    >>> np.round(lfo.uncertainty.radius_of_coherence([1.0, 2.0], [0.9, 0.99], averages=16, confidence=0.9), 4).tolist()
     [0.1356, 0.0818]
     """
     estimate, c = complex_array("G", G), real_array("coherence", coherence)

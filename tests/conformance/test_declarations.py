@@ -19,37 +19,43 @@ USER = "users do not state it"
 
 BATCHES = {  # the judge of many plans takes the other terms at once
     "LargestExcess": "its judge looks at the frequencies between the samples of each trajectory",
+    "NormRows": "the batch judge is for boxes, rows and bands",
     "NormBall": "the batch judge is for boxes, rows and bands",
     "StandardCone": "the batch judge is for boxes, rows and bands",
     "Within": "the batch judge is for boxes, rows and bands",
 }
 BATCHES_OF_MAPS = dict.fromkeys(
-    ("FormulaMap", "FrequencyMap", "SpectrumMap", "SumMap", "VibrationMap", "ZeroOrderHoldMap"),
+    ("FormulaMap", "FrequencyMap", "JoinedMap", "SpectrumMap", "SumMap", "VibrationMap", "ZeroOrderHoldMap"),
     "the batch judge is for values of single times",
 )
 ONE_PENALTY_A_TIME = {
     "LargestExcess": "its value belongs to all frequencies at once",
+    "NormRows": "its norms belong to all times at once",
     "Within": "its set, a user's class, may be another one at each time",
 }
 NO_PRICE_OF_LIMITS = {
+    "NormRows": "its limits are those of other fields, less margins",
     "StandardCone": "its bound is a part of the values",
     "Within": "its set, a user's class, says nothing of its limits",
 }
 SLOW_MAPS = {
     "FormulaMap": "it is not affine",
     "FrequencyMap": "its frequencies are no bins of the record",
+    "JoinedMap": "its parts have other forms",
     "SumMap": "its parts have other forms",
     "VibrationMap": "its modes are no bins of the record",
     "ZeroOrderHoldMap": "its frequencies reach above the Nyquist frequency",
 }
 WITHOUT_FREQUENCIES = {
     "FormulaMap": "its values belong to times",
+    "JoinedMap": "its values belong to times and bins",
     "StageMap": "its values belong to times",
     "SumMap": "a sum over times has no frequency",
 }
 WITHOUT_CONSTANTS = {
     "FormulaMap": "it is not affine",
     "FrequencyMap": "it has no past",
+    "JoinedMap": "no loop has it",
     "StageMap": "its rows are computed in a moment",
     "SumMap": "its rows are computed in a moment",
     "VibrationMap": "it has no past",

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.instances import classes_of
-from helpers.instances.penalties import DIM, GROUPS, HARD_KINDS, KINDS, OF_ONE_GROUP, SOFT_KINDS, h, inside, normal
+from helpers.instances.penalties import DIM, HARD_KINDS, KINDS, OF_ONE_GROUP, SOFT_KINDS, h, inside, normal
 from helpers.seeds import examples, seeds
 from lin_freq_ocp.problem import HARD, ConicForm, NormBall, Penalty, Within
 from lin_freq_ocp.program import Claim, Program, backend
@@ -22,7 +22,7 @@ quick = settings(max_examples=examples(60), deadline=None, derandomize=True)
 
 def sample(name: str, seed: int) -> tuple[Penalty, np.ndarray, np.random.Generator]:
     rng = np.random.default_rng(seed)
-    return KINDS[name].make(rng), 2 * rng.standard_normal((GROUPS, DIM)), rng
+    return KINDS[name].make(rng), 2 * rng.standard_normal(KINDS[name].shape), rng
 
 
 def test_every_class_of_the_package_is_here():
@@ -60,11 +60,11 @@ def test_values_and_slopes_are_those_of_the_definition(name, seed):
 @quick
 def test_the_gap_is_that_of_fenchel_and_young(name, seed, eta_C):
     """h(v) + h*(lambda) - <lambda, v> is never negative, and bounds what any other point gains."""
-    penalty, _, rng = sample(name, seed)
-    multipliers = penalty.subgradient(2 * rng.standard_normal((GROUPS, DIM)), eta_C)
+    penalty, v, rng = sample(name, seed)
+    multipliers = penalty.subgradient(2 * rng.standard_normal(v.shape), eta_C)
     np.testing.assert_allclose(penalty.subgradient(multipliers, eta_C), multipliers, rtol=1e-14, atol=1e-15)
     assert eta_C or penalty.hard or not multipliers.any()
-    v, w = (inside(penalty, scale * rng.standard_normal((GROUPS, DIM))) for scale in (2.0, rng.choice([0.1, 1, 10])))
+    v, w = (inside(penalty, scale * rng.standard_normal(v.shape)) for scale in (2.0, rng.choice([0.1, 1, 10])))
     gap = penalty.gap(v, multipliers, eta_C)
     assert (gap >= -1e-12).all()
     gain = eta_C * (penalty.cost(v).sum() - penalty.cost(w).sum()) + (multipliers * (w - v)).sum()
@@ -107,7 +107,7 @@ def test_the_conic_form_has_the_value_as_its_minimum(name):
     """The least price of slacks is found by Clarabel; the least slacks that the class states have the same price."""
     for seed in seeds(range(6)):
         penalty, v, _ = sample(name, seed)
-        form, price = penalty.conic(GROUPS, DIM), h(penalty, v)
+        form, price = penalty.conic(*v.shape), h(penalty, v)
         assert least_price(form, v) == pytest.approx(price, abs=1e-6)
         assert least_price(form, inside(penalty, v)) < np.inf
         assert penalty.hard or form.prices @ penalty.least_slacks(v) == pytest.approx(price, abs=1e-12)

@@ -9,7 +9,16 @@ from functools import singledispatch
 import numpy as np
 
 from helpers.own_kinds import Changes
-from lin_freq_ocp.problem import AffineMap, FrequencyMap, SpectrumMap, StageMap, SumMap, VibrationMap, ZeroOrderHoldMap
+from lin_freq_ocp.problem import (
+    AffineMap,
+    FrequencyMap,
+    JoinedMap,
+    SpectrumMap,
+    StageMap,
+    SumMap,
+    VibrationMap,
+    ZeroOrderHoldMap,
+)
 
 N, M = 3, 2
 DIM = 4
@@ -96,6 +105,7 @@ MAPS: dict[str, Callable[[np.random.Generator, int], AffineMap]] = {
     "spectrum": spectrum_map,
     "joint spectrum": lambda rng, T: spectrum_map(rng, T, joint=True),
     "windows": windowed_map,
+    "joined": lambda rng, T: JoinedMap((stage_map(rng, T), spectrum_map(rng, T), both_ends(rng, T))),
     "joint windows": lambda rng, T: windowed_map(rng, T, joint=True),
     "frequencies": frequency_map,
     "zero-order hold": held_map,
@@ -122,6 +132,11 @@ def _(one: StageMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 @plain_values.register
 def _(one: SumMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return one.constant + sum(plain_values(stage, x, u).sum(0) for stage in one.stages)[None]
+
+
+@plain_values.register
+def _(one: JoinedMap, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    return np.concatenate([plain_values(part, x, u).ravel() for part in one.parts])[None]
 
 
 @plain_values.register

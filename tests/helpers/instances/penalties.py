@@ -9,9 +9,9 @@ from functools import singledispatch
 import numpy as np
 
 from helpers.own_kinds import WeightedMax
-from lin_freq_ocp.problem import HARD, HalfSpaces, LargestExcess, NormBall, Penalty, StandardCone, Within
+from lin_freq_ocp.problem import HARD, HalfSpaces, LargestExcess, NormBall, NormRows, Penalty, StandardCone, Within
 
-GROUPS, DIM = 7, 4
+GROUPS, DIM, ROWS = 7, 4, 5
 Points = np.ndarray  # (GROUPS, DIM)
 
 
@@ -21,6 +21,7 @@ class Kind:
 
     make: Callable[[np.random.Generator], Penalty]
     hard: bool
+    shape: tuple[int, int] = (GROUPS, DIM)
 
 
 def limits(rng: np.random.Generator, *shape: int) -> np.ndarray:
@@ -36,11 +37,17 @@ def norm(order: float, hard: bool) -> Kind:
     return Kind(make, hard)
 
 
+def norm_rows(rng: np.random.Generator) -> NormRows:
+    share = np.where(rng.random((2, 3)) < 0.3, 0.0, rng.uniform(0.1, 1.0, (2, 3)))
+    return NormRows(rng.uniform(-1.0, 3.0, ROWS), share, rng.integers(0, 2, ROWS))
+
+
 KINDS = {
     "hard half-spaces": Kind(lambda rng: HalfSpaces(limits(rng, GROUPS, DIM), HARD), hard=True),
     "soft half-spaces": Kind(lambda rng: HalfSpaces(limits(rng, DIM) - 1, rng.uniform(0.1, 2.0, (GROUPS, 1))), False),
     "interval": Kind(lambda rng: Within(rng.uniform(0.2, 2.0)), hard=True),
     "cone": Kind(lambda rng: StandardCone(), hard=True),
+    "rows with norms": Kind(norm_rows, hard=True, shape=(1, ROWS + 6)),
     **{f"hard norm {order}": norm(order, True) for order in (2, np.inf)},
     **{f"soft norm {order}": norm(order, False) for order in (1, 2, np.inf)},
     "largest excess": Kind(lambda rng: LargestExcess(limits(rng, GROUPS), np.asarray(rng.uniform(0.1, 2.0))), False),
@@ -107,6 +114,12 @@ def _(penalty: NormBall, v: Points) -> np.ndarray:
 
 
 @excess.register
+def _(penalty: NormRows, v: Points) -> np.ndarray:
+    sizes = [np.linalg.norm(pair) for pair in v[0, ROWS:].reshape(-1, 2)]
+    return np.array([[v[0, i] + penalty.share[k] @ sizes - penalty.limit[i] for i, k in enumerate(penalty.kind)]])
+
+
+@excess.register
 def _(penalty: LargestExcess, v: Points) -> np.ndarray:
     return np.array([[np.linalg.norm(row) / limit - 1] for row, limit in zip(v, penalty.limit, strict=True)])
 
@@ -129,6 +142,11 @@ def _(penalty: Within, v: Points) -> Points:
 @inside.register
 def _(penalty: StandardCone, v: Points) -> Points:
     return np.column_stack([np.linalg.norm(v[:, 1:], axis=1) * (1 + np.abs(v[:, 0])), v[:, 1:]])
+
+
+@inside.register
+def _(penalty: NormRows, v: Points) -> Points:
+    return np.hstack([v[:, :ROWS] - np.maximum(excess(penalty, v), 0.0), v[:, ROWS:]])
 
 
 @inside.register
@@ -162,3 +180,14 @@ def _(penalty: NormBall, v: Points, rng: np.random.Generator) -> tuple[Points, P
     v = v * np.where(limited, penalty.radius / np.linalg.norm(v, penalty.order, axis=1), 1.0)[:, None]
     direction = v if penalty.order == 2 else np.sign(v) * (np.abs(v) == np.abs(v).max(1, keepdims=True))
     return v, rng.uniform(0.1, 3.0, (len(v), 1)) * np.where(limited[:, None], direction, 0.0)
+
+
+@normal.register
+def _(penalty: NormRows, v: Points, rng: np.random.Generator) -> tuple[Points, Points]:
+    active, pairs = rng.random(ROWS) < 0.5, v[0, ROWS:].reshape(-1, 2)
+    weights = np.where(active, rng.uniform(0.1, 3.0, ROWS), 0.0)
+    over = excess(penalty, v)
+    rows = v[:, :ROWS] - np.where(active, over, np.maximum(over, 0.0))
+    lengths = sum(weight * penalty.share[k] for weight, k in zip(weights, penalty.kind, strict=True))
+    of_pairs = (lengths / np.linalg.norm(pairs, axis=1))[:, None] * pairs
+    return np.hstack([rows, v[:, ROWS:]]), np.concatenate([weights, of_pairs.ravel()])[None]

@@ -50,10 +50,26 @@ OF_A_USER: dict[str, dict[str, object]] = {
         "control_spectrum": SteadyGain(0.5),
     },
 }
+
+
+def response_within_discs() -> lfo.OptimalControlProblem:
+    """Return a mass on a spring that is known by its response at nine bins, up to a tenth."""
+    k, T = np.arange(9), 16
+    G = 1.0 / (1.0 - (k / 3.5) ** 2 + 0.4j * k)
+    G[[0, -1]] = G[[0, -1]].real
+    response = lfo.FrequencyResponse(G[:, None, None], 0.5)
+    cost = lfo.QuadraticCost(Q=1.0, R=0.1, x_ref=np.sin(2 * np.pi * np.arange(T + 1) / T)[:, None])
+    rows = lfo.StageRows([[1.0]], [[0.5]], [0.9], name="sum")
+    bounds = lfo.Box(-0.7, 0.8)
+    given = lfo.OptimalControlProblem(response, T, cost, lfo.Box(-1.0, 1.0), bounds, stage_rows=rows)
+    return replace(given, output_spectrum=lfo.robust(given, lfo.Discs(0.1 * np.abs(G))).output_spectrum)
+
+
 STATEMENTS: dict[str, Callable[[], lfo.OptimalControlProblem]] = KINDS | {
     name: lambda fields=fields: replace(KINDS["no constraint"](), **fields)
     for name, fields in (FURTHER | OF_A_USER).items()
 }
+STATEMENTS["response within discs"] = response_within_discs
 
 
 def classes_within(described: object) -> Iterable[type]:
