@@ -142,7 +142,7 @@ def solve_command(
                 result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     worst, status = None, console.exit_status(result)
     if isinstance(description, RobustProblem) and result.trajectory is not None:
-        with console.progress("solving without loads"):
+        with console.progress("solving the nominal problem"):
             nominal = solve(description.given, **options, throw=False)
         worst = replace(worst_case(description.given, description.uncertainty, result), nominal=nominal.cost)
     if as_json:
@@ -205,7 +205,7 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
     """Show what the worst loads of a problem file do to a plan, and whether all limits hold: .npz, .csv or .mat."""
     description = build(problem, settings)
     if not isinstance(description, RobustProblem):
-        raise ProblemError("disturbance", "nothing", "a table [disturbance] in the problem file, the set of the loads")
+        raise ProblemError("disturbance", "nothing", "a table [disturbance] or [discs] in the problem file")
     worst = worst_case(description.given, description.uncertainty, load_trajectory(plan, description)[0])
     console.print_json(worst_case_summary(description, worst)) if as_json else console.print_lines(str(worst))
     return console.PROVEN if worst.holds else console.NOT_PROVEN

@@ -43,6 +43,7 @@ from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, Mag
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.transform.reformulations import rate_limited
+from lin_freq_ocp.uncertainty.discs import Discs
 from lin_freq_ocp.uncertainty.disturbance import Disturbance
 from lin_freq_ocp.uncertainty.loads import Gaussian, Records
 from lin_freq_ocp.uncertainty.protocol import RobustProblem
@@ -443,7 +444,7 @@ LOAD_SET = Value(  # a table, or an array of measured loads
     lambda location, given: LOADS.read(location, given) if isinstance(given, Mapping) else given,
     lambda location, value: value if isinstance(value, (list, np.ndarray)) else LOADS.write(location, value),
 )
-MADE_OF = "rate_limit", "disturbance", "robust"  # tables that change the problem of the others
+MADE_OF = "rate_limit", "disturbance", "discs", "robust"  # tables that change the problem of the others
 NO_FEEDBACK = "none"  # TOML has no null
 ANY: FileValue = None  # in place of the problem of the other tables
 GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
@@ -463,6 +464,7 @@ def _problem(
     schema: int,
     rate_limit: FileTable | None = None,
     disturbance: Disturbance | None = None,
+    discs: Discs | None = None,
     robust: FileTable | None = None,
     **fields: FileValue,
 ) -> OptimalControlProblem:
@@ -475,7 +477,10 @@ def _problem(
             raise ProblemError(field, error.got, error.expected, error.advice) from None
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
-    return problem if disturbance is None else tightened(problem, disturbance, **(robust or {}))
+    if disturbance is not None and discs is not None:
+        raise ProblemError("discs", "a disturbance, too", "one of [disturbance] and [discs]")
+    uncertainty = discs or disturbance
+    return problem if uncertainty is None else tightened(problem, uncertainty, **(robust or {}))
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:
@@ -483,8 +488,11 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     made: FileTable = {}
     if isinstance(problem, RobustProblem) and problem.as_made:  # others are written with the limits that they have
-        made = {"disturbance": problem.uncertainty, "robust": problem if problem.end else None}
-        problem = problem.given
+        tables: dict[type, str] = {Disturbance: "disturbance", Discs: "discs"}
+        table = tables.get(type(problem.uncertainty))
+        if table is not None:
+            made = {table: problem.uncertainty, "robust": problem if problem.end else None}
+            problem = problem.given
     # a rate limit is written as its states and rows
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in (*MADE_OF, "schema")} | made
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
@@ -512,6 +520,7 @@ PROBLEM = TableRecord(
     output_spectrum=Tables(OUTPUTS),
     rate_limit=TableRecord(_keys, like=partial(rate_limited, ANY)),
     disturbance=DISTURBANCE,
+    discs=TableRecord(Discs, own="discs", values=vars),
     robust=TableRecord(_keys, like=partial(tightened, ANY, ANY)),
 )
 

@@ -234,6 +234,7 @@ def wave_energy(
     record: float = 20.0,
     horizon: int = 400,
     least_damping: float = 45.0,
+    stroke: float | None = None,
 ) -> OptimalControlProblem:
     """Absorb the most power from a wave, with a plant known by its frequency response only.
 
@@ -261,6 +262,8 @@ def wave_energy(
         Samples of the record.
     least_damping : float
         Smallest B in N s/m: computed values below zero would make the power unbounded.
+    stroke : float or None
+        Bound on the position of the hull in m, which is then a second output; None: no bound and no such output.
 
     Returns
     -------
@@ -292,18 +295,25 @@ def wave_energy(
         raise ProblemError("wave_frequency", brief(wave_frequency), expected)
     offset = np.zeros(len(frequencies), dtype=complex)
     offset[k] = positive_number("amplitude", amplitude) * known.excitation[k] * known.admittance[k] * T / 2
+    names, to_outputs = ["velocity [m/s]"], np.ones((len(frequencies), 1), dtype=complex)
+    if stroke is not None:
+        names = [*names, "position [m]"]
+        integral = np.where(known.valid, 1.0 / (2j * np.pi * np.where(known.valid, frequencies, 1.0)), 0.0)
+        to_outputs = np.column_stack([to_outputs, integral])
     dynamics = FrequencyResponse(
-        known.admittance,
+        (known.admittance[:, None] * to_outputs)[:, :, None],
         sampling_time=length / T,
-        offset=offset,
-        state_names=["velocity [m/s]"],
+        offset=offset[:, None] * to_outputs,
+        state_names=names,
         control_names=["force [N]"],
     )
+    bound = None if stroke is None else positive_number("stroke", stroke)
     return OptimalControlProblem(
         dynamics,
         T,
-        QuadraticCost(S=[[1.0 / T]]),
+        QuadraticCost(S=np.eye(len(names), 1) / T),
         control_set=symmetric("force", force),
+        state_set=None if bound is None else Box([None, -bound], [None, bound]),
         control_spectrum=stop_band(bins=np.flatnonzero(~known.valid).tolist()),
         name="wave energy",
     )

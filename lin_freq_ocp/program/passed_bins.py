@@ -68,8 +68,8 @@ class PassedBins:
         duals = np.zeros(len(given.lower))
         duals[self.kept] = solution.y
         slope += given.A.T @ duals
-        of_states = splu(sp.csc_array(given.A[self.of_states][:, : self.states]))
-        duals[self.of_states] = of_states.solve(-slope[: self.states], "T")
+        of_states = splu(sp.csc_array(given.A[self.of_states][:, : self.states].T))
+        duals[self.of_states] = of_states.solve(-slope[: self.states])
         slope += given.A[self.of_states].T @ duals[self.of_states]
         if len(self.of_bins):
             bands = given.A[self.of_bins].toarray()

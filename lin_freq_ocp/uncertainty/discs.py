@@ -13,23 +13,16 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    ComplexArray,
-    brief,
-    complex_array,
-    positive_integer,
-    positive_number,
-    real_array,
-)
+from lin_freq_ocp.base.arrays import Array, brief, complex_array, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.phrases import join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, Signal, entries_of
@@ -72,9 +65,8 @@ class Discs(Uncertainty):
 
     Examples
     --------
-    >>> problem = lfo.library.wave_energy(horizon=100, force=1000.0)
-    >>> problem = replace(problem, state_set=lfo.Box(-0.24, 0.24))
-    >>> discs = lfo.Discs(0.05 * np.abs(problem.dynamics.G))
+    >>> problem = lfo.library.wave_energy(horizon=100, stroke=0.13)
+    >>> discs = lfo.Discs(0.05 * abs(problem.dynamics.G))
     >>> found = lfo.solve(lfo.robust(problem, discs))
     >>> found.status, bool(lfo.worst_case(problem, discs, found))
     ('optimal', True)
@@ -91,15 +83,15 @@ class Discs(Uncertainty):
 
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
-        plant = problem.dynamics
-        if not isinstance(plant, FrequencyResponse):
-            expected, advice = "a FrequencyResponse", "Loads of a LinearDynamics are lfo.Disturbance."
-            raise ProblemError("dynamics", type(plant).__name__, f"{expected}, with Discs", advice)
-        shape, given = plant.G.shape, self.radius
+        if problem.response is None:
+            expected, advice = "a FrequencyResponse, with Discs", "Loads of a LinearDynamics are lfo.Disturbance."
+            raise ProblemError("dynamics", type(problem.dynamics).__name__, expected, advice)
+        shape, given = problem.response.G.shape, self.radius
         given = given[:, None, None] if given.ndim == 1 and shape[1:] == (1, 1) else given
-        if given.shape not in ((), shape):
+        if given.ndim and (given.ndim != 3 or given.shape[::2] != shape[::2] or given.shape[1] > shape[1]):
             raise ProblemError("discs.radius", f"shape {given.shape}", f"shape {shape}, that of G, or one number")
-        return np.broadcast_to(given, shape)
+        further = shape[1] - given.shape[1] if given.ndim else 0  # outputs that rate_limited adds are known
+        return np.pad(given, ((0, 0), (0, further), (0, 0))) if further else np.broadcast_to(given, shape)
 
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the fields with the limits of all plants; see ``robust``."""
@@ -124,7 +116,7 @@ class Discs(Uncertainty):
             text = f"robust: {named} hold for the plan. lfo.worst_case says what other plants do to them."
             warn_user(text, ClosedLoopWarning)
         found = _limits_of_all(wide, radius)
-        same = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
+        same: dict[str, object] = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
         return same | {"output_spectrum": [*entries_of(wide.output_spectrum), *found] or None}
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
@@ -135,9 +127,9 @@ class Discs(Uncertainty):
         u, limits, leaks = trajectory.u, list[Worst](), list[Worst]()
         if u.shape != (T, problem.control_dim):
             raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
-        nominal, size = simulate(problem, u), np.abs(_spectrum(problem, u))
-        margin = np.einsum("k,kij,kj->i", _weights(problem), radius, size)
-        closed = problem.response is not None and problem.response.closed
+        response, nominal = _response(problem), simulate(problem, u)
+        size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
+        margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
         for rows in hard_rows(problem, True, margin > 0):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
                 other = _worst_plant(problem, radius, u, c, one.index)
@@ -146,7 +138,7 @@ class Discs(Uncertainty):
                 limits.append(replace(one, attained=one.sign * value, trajectory=under, plant=other.G))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
-            if of_x.any() and not closed:
+            if of_x.any() and not response.closed:
                 raise UnsupportedError(f"{name}: got a spectrum of a zero-padded response; expected a periodic one.")
             levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
             planned = np.abs(bin_values(spectrum, nominal))
@@ -194,8 +186,8 @@ def radius_of_coherence(
 
     Examples
     --------
-    >>> np.round(lfo.uncertainty.radius_of_coherence([1.0, 2.0], [0.9, 0.99], averages=16, confidence=0.9), 4).tolist()
-    [0.1356, 0.0818]
+    >>> lfo.uncertainty.radius_of_coherence([1.0, 2.0], [0.9, 0.99], averages=16, confidence=0.9).round(4).tolist()
+    [0.1358, 0.0819]
     """
     estimate, c = complex_array("G", G), real_array("coherence", coherence)
     count, number_of_bins = positive_integer("averages", averages), positive_integer("bins", bins)
@@ -235,15 +227,16 @@ class DiscLimits(FrequencyConstraint):
     def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
         """Yield the only term."""
         of_x, of_u = (itertools.repeat(None) if part is None else part[:, None] for part in (signal.C, signal.D))
-        times = [np.flatnonzero(np.isfinite(limits)) for limits in self.limits.T]
+        limited = np.isfinite(self.limits.T)
+        times = [np.flatnonzero(own) for own in limited]
         rows = [StageMap(own, C, D, np.zeros(1)) for own, C, D in zip(times, of_x, of_u, strict=False)]
         kinds, kind = np.unique(self.radii, axis=0, return_inverse=True)
-        bins = [np.flatnonzero(used) for used in kinds.any(axis=0).T]
+        bins = [np.flatnonzero(kinds[..., j].any(axis=0)) for j in range(kinds.shape[2])]
         window, units = np.ones(signal.length - (signal.D is None)), np.eye(len(bins))
         spectra = [SpectrumMap(None, row, window, self.record, own) for row, own in zip(units, bins, strict=True)]
         share = np.hstack([kinds[:, own, j] for j, own in enumerate(bins)])
         counts = [len(own) for own in times]
-        norm_rows = NormRows(self.limits.T[np.isfinite(self.limits.T)], share, np.repeat(kind.ravel(), counts))
+        norm_rows = NormRows(self.limits.T[limited], share, np.repeat(kind.ravel(), counts))
         yield Term(self.label, signal.kind, JoinedMap((*rows, *spectra)), norm_rows, source)
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
@@ -253,9 +246,8 @@ class DiscLimits(FrequencyConstraint):
 
 def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[OutputSpectrum]:
     """Return the hard limits of outputs, for every plant; none without such limits."""
-    response, T = problem.response, problem.horizon
-    assert response is not None  # radii requires it
-    found, weights = list[OutputSpectrum](), _weights(problem)
+    response, T, found = _response(problem), problem.horizon, list[OutputSpectrum]()
+    weights = response.weight / response.record
     for one in hard_rows(problem, True, np.ones(problem.state_dim, dtype=bool)):
         limits = one.limits.copy()
         if response.closed:  # the last state is the first
@@ -267,7 +259,7 @@ def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[Output
             C, D = one.C[used], one.D[used] if one.D.any() else None
             radii = np.einsum("k,oi,kij->okj", weights, np.abs(C), radius)
             limited = DiscLimits(limits[: T + (D is None), used], radii, response.record)
-            found.append(OutputSpectrum(C, D, limited, [one.names[i] for i in used]))
+            found.append(OutputSpectrum(C, D, limited, [one.names[i] for i in used.tolist()]))
     return found
 
 
@@ -276,43 +268,34 @@ def _with_worst_cost(problem: OptimalControlProblem, radius: Array) -> OptimalCo
 
     The mean of y'S u of one control is largest for the plant G + radius sign(S): convex, if the given cost is.
     """
-    cost, plant = problem.quadratic, problem.dynamics
+    cost, plant = problem.quadratic, _plant(problem)
     if cost.Q.any() or cost.P.any() or cost.q.any() or cost.p.any() or cost.S.ndim == 3 or problem.control_dim > 1:
         expected = "y'S u + u'R u + r'u of one control, such as absorbed power"
         raise UnsupportedError(f"discs.cost: got 'worst' with another cost; expected {expected}.")
-    assert isinstance(plant, FrequencyResponse)  # radii requires it
-    worst = FrequencyResponse(
-        np.einsum("ij,kij->kj", np.abs(cost.S), radius)[:, None], plant.sampling_time, mode=plant.mode
-    )
+    larger = np.einsum("ij,kij->kj", np.abs(cost.S), radius)[:, None]
+    worst = FrequencyResponse(larger, plant.sampling_time, mode=plant.mode)
     both = plant.stacked([plant, worst], [*plant.state_names, WORST_POWER], problem.horizon)
     free = np.full(1, np.inf)
     wide = augment_states(problem, both, Box(-free, free), -free, cost)
     return replace(wide, cost=replace(wide.quadratic, S=np.vstack([cost.S, np.ones((1, 1))])))
 
 
-def _weights(problem: OptimalControlProblem) -> Array:
-    """Return w_k / N, (bins,)."""
-    response = problem.response
-    assert response is not None  # radii requires it
-    return response.weight / response.record
-
-
-def _spectrum(problem: OptimalControlProblem, u: Array) -> ComplexArray:
-    """Return the spectrum of controls over the record, (bins, m)."""
-    response = problem.response
-    assert response is not None  # radii requires it
-    return np.fft.rfft(u, n=response.record, axis=0)
-
-
 def _worst_plant(problem: OptimalControlProblem, radius: Array, u: Array, c: Array, t: int) -> FrequencyResponse:
     """Return the plant of the discs for which c'y_t is largest: every bin adds to it with the same sign."""
-    plant, response = problem.dynamics, problem.response
-    assert isinstance(plant, FrequencyResponse)
-    assert response is not None
-    spectrum, k = _spectrum(problem, u), np.arange(len(radius))
-    turned = np.conj(spectrum) * np.exp(-2j * np.pi * (k * t % response.record) / response.record)[:, None]
+    plant, response = _plant(problem), _response(problem)
+    k = np.arange(len(radius))
+    turned: ComplexArray = np.conj(np.fft.rfft(u, n=response.record, axis=0))
+    turned *= np.exp(-2j * np.pi * (k * t % response.record) / response.record)[:, None]
     size = np.abs(turned)
-    phase = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 1.0)
+    phase: ComplexArray = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 1.0)
     real = response.weight == 1
     phase[real] = np.where(phase[real].real >= 0, 1.0, -1.0)
     return replace(plant, G=plant.G + np.sign(c)[:, None] * radius * phase[:, None, :])
+
+
+def _plant(problem: OptimalControlProblem) -> FrequencyResponse:
+    return cast("FrequencyResponse", problem.dynamics)  # radii requires it
+
+
+def _response(problem: OptimalControlProblem) -> Response:
+    return cast("Response", problem.response)

@@ -34,6 +34,7 @@ SAYS = {
     "rendezvous": f"solved by method {'structured' if can_compile() else 'convex'}",
     "inverter": "10 of 96 samples between levels; no more than 10 are needed",
     "wave_energy": "force  1000 N: mean power 58.75533 W",
+    "measured_buoy": "position of the worst plant 145.0 of 145 mm",
     "stepping_stones": "cost 0.774167, no trajectory below 0.77416",
     "price_of_bandwidth": "cutoff_hz = 48  optimal, cost 2881.05",
     "infeasible": "with 5.54 N instead of 5 N",
@@ -50,6 +51,7 @@ SAYS = {
 }
 
 LONG = (
+    "measured_buoy",
     "gusts",
     "gantry",
     "oscillating_mass",

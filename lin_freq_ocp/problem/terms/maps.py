@@ -8,7 +8,7 @@ else in the package tells maps apart. ``AffineMap`` and ``MatrixMap`` document t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import ClassVar, Self
 
@@ -231,9 +231,7 @@ class SumMap(MatrixMap):
         return self.constant + np.sum([stage.values(x, u).sum(axis=0, keepdims=True) for stage in self.stages], axis=0)
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pulled = [stage.pull_back(np.broadcast_to(weights, stage.shape), shapes) for stage in self.stages]
-        of_x, of_u = zip(*pulled, strict=True)
-        return np.sum(of_x, axis=0), np.sum(of_u, axis=0)
+        return _sum_of_both(stage.pull_back(np.broadcast_to(weights, stage.shape), shapes) for stage in self.stages)
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         pairs = [np.broadcast_arrays(*stage.entries(horizon, n, m)) for stage in self.stages]
@@ -286,12 +284,10 @@ class JoinedMap(AffineMap):
         return np.concatenate([part.sizes(x, u).ravel() for part in self.parts])[None]
 
     def pull_back(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pulled = [part.pull_back(own, shapes) for part, own in self._split(weights)]
-        return sum(one for one, _ in pulled), sum(one for _, one in pulled)
+        return _sum_of_both(part.pull_back(own, shapes) for part, own in self._split(weights))
 
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
-        pulled = [part.pulled_sizes(own, shapes) for part, own in self._split(weights)]
-        return sum(one for one, _ in pulled), sum(one for _, one in pulled)
+        return _sum_of_both(part.pulled_sizes(own, shapes) for part, own in self._split(weights))
 
     def rows(self, horizon: int, n: int, m: int) -> tuple[sp.csr_array, Array]:
         rows, constants = zip(*(part.rows(horizon, n, m) for part in self.parts), strict=True)
@@ -396,6 +392,12 @@ class OutputMap(AffineMap):
             if row is not None:
                 part[: len(signal)] += np.outer(signal, row)
         return of_x, of_u
+
+
+def _sum_of_both(pulled: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return the sums of what several maps pull back to x and to u."""
+    of_x, of_u = zip(*pulled, strict=True)
+    return np.sum(of_x, axis=0), np.sum(of_u, axis=0)
 
 
 def sparse_rows(values: Array, columns: Array | Indices, width: int) -> sp.csr_array:

@@ -1,0 +1,217 @@
+"""Plans that hold for every plant within discs of a frequency response, and the plants that attain their limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from helpers.seeds import seeds
+from lin_freq_ocp.uncertainty import radius_of_coherence
+
+
+def converter(N: int = 100, stroke: float = 1.0, force: float = 1500.0) -> lfo.OptimalControlProblem:
+    return lfo.library.wave_energy(force, horizon=N, stroke=stroke)
+
+
+@pytest.fixture(scope="module")
+def limited() -> lfo.OptimalControlProblem:
+    free = lfo.solve(converter())
+    return converter(stroke=0.85 * float(np.abs(free.trajectory.x[:, 1]).max()))
+
+
+def outputs(problem: lfo.OptimalControlProblem, G: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the outputs (record, p) of a plant, by its definition."""
+    N = problem.dynamics.record(problem.horizon)
+    spectrum = np.fft.rfft(u, n=N, axis=0)
+    return np.fft.irfft(np.einsum("kij,kj->ki", G, spectrum) + problem.dynamics.offset, n=N, axis=0)
+
+
+def random_plants(rng: np.random.Generator, G: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return a plant of the discs, half of its entries on their circles."""
+    size = np.where(rng.random(G.shape) < 0.5, 1.0, np.sqrt(rng.random(G.shape)))
+    change = size * radius * np.exp(2j * np.pi * rng.random(G.shape))
+    change[[0, -1]] = change[[0, -1]].real
+    return G + change
+
+
+def small(rng: np.random.Generator, mode: str, shape: tuple[int, int]) -> lfo.OptimalControlProblem:
+    """Return a random problem with a joint row, of 12 steps."""
+    T, (p, m) = 12, shape
+    bins = (T if mode == "periodic" else 2 * T) // 2 + 1
+    G = rng.standard_normal((bins, p, m)) + 1j * rng.standard_normal((bins, p, m))
+    G[[0, -1]] = G[[0, -1]].real
+    plant = lfo.FrequencyResponse(G, 0.1, 0.2 * np.ones((bins, p)), mode=mode)
+    cost = lfo.QuadraticCost(Q=1.0, R=0.5, x_ref=rng.standard_normal(p))
+    rows = lfo.StageRows(rng.standard_normal((1, p)), rng.standard_normal((1, m)), [1.2], name="joint")
+    return lfo.OptimalControlProblem(plant, T, cost, lfo.Box(-1.0, 1.0), lfo.Box(-1.0, 1.5), stage_rows=rows)
+
+
+def test_the_stroke_holds_for_every_plant_and_costs_what_a_cone_program_finds():
+    """Figures of the design, by a cone program in the passed bins: 96.4205, 95.3253 and 82.6488 W."""
+    free = lfo.solve(converter(400, force=2000.0))
+    problem = converter(400, 0.85 * float(np.abs(free.trajectory.x[:, 1]).max()), 2000.0)
+    radius = 0.05 * np.abs(problem.dynamics.G)
+    found = lfo.solve(lfo.robust(problem, lfo.Discs(radius)))
+    assert found.status == "optimal"
+    assert -lfo.solve(problem).cost == pytest.approx(96.42045902, abs=1e-6)
+    assert -found.cost == pytest.approx(95.325319256, abs=1e-6)
+    guaranteed = lfo.solve(lfo.robust(problem, lfo.Discs(radius, cost="worst")))
+    assert guaranteed.status == "optimal"
+    assert -guaranteed.cost == pytest.approx(82.6488, abs=1e-4)
+    larger = problem.dynamics.G + radius
+    assert (outputs(problem, larger, guaranteed.trajectory.u)[:, 0] * guaranteed.trajectory.u[:, 0]).mean() == (
+        pytest.approx(guaranteed.cost, rel=1e-9)
+    )
+
+
+def test_the_returned_plant_attains_the_limit_and_no_other_exceeds_it(limited):
+    discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G))
+    found, nominal = lfo.solve(lfo.robust(limited, discs)), lfo.solve(limited)
+    worst, broken = lfo.worst_case(limited, discs, found), lfo.worst_case(limited, discs, nominal)
+    assert worst
+    assert not broken
+    assert "position, upper by up to" in broken.verdict
+    for one in (worst["position, upper"], worst["position, lower"], broken["position, upper"]):
+        assert (np.abs(one.plant - limited.dynamics.G) <= discs.radius * (1 + 1e-12)).all()
+        plan = found if one is not broken["position, upper"] else nominal
+        value = outputs(limited, one.plant, plan.trajectory.u)[one.index % limited.horizon, 1]
+        assert one.attained == pytest.approx(value, abs=1e-14)
+        assert one.sign * one.attained == pytest.approx(one.sign * one.planned + one.margin, rel=1e-13)
+    assert worst["position, upper"].attained == pytest.approx(limited.state_set.upper[1], rel=1e-8)
+    rng, limit, u = np.random.default_rng(0), limited.state_set.upper[1], found.trajectory.u
+    for _ in range(300):
+        plant = random_plants(rng, limited.dynamics.G, discs.radius)
+        assert np.abs(outputs(limited, plant, u)[:, 1]).max() <= limit * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("mode", ["periodic", "zero-padded"])
+@pytest.mark.parametrize("seed", seeds(range(4)))
+def test_several_controls_and_outputs_cost_what_a_program_stated_by_hand_costs(seed, mode):
+    rng = np.random.default_rng(seed)
+    problem = small(rng, mode, (2, 2))
+    radius = 0.05 * rng.random(problem.dynamics.G.shape)
+    found = lfo.solve(lfo.robust(problem, lfo.Discs(radius)))
+    assert found.status == "optimal"
+    T, (bins, p, m), response = problem.horizon, radius.shape, problem.response
+    u, N = cp.Variable(T * m), response.record
+    y = response.matrix @ u + response.base.ravel()
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(bins), np.arange(T)) / N)
+    sizes = [cp.norm(np.vstack([w.real, w.imag]) @ u[j::m]) for j in range(m) for w in waves]
+    weights = np.where((np.arange(bins) == 0) | (2 * np.arange(bins) == N), 1.0, 2.0) / N
+    margin = [
+        sum(weights[k] * radius[k, i, j] * sizes[j * bins + k] for j in range(m) for k in range(bins)) for i in range(p)
+    ]
+    rows, limits = problem.stage_rows[0], []
+    for t in range(T + 1):
+        at = [y[t * p + i] for i in range(p)]
+        limits += [at[i] + margin[i] <= 1.5 for i in range(p)] + [-at[i] + margin[i] <= 1.0 for i in range(p)]
+        if t < T:
+            added = sum(abs(rows.C[0, i]) * margin[i] for i in range(p))
+            controls = rows.D[0] @ u[t * m : (t + 1) * m]
+            limits.append(sum(rows.C[0, i] * at[i] for i in range(p)) + controls + added <= 1.2)
+    reference = np.tile(problem.cost.x_ref, T)
+    cost = 0.5 * cp.sum_squares(y[: T * p] - reference) + 0.25 * cp.sum_squares(u)
+    program = cp.Problem(cp.Minimize(cost), [*limits, cp.abs(u) <= 1.0])
+    program.solve(solver="CLARABEL", tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
+    assert found.cost == pytest.approx(program.value, rel=1e-7)
+    worst = lfo.worst_case(problem, lfo.Discs(radius), found)
+    assert worst
+    for one in worst.limits:
+        assert one.sign * one.attained == pytest.approx(one.sign * one.planned + one.margin, abs=1e-12)
+    for _ in range(100):
+        reached = outputs(problem, random_plants(rng, problem.dynamics.G, radius), found.trajectory.u)[: T + 1]
+        assert reached.max() <= 1.5 + 1e-8
+        assert reached.min() >= -1.0 - 1e-8
+
+
+def test_masks_of_outputs_are_judged_at_their_worst_phase(limited):
+    masked = replace(limited, state_spectrum=lfo.MagnitudeBound(3.0, bins=[5, 6], component="velocity [m/s]"))
+    discs = lfo.Discs(0.1 * np.abs(limited.dynamics.G))
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="limits of spectra of outputs hold for the plan"):
+        plan = lfo.solve(lfo.robust(masked, discs))
+    one = lfo.worst_case(masked, discs, plan)["mask on velocity [m/s]"]
+    u = np.fft.rfft(plan.trajectory.u[:, 0])[one.index]
+    assert one.planned == pytest.approx(abs(np.fft.rfft(plan.trajectory.x[:-1, 0])[one.index]))
+    assert one.margin == pytest.approx(discs.radius[one.index, 0, 0] * abs(u))
+
+
+def test_no_plan_for_wide_discs_is_proven_by_a_ray(limited):
+    tight = replace(limited, state_set=lfo.Box([None, -0.03], [None, 0.03]))
+    assert lfo.solve(tight, throw=False).status == "optimal"
+    found = lfo.solve(lfo.robust(tight, lfo.Discs(0.9 * np.abs(limited.dynamics.G))), throw=False)
+    assert found.status == "infeasible"
+    assert "rigorous ray" in found.message
+
+
+def test_discs_of_radius_zero_change_nothing(limited):
+    nothing = lfo.Discs(0.0)
+    found = lfo.solve(lfo.robust(limited, nothing))
+    assert found.cost == pytest.approx(lfo.solve(limited).cost, rel=1e-9)
+    assert lfo.worst_case(limited, nothing, found)["position, upper"].margin == 0.0
+
+
+def test_rate_limits_come_first_and_what_they_add_is_known(limited):
+    discs, slow = lfo.Discs(0.05 * np.abs(limited.dynamics.G)), lfo.rate_limited(limited, 400.0)
+    found = lfo.solve(lfo.robust(slow, discs))
+    assert found.status == "optimal"
+    assert np.abs(np.diff(found.trajectory.u[:, 0])).max() <= 400.0 * (1 + 1e-9)
+    assert lfo.worst_case(slow, discs, found)
+
+
+def test_a_disc_of_a_coherence_contains_the_response_as_often_as_stated():
+    """The quantile of an F distribution is exact: 90 % of 40,000 estimates, whose standard error is 0.15 %."""
+    rng, trials, n, G = np.random.default_rng(5), 40_000, 16, 0.7 - 0.4j
+    x, noise = (rng.standard_normal((2, 2, trials, n)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0)
+    y = G * x + 0.5 * noise
+    xx, yy, xy = (np.abs(x) ** 2).sum(1), (np.abs(y) ** 2).sum(1), (np.conj(x) * y).sum(1)
+    radius = radius_of_coherence(xy / xx, np.abs(xy) ** 2 / (xx * yy), n, confidence=0.9)
+    assert (np.abs(xy / xx - G) <= radius).mean() == pytest.approx(0.9, abs=0.006)
+    assert (radius_of_coherence([1.0], [0.9], n, bins=10) > radius_of_coherence([1.0], [0.9], n)).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: lfo.Discs(-0.1), "discs.radius: got -0.1; expected radii"),
+        (lambda: lfo.Discs([[0.1]]), r"discs.radius: got shape \(1, 1\)"),
+        (lambda: lfo.Discs(np.nan), "discs.radius: got nan"),
+        (lambda: lfo.Discs(0.1, cost="mean"), "discs.cost: got 'mean'; expected 'nominal' or 'worst'"),
+        (
+            lambda: lfo.robust(converter(), lfo.Discs(np.ones(7))),
+            r"discs.radius: got shape \(7,\); expected shape \(51",
+        ),
+        (lambda: lfo.robust(lfo.library.pendulum(), lfo.Discs(0.1)), "dynamics: got LinearDynamics; expected a Freq"),
+        (lambda: radius_of_coherence([1.0], [1.2], 8), "coherence: got .1.2.; expected"),
+        (lambda: radius_of_coherence([1.0], [0.9, 0.8], 8), r"coherence: got shape \(2,\)"),
+        (lambda: radius_of_coherence([1.0], [0.9], 1), "averages: got 1; expected at least 2"),
+        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence=1.0), "confidence: got 1.0; expected a probability"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_field(make, message):
+    with pytest.raises(lfo.errors.ProblemError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cost": lfo.QuadraticCost(Q=1.0, R=1.0)}, "discs.cost: got 'worst' with another cost"),
+        ({"cost": lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(u=1.0)}, "cost, stage_rows: got norms or formulas"),
+    ],
+)
+def test_problems_outside_of_the_theorem_are_refused(limited, change, message):
+    with pytest.raises(lfo.errors.UnsupportedError, match=message):
+        lfo.robust(replace(limited, **change), lfo.Discs(1e-6, cost="worst"))
+
+
+def test_a_file_keeps_the_discs(limited, tmp_path):
+    discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G), cost="worst")
+    plan = lfo.robust(limited, discs)
+    lfo.write_problem(plan, tmp_path / "waves.toml")
+    again = lfo.read_problem(tmp_path / "waves.toml")
+    assert lfo.solve(again).cost == lfo.solve(plan).cost
+    np.testing.assert_array_equal(again.uncertainty.radius, discs.radius)
