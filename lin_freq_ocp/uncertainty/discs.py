@@ -18,7 +18,15 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, complex_array, positive_integer, positive_number, real_array
+from lin_freq_ocp.base.arrays import (
+    Array,
+    ComplexArray,
+    brief,
+    complex_array,
+    positive_integer,
+    positive_number,
+    real_array,
+)
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.phrases import join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
