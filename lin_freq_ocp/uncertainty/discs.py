@@ -183,6 +183,10 @@ def radius_of_coherence(
     bins : int
         Over how many bins at once.
 
+    Returns
+    -------
+    array, as G
+
     Raises
     ------
     ProblemError

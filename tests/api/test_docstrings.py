@@ -7,6 +7,7 @@ from itertools import pairwise
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 
 SPACES = [name for name in lfo.NAMESPACES if name != "library"]
 TOP = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
@@ -24,6 +25,7 @@ LITERATURE = ("certify", "solve", "SpectralSolver", "library.crane", "library.sw
 """Some of what rests on the paper or on literature."""
 EXTRAS = {"from_casadi": "casadi", "results.Enclosure": "flint", "results.Result": "pandas"}
 """The modules of optional extras that examples need."""
+COMPILED = {"generate", "results.GeneratedController"}
 
 
 def sections(value):
@@ -49,7 +51,9 @@ def test_what_rests_on_literature_cites_it(name):
     assert "References" in sections(PUBLIC[name])
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=needs_kernel) if name in COMPILED else name for name in PUBLIC]
+)
 def test_public_names_have_an_example_that_runs(name, tmp_path, monkeypatch):
     if name in EXTRAS:
         pytest.importorskip(EXTRAS[name])

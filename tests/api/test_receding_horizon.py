@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.compilers import needs_kernel
 from helpers.seeds import turn
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import ProblemError
@@ -103,6 +104,7 @@ def test_a_delayed_loop_remembers_what_acts_now():
     assert max(np.abs(np.fft.rfft(acted[s : s + 8, 0]))[bins].max() for s in range(0, 13, 2)) <= 0.3 + 1e-6
 
 
+@needs_kernel
 def test_what_was_applied_counts_in_place_of_what_was_planned():
     spectrogram = lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.3, bins=[2]), length=4, hop=4)
     controller = lfo.RecedingHorizon(problem(control_spectrum=spectrogram))

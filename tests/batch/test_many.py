@@ -13,6 +13,7 @@ import pytest
 from distributed import Client, LocalCluster
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.replacing import substitute
 from lin_freq_ocp.batch import solve_part, tour
 from lin_freq_ocp.solving import Resolver
@@ -117,6 +118,7 @@ def test_other_methods_judge_one_by_one(method, serial):
     assert found[1].method == method
 
 
+@needs_kernel
 def test_joint_rows_are_solved_and_judged_as_a_batch(monkeypatch):
     rows = lfo.StageRows([[0.0, 0.0, 1.0, 0.0]], [[0.0]], [0.9])
     problem = replace(PENDULUM, stage_rows=rows)

@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.compilers import needs_kernel
 from helpers.replacing import substitute
 from helpers.seeds import turn
 from lin_freq_ocp.proof import lfo_check
@@ -187,6 +188,7 @@ def test_the_trajectory_as_json():
 # --- the pages a reader begins with ----------------------------------------------------------------------------------
 
 
+@needs_kernel
 def test_the_commands_of_the_first_pages_run(tmp_path, monkeypatch):
     """All but the slow ones and the one that runs until Ctrl-C, in their order: each ends with its proof."""
     monkeypatch.chdir(tmp_path)

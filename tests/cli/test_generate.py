@@ -7,11 +7,13 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.compilers import needs_kernel
 from helpers.generated import write_log
 
 WORDS = ("double_integrator", "--set", "horizon=30", "--set", "terminal_state=[0.0, 0.0]")
 
 
+@needs_kernel
 def test_a_controller_is_written_and_its_log_is_judged(tmp_path):
     folder = tmp_path / "controller"
     status, out, err = run("generate", *WORDS, str(folder), "--real", "float", "--memory", "64k", "--delay", "1")
@@ -31,6 +33,7 @@ def test_a_controller_is_written_and_its_log_is_judged(tmp_path):
     assert "2 deviates" in out
 
 
+@needs_kernel
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -21,6 +21,7 @@ from helpers.checks.derivatives import (
     units,
     weights_of,
 )
+from helpers.compilers import needs_kernel
 from helpers.seeds import seeds
 from lin_freq_ocp.derivatives import SolutionDerivatives, data_of, with_data
 
@@ -190,6 +191,7 @@ def test_a_level_of_a_removed_bin():
     np.testing.assert_allclose(np.fft.rfft(step.u, axis=0)[3, 0], 1 + 2j, rtol=1e-12)
 
 
+@needs_kernel
 @pytest.mark.parametrize("method", ["spectral", "structured", "convex", "condensed"])
 def test_methods_are_alike(method):
     problem = tracking(control_set=lfo.Box(-0.4, 0.4), control_spectrum=lfo.stop_band(bins=[2, 3]))

@@ -7,7 +7,10 @@ from contextlib import contextmanager
 
 import pytest
 
-from lin_freq_ocp.methods import compiled_library, native_code
+from lin_freq_ocp.methods import compiled_library, compiler, library, native_code
+
+needs_kernel = pytest.mark.skipif(compiler() is None and library() is None, reason="no C compiler")
+"""For tests of what runs in C alone: the condensed method, paths of modes, and loops that plan by these."""
 
 
 @pytest.fixture(params=["", "/bin/false"], ids=["no compiler", "one that fails"])

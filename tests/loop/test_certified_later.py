@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.loops import LOOPS, pendulum, states
 from helpers.replacing import substitute
 from helpers.seeds import seeds
 from lin_freq_ocp.solving import PlannedStart, proven_in_batch
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", seeds(LOOPS))
 def test_the_same_controls_and_every_plan_proven(name):
     problem = LOOPS[name]()
@@ -39,6 +41,7 @@ def test_the_same_controls_and_every_plan_proven(name):
     assert (after.certify_seconds > 0).all()
 
 
+@needs_kernel
 def test_a_step_without_a_solution_applies_the_softened_plan():
     problem = pendulum(30)
     loop = lfo.RecedingHorizon(problem, certify="later", soft={"state_set": 1e3})
@@ -53,6 +56,7 @@ def test_a_step_without_a_solution_applies_the_softened_plan():
     np.testing.assert_allclose(exact.step(outside), log.controls[-1], atol=1e-6)
 
 
+@needs_kernel
 def test_the_first_step_without_a_solution_is_planned_like_any_other():
     loop = lfo.RecedingHorizon(pendulum(30), certify="later", soft={"state_set": 1e3})
     for start in ([0.0, 0.0, 0.0, 0.0], [0.9, 0.3, 1.5, 1.5]):
@@ -72,6 +76,7 @@ def test_softened_plans_wait_until_the_hard_problem_was_tried():
     assert set(loop.log.statuses) == {"optimal"}
 
 
+@needs_kernel
 def test_a_preview_is_solved_and_judged_at_once():
     problem = pendulum(20)
     loop = lfo.RecedingHorizon(problem, certify="later")
@@ -82,6 +87,7 @@ def test_a_preview_is_solved_and_judged_at_once():
     assert loop.log.statuses[-2] is None
 
 
+@needs_kernel
 def test_states_far_from_zero_are_counted_from_where_they_are():
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
     far = np.array([5.4e6, 0.0])
@@ -101,6 +107,7 @@ def test_a_word_that_is_no_time_is_refused():
         lfo.RecedingHorizon(pendulum(10), certify="never")
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", ["soft", "rows"])
 def test_plans_with_soft_and_joint_rows_are_judged_as_a_batch(name, monkeypatch):
     """The batch judge says of every plan what the single judge does, violations of soft bounds included."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.loops import pendulum
 from helpers.seeds import turn
 
@@ -27,6 +28,7 @@ def test_windows_and_plain_loops_are_silent():
         lfo.RecedingHorizon(replace(pendulum(20, None), control_spectrum=quiet))
 
 
+@needs_kernel
 def test_the_page_says_it_and_what_is_not_judged(blank, tmp_path):
     loop = lfo.RecedingHorizon(pendulum(20), certify="later")
     log = loop.run(np.array([0.02, 0.0, 0.0, 0.0]), 3)

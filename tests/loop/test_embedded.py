@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
 from helpers.seeds import seeds
@@ -285,6 +286,7 @@ def test_problems_of_another_class_are_refused_by_field(tmp_path, field):
     assert not (tmp_path / "folder").exists()
 
 
+@needs_kernel
 @pytest.mark.parametrize(
     ("options", "field"),
     [
@@ -309,6 +311,7 @@ def test_a_problem_is_no_controller(tmp_path):
         lfo.generate(pendulum(20), tmp_path)
 
 
+@needs_kernel
 def test_a_horizon_that_fits_the_memory(tmp_path):
     given = controller(LOOPS["low pass"]())
     written = lfo.generate(given, tmp_path, "float", memory="64k")
@@ -319,6 +322,7 @@ def test_a_horizon_that_fits_the_memory(tmp_path):
         lfo.generate(given, tmp_path, "double", memory=written.ram + written.stack)
 
 
+@needs_kernel
 def test_states_that_no_sensor_measures_are_named(tmp_path):
     lfo.generate(controller(LOOPS["rate limit"]()), tmp_path / "limited")
     lfo.generate(controller(LOOPS["two controls"]()), tmp_path / "plain")
@@ -330,6 +334,7 @@ def test_states_that_no_sensor_measures_are_named(tmp_path):
 NAMES = ["end */ of\\ a ☃ comment", "x*\\/ int y;", "a /* b ??/", "*/#error", "long " * 100]
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", NAMES)
 def test_names_of_a_problem_reach_c_by_letters_of_a_list_alone(tmp_path, name):
     lfo.generate(controller(replace(pendulum(20), name=name)), tmp_path)
@@ -404,6 +409,7 @@ def test_an_array_that_is_too_short_for_x_is_a_warning(tmp_path):
     assert not compiles(tmp_path, use(3), "-O2", "-fno-syntax-only")
 
 
+@needs_kernel
 def test_only_a_folder_of_its_own_gets_other_files(tmp_path):
     """There, logs and what the compiler made stay; files of another project are not replaced."""
     (tmp_path / "Makefile").write_text("all: mine")

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.compilers import needs_kernel
 from helpers.dense_kernel import DenseKernel
 from helpers.loops import LOOPS, pendulum, states
 from lin_freq_ocp.base import use_clock
@@ -31,6 +32,7 @@ def driven(loop: lfo.RecedingHorizon, steps: int = 12) -> lfo.results.ClosedLoop
     return loop.log
 
 
+@needs_kernel
 @pytest.mark.parametrize("limit", [1, 3, 10, 40])
 def test_a_limited_step_claims_nothing_and_the_loop_goes_on(limit):
     loop = limited(limit)
@@ -47,10 +49,12 @@ def test_a_limited_step_claims_nothing_and_the_loop_goes_on(limit):
     assert np.abs(log.states).max() < 3
 
 
+@needs_kernel
 def test_limits_that_are_never_reached_change_nothing():
     np.testing.assert_array_equal(driven(limited(10_000)).controls, driven(limited(None)).controls)
 
 
+@needs_kernel
 def test_the_loop_finds_its_plans_again():
     """The multipliers of a step that has ended early are the start of the next."""
     sources = driven(limited(10), 60).sources
@@ -58,6 +62,7 @@ def test_the_loop_finds_its_plans_again():
     assert set(sources[-5:]) <= {"plan", "softened problem"}
 
 
+@needs_kernel
 @pytest.mark.parametrize("limit", [3, 20])
 def test_the_better_of_both_plans_is_applied(limit):
     loop, same = limited(limit), limited(limit)
@@ -72,6 +77,7 @@ def test_the_better_of_both_plans_is_applied(limit):
     np.testing.assert_allclose(loop.log.steps[1].plan.u, better.trajectory.u)
 
 
+@needs_kernel
 @pytest.mark.parametrize("limit", [1, 3])
 def test_a_limited_step_keeps_rate_limits_exactly(limit):
     plant = lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]])
@@ -86,6 +92,7 @@ def test_a_limited_step_keeps_rate_limits_exactly(limit):
     assert "limit" in loop.log.statuses
 
 
+@needs_kernel
 def test_a_preview_before_the_first_plain_step_hinders_none():
     loop, plain = limited(20), limited(20)
     x = states(loop.problem, 1)[0]
@@ -93,6 +100,7 @@ def test_a_preview_before_the_first_plain_step_hinders_none():
     np.testing.assert_allclose(loop.step(x), plain.step(x), atol=1e-9)
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", LOOPS)
 def test_the_worth_of_a_plan_is_its_cost_and_its_violation(name):
     problem = LOOPS[name]()
@@ -112,6 +120,7 @@ def test_the_worth_of_a_plan_is_its_cost_and_its_violation(name):
     assert not far.settled
 
 
+@needs_kernel
 def test_the_rest_of_a_plan_is_followed_where_nothing_disturbs_it():
     problem = pendulum(30, None)
     spectral = lfo.SpectralSolver(problem)
@@ -123,6 +132,7 @@ def test_the_rest_of_a_plan_is_followed_where_nothing_disturbs_it():
     np.testing.assert_allclose(rest.control, last.u[1], atol=1e-12)
 
 
+@needs_kernel
 def test_both_kernels_end_where_they_are_told():
     problem = pendulum(30, state_set=lfo.sets.Soft(lfo.Box(-0.05, 0.05), 5.0))
     spectral = lfo.SpectralSolver(problem)
@@ -137,6 +147,7 @@ def test_both_kernels_end_where_they_are_told():
         )
 
 
+@needs_kernel
 def test_time_is_a_limit_too():
     """The clock stands still in the first step; after it, each look at it takes longer than the limit."""
     clock = Clock()
@@ -173,6 +184,7 @@ REFUSED = {
 }
 
 
+@needs_kernel
 def test_softened_problems_without_such_plans_are_refused_too():
     rows = lfo.sets.Polyhedron([[1.0, 1.0, 0.0, 0.0]], [0.5])
     loop = lfo.RecedingHorizon(

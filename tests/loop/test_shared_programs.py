@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from lin_freq_ocp.loop import with_past
 from lin_freq_ocp.methods import MOST_PROGRAMS, ProgramCache
 from lin_freq_ocp.program import LinearProgram
@@ -119,6 +120,7 @@ def test_equal_dynamics_with_another_offset_share_matrices():
         np.testing.assert_array_equal(getattr(second.sparse, part), getattr(exact, part))
 
 
+@needs_kernel
 def test_previewed_disturbances_keep_the_matrices():
     """Of windows, whose program is the sparse one, and of the condensed method, which solves a plain problem."""
     expected = 1e-2 * np.random.default_rng(1).standard_normal((30, 2))

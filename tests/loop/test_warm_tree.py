@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.seeds import turn
 from lin_freq_ocp.loop import free_first_state
 from lin_freq_ocp.methods.hybrid import TreeSearch
@@ -38,6 +39,7 @@ def test_steps_cost_what_their_problems_cost_alone(jumps):
     assert (log.gaps <= 1e-6).all()
 
 
+@needs_kernel
 def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatch):
     problem = lfo.library.buck_affine(horizon=6)
     x = problem.initial_box.lower

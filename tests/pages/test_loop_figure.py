@@ -9,6 +9,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from lin_freq_ocp.methods import compiler
 
 STEP, LENGTH = 0.05, 16
@@ -53,6 +54,7 @@ def test_states_that_follow_from_the_controls_are_not_drawn():
     assert loop().states.shape[1] == 3
 
 
+@needs_kernel
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_reference_stands_where_the_plan_begins(delay):
     (ax,) = (ax for ax in loop(delay).plot().axes if ax.get_title(loc="left") == "angle")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.dense_kernel import DenseKernel
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
@@ -52,6 +53,7 @@ def compiled():
     return found
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", seeds(LOOPS))
 def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
     problem = LOOPS[name]()
@@ -74,6 +76,7 @@ def test_plans_are_proven_and_cost_what_the_sparse_program_costs(name):
     assert proven >= 8
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", LOOPS)
 def test_plans_in_arrays_are_the_plans_one_by_one(name):
     problem = LOOPS[name]()
@@ -236,6 +239,7 @@ def test_a_state_that_is_not_finite_changes_nothing():
         np.testing.assert_allclose(kernel.plan, plan, atol=APART)
 
 
+@needs_kernel
 def test_other_references_offsets_bounds_and_ends():
     problem = LOOPS["fixed end"]()
     spectral, solver = solver_of(problem)
@@ -257,6 +261,7 @@ def test_other_references_offsets_bounds_and_ends():
         assert (certificate.feasible, certificate.gap <= GAP) == (True, True), name
 
 
+@needs_kernel
 def test_the_rest_of_a_plan_repeats_its_last_move():
     problem = LOOPS["low pass"]()
     spectral, solver = solver_of(problem)
@@ -280,6 +285,7 @@ def test_the_worth_of_a_plan_is_its_cost_with_prices():
     assert cost == pytest.approx(problem.value(x, u), rel=1e-9)
 
 
+@needs_kernel
 def test_bounds_that_stand_for_none_loosen_nothing():
     problem = pendulum(20, control_set=lfo.Box(-0.8, 1e9))
     spectral, solver = solver_of(problem)
@@ -320,6 +326,7 @@ def test_refusals_say_why(problem, words):
         condense(lti_problem(stated, natural_units(stated)))
 
 
+@needs_kernel
 def test_a_solver_can_be_copied_and_shared():
     problem = LOOPS["low pass"]()
     spectral, solver = solver_of(problem)

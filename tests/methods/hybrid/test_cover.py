@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.modes import random_problem
 from helpers.seeds import seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
@@ -37,6 +38,7 @@ def leaves(cover: tuple[CoverNode, ...]) -> list[CoverNode]:
     return [node for index, node in enumerate(cover) if index not in parents]
 
 
+@needs_kernel
 @pytest.mark.parametrize("seed", seeds(range(6)))
 def test_each_sequence_is_in_one_leaf_of_the_cover(seed):
     problem = random_problem(seed, horizon=5, kinks=1 + seed % 2)
@@ -69,6 +71,7 @@ def test_modes_that_the_reach_had_left_out_are_covered_again(first):
         assert masks[:, np.arange(3), sequence].all(axis=1).sum() == 1, sequence
 
 
+@needs_kernel
 @pytest.mark.parametrize("fields", FIELDS.values(), ids=FIELDS)
 @pytest.mark.parametrize("seed", seeds(range(4)))
 def test_shifted_duals_prove_less_than_the_optimum_and_not_much_less(seed, fields):

@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import lin_freq_ocp as lfo
+from helpers.compilers import needs_kernel
 from helpers.modes import random_problem
 from helpers.replacing import substitute
 from helpers.seeds import seeds
@@ -60,6 +61,7 @@ def test_a_solution_is_proven_by_its_duals_and_by_the_judge(name, solver):
     assert shares - 1e-6 * abs(best) <= answer.bound <= best + 1e-6 * abs(best)
 
 
+@needs_kernel
 def test_paths_leave_less_open_than_shares():
     problem = lfo.library.buck_affine(horizon=10, control_spectrum="freq")
     best = lfo.solve(problem).cost
@@ -67,6 +69,7 @@ def test_paths_leave_less_open_than_shares():
     assert 0 < paths < 0.5 * shares
 
 
+@needs_kernel
 @pytest.mark.parametrize("name", ["plain", "band", "rows of the end"])
 def test_any_duals_prove_less_than_any_trajectory_costs(name):
     problem = random_problem(1, horizon=4, **FIELDS[name])
@@ -110,6 +113,7 @@ def test_any_duals_of_rows_at_all_times_prove_less_than_any_trajectory_costs(see
         assert relaxation.proven(reach, moved) <= best + 1e-9 * abs(best)
 
 
+@needs_kernel
 def test_rows_of_the_end_that_no_reachable_state_violates_are_left_out():
     problem = random_problem(4, horizon=5, **FIELDS["rows of the end"])
     relaxation, reach = root(problem)
