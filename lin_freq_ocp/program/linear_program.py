@@ -353,22 +353,27 @@ def dense_rows(problem: OptimalControlProblem) -> DenseRows:
     """Return the dense rows of stop bands, masks, energy bounds, and of a frequency response."""
     T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     of_u, of_x = 2 * int(problem.control_stop.sum()), 2 * int(problem.state_stop.sum())
-    count, entries = of_u + of_x, of_u * T + of_x * (T + 1)
+    count, entries, variables = of_u + of_x, of_u * T + of_x * (T + 1), (T + 1) * n + T * m
     if problem.response is not None:
         count, entries = count + T * n, entries + T * n * T * m
     for term in problem.terms:
         rows, size = term.map.dense_size
         count, entries = count + rows, entries + size
-    return DenseRows(count, entries, (T + 1) * n + T * m)
+    passed = None if problem.response is None else DenseRows(max(T * m - of_u, 0), entries, variables)
+    return DenseRows(count, entries, variables, passed)
 
 
 @dataclass(frozen=True)
 class DenseRows:
-    """The numbers of dense rows, of their entries, and of the variables of the program."""
+    """The numbers of dense rows, of their entries, and of the variables of the program.
+
+    ``passed`` is the program in the passed bins of a frequency response, which is solved instead.
+    """
 
     count: int
     entries: int
     variables: int
+    passed: DenseRows | None = None
 
     @property
     def size(self) -> float:
@@ -384,7 +389,8 @@ class DenseRows:
     @property
     def seconds(self) -> float:
         """Return the least time to an answer, estimated."""
-        return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * self.factorisation_seconds
+        solved = self.passed or self
+        return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * solved.factorisation_seconds
 
 
 def _same_recursion(new: OptimalControlProblem, old: OptimalControlProblem) -> bool:

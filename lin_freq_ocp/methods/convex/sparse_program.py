@@ -109,7 +109,7 @@ def convex_candidates(
     programs = programs or ProgramCache()
     linear, scaling = programs.program(problem)
     ready = now()
-    end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
+    end = np.inf if time_limit is None else started + time_limit - (rows.passed or rows).factorisation_seconds
     if ready >= end + GRACE:
         message = f"time limit of {time_limit:.3g} s, over before the solver began"
         yield Candidate(Status.LIMIT, message=message, seconds={"setup": ready - started, "solve": 0.0})
