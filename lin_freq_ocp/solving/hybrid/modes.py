@@ -292,9 +292,15 @@ class MixedInteger:
 
 def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
     """Yield the costs below which to search: that of rest, any, that of what was found then, or of a single mode."""
-    yield _level_of(problem, _rest(problem))
+    signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+    yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
     yield np.inf
-    known = [one.trajectory for one in found if one.trajectory] or _in_single_modes(problem, end)
+    known = [one.trajectory for one in found if one.trajectory]
+    if not known:
+        limit = None if end == np.inf else end - now()
+        sequences = (np.full(problem.horizon, mode) for mode in range(len(problem.mode_names)))
+        points = [_solve_sequence(problem, sequence, limit, None) for sequence in sequences]
+        known = [point.trajectory for point in points if point is not None]
     yield min((_level_of(problem, one) for one in known), default=np.inf)
 
 
@@ -311,20 +317,6 @@ def _level_of(problem: OptimalControlProblem, trajectory: Trajectory | None) -> 
     if trajectory is None or level <= 0 or level_boxes(problem, level) is None:
         return np.inf
     return level if judge(problem, trajectory, zero_multipliers(problem, 1.0)).feasible else np.inf
-
-
-def _rest(problem: OptimalControlProblem) -> Trajectory | None:
-    """Return the trajectory at rest, with zeros where no cost asks for other values."""
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    return trajectory_at_rest(problem, Trajectory(np.zeros((T + 1, n)), np.zeros((T, m))))
-
-
-def _in_single_modes(problem: OptimalControlProblem, end: float) -> list[Trajectory]:
-    """Return the optimal trajectories of those that stay in one mode."""
-    T, modes = problem.horizon, range(len(problem.mode_names))
-    limit = None if end == np.inf else end - now()
-    points = (_solve_sequence(problem, np.full(T, mode), limit, None) for mode in modes)
-    return [point.trajectory for point in points if point is not None]
 
 
 def _judge_search(
