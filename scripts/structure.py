@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_332,
-    "code lines": 45_906,
-    "code lines, linear part": 21_749,
-    "code lines, hybrid": 8_600,
+    "shipped lines": 49_324,
+    "code lines": 45_898,
+    "code lines, linear part": 21_748,
+    "code lines, hybrid": 8_593,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,

@@ -125,7 +125,7 @@ def slopes(problem: OptimalControlProblem, at: Variables, along: Variables | Non
             return of.multipliers.stage[name]
 
         found |= {f"{rows.name}.C": product(prices, x, rows.C), f"{rows.name}.D": product(prices, u, rows.D)}
-    return found | _limit_slopes(problem, at.multipliers, None if along is None else along.multipliers)
+    return found | _limit_slopes(problem, at, along)
 
 
 def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> ComplexArray:
@@ -139,9 +139,9 @@ def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> C
     return -(response.weight / N)[:, None, None] * eta[:, :, None] * u[:, None, :].conj()
 
 
-def _limit_slopes(problem: OptimalControlProblem, at: Multipliers, along: Multipliers | None) -> Values:
+def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Variables | None) -> Values:
     """Return the slopes by ends, bounds, bins, and the limits of terms under their names."""
-    one, fixed = along or at, problem.state_tube.fixed
+    at, one, fixed = point.multipliers, (along or point).multipliers, problem.state_tube.fixed
     found: Values = {name: np.where(fixed[t], -one.mu[t], np.nan) for name, t in zip(ENDS, (0, -1), strict=True)}
     for signal, weights, changes in (("state", np.where(fixed, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
         found[f"{signal}_upper"] = -np.where(weights > 0, changes, 0.0)
@@ -150,8 +150,8 @@ def _limit_slopes(problem: OptimalControlProblem, at: Multipliers, along: Multip
     for term in problem.terms:
         weights = at.stage.get(term.name)
         if weights is not None and not term.kind.is_cost:
-            changes = None if along is None else along.stage[term.name]
-            prices = term.penalty.limit_multipliers(weights, changes)
+            v, changes = term.map.values(point.x, point.u), None if along is None else one.stage[term.name]
+            prices = term.penalty.limit_multipliers(weights, v, changes)
             if prices is not None:
                 found[term.name] = -np.asarray(term.per_limit)[..., None] * prices
     return found
@@ -168,7 +168,7 @@ def data_of(problem: OptimalControlProblem) -> Values:
     found |= {"state_upper": states.upper, "state_lower": states.lower}
     found |= {"control_upper": controls.upper, "control_lower": controls.lower}
     for term in problem.terms:
-        prices = None if term.kind.is_cost else term.penalty.limit_multipliers(np.zeros(term.shape))
+        prices = None if term.kind.is_cost else term.penalty.limit_multipliers(*np.zeros((2, *term.shape)))
         if prices is not None:
             found[term.name] = prices
     for rows in problem.stage_rows:

@@ -186,10 +186,12 @@ class SolverCache:
 class SearchCache(ABC):
     """The state of a search over modes that the next step of a control loop reuses.
 
-    ``solved`` is the number of relaxations that the last search solved.
+    ``solved`` is the number of relaxations that the searches of the last step solved, ``levels`` holds the cost below
+    which the last of them was, if there was one.
     """
 
     solved: int
+    levels: tuple[float, ...]
 
     @abstractmethod
     def set_base(self, base: OptimalControlProblem | None) -> None:

@@ -37,3 +37,9 @@ def test_bad_sets_are_refused_by_the_field(name):
     with pytest.raises(lfo.errors.ProblemError) as caught:
         make()
     assert caught.value.field == field
+
+
+def test_wider_limits_of_an_intersection_are_its_hard_ones_alone():
+    both = lfo.sets.Soft(lfo.sets.Ball(1.0), penalty=3.0) & lfo.sets.Ball(2.0)
+    penalties = [part.penalty for part in both.relaxed(0.5, 2).parts(2)]
+    assert [(float(one.radius), float(one.weight)) for one in penalties] == [(1.0, 3.0), (2.5, np.inf)]

@@ -47,6 +47,14 @@ def cheap(hard):
     return lfo.solve(problem(0.3 * weight_of(hard)))
 
 
+def test_a_violated_limit_is_worth_what_a_higher_one_saves(hard, cheap):
+    price, step = 0.3 * weight_of(hard), 1e-2
+    higher, lower = (lfo.solve(problem(price, limit=1.5 + change)).cost for change in (step, -step))
+    (worth,) = cheap.sensitivities.limits.values()
+    assert peak_of(cheap).ratio > 1.05
+    assert worth.sum() == pytest.approx((higher - lower) / (2 * step), rel=1e-4)
+
+
 @pytest.mark.parametrize("method", seeds(["auto", "convex", "structured"]))
 def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     price = 0.3 * weight_of(hard)

@@ -113,9 +113,9 @@ class ConvexSet(ABC):
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
     def relaxed(self, amount: float, dimension: int) -> ConvexSet:
-        """Return the set with limits, bounds apart, that are higher by an amount; a soft set does not change."""
-        parts = tuple(Part(part.F, *part.penalty.relaxed(part.c, amount)) for part in self.parts(dimension))
-        return PartSet(parts, dimension, f"wider by {amount:g}")
+        """Return the set with hard limits, bounds apart, that are higher by an amount; soft limits do not change."""
+        parts = [Part(p.F, *p.penalty.relaxed(p.c, amount)) if p.penalty.hard else p for p in self.parts(dimension)]
+        return PartSet(tuple(parts), dimension, f"wider by {amount:g}")
 
     @property
     def hard_members(self) -> tuple[ConvexSet, ...]:

@@ -73,7 +73,7 @@ class HalfSpaces(Penalty):
     def bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         return np.full(shape, -np.inf), np.broadcast_to(self.limit, shape)
 
-    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
+    def limit_multipliers(self, multipliers: Array, v: Array, change: Array | None = None) -> Array:
         return multipliers if change is None else change
 
     def least_slacks(self, v: Array) -> Array:
@@ -187,11 +187,10 @@ class NormBall(Penalty):
         radius = np.broadcast_to(np.broadcast_to(self.radius, shape[:1])[:, None], shape)
         return -radius, radius
 
-    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
+    def limit_multipliers(self, multipliers: Array, v: Array, change: Array | None = None) -> Array:
         order = DUAL_ORDER[self.order]
-        if change is not None:
-            return slope_of_norm(multipliers, change, order, 0.0)[:, None]
-        return norm_of(multipliers, order)[:, None]
+        size = norm_of(multipliers, order) if change is None else slope_of_norm(multipliers, change, order, 0.0)
+        return size[:, None]
 
     def least_slacks(self, v: Array) -> Array:
         if self.hard:
@@ -313,9 +312,7 @@ class LargestExcess(Penalty):
         reach = near / np.min(self.limit, initial=np.inf)
         largest = excess >= excess.max(initial=0.0) - reach
         rise = float(np.max(self.excess_slope(v, change, near), initial=-np.inf, where=largest))
-        if not largest.any():
-            return 0.0
-        return float(self.weight) * (rise if excess.max() > reach else max(rise, 0.0))
+        return float(self.weight) * (rise if excess.max(initial=0.0) > reach else max(rise, 0.0))
 
     def unbounded(self, change: Array) -> tuple[Array, float]:
         return np.zeros((len(change), 1)), float(self.weight * self.recession(change).max(initial=0.0))
@@ -339,8 +336,9 @@ class LargestExcess(Penalty):
         limit = np.broadcast_to(self.limit[:, None], shape)
         return -limit, limit
 
-    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array:
-        return (norm_of(multipliers, 2) if change is None else slope_of_norm(multipliers, change, 2, 0.0))[:, None]
+    def limit_multipliers(self, multipliers: Array, v: Array, change: Array | None = None) -> Array:
+        size = norm_of(multipliers, 2) if change is None else slope_of_norm(multipliers, change, 2, 0.0)
+        return (1 + self._largest_violation(v)) * size[:, None]
 
     def least_slacks(self, v: Array) -> Array:
         return np.array([self._largest_violation(v) * self._unit])

@@ -139,10 +139,10 @@ class Penalty(ABC):
         lower, upper = self.bounds(shape)
         return np.where(np.isinf(self.weights), lower, -np.inf), np.where(np.isinf(self.weights), upper, np.inf)
 
-    def limit_multipliers(self, multipliers: Array, change: Array | None = None) -> Array | None:
-        """Return minus the derivatives of h by its limits, from the multipliers; None if h has no limits.
+    def limit_multipliers(self, multipliers: Array, v: Array, change: Array | None = None) -> Array | None:
+        """Return minus the derivatives of h by its limits at v, from the multipliers; None if h has no limits.
 
-        With a change of the multipliers, the change of these derivatives.
+        With a change of the multipliers, the change of these derivatives while the violation stays.
         """
         return None
 

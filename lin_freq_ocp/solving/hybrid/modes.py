@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -41,7 +42,7 @@ from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.solving.solver_cache import SearchCache
 from lin_freq_ocp.transform.reductions import Reduced
-from lin_freq_ocp.transform.sizes import FAR_BEYOND
+from lin_freq_ocp.transform.starts import Start
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +89,11 @@ class TreeCache(SearchCache):
         self._relaxation: ModeRelaxation | None = None
         self._cover: Sequence[CoverNode] = ()
         self._base: OptimalControlProblem | None = None
-        self.solved = 0
+        self.solved, self.levels = 0, ()
 
     def set_base(self, base: OptimalControlProblem | None) -> None:
         """Set the problem from which the next one differs in its initial state alone; None without one."""
-        self._base = base
+        self._base, self.solved = base, 0
 
     def search(
         self,
@@ -103,15 +104,17 @@ class TreeCache(SearchCache):
     ) -> SearchOutcome:
         """Search with the relaxations and the cover of the last search, and cache those of this one."""
         relaxation, cover = self._relaxation, self._cover
-        if relaxation is not None and self._base is not None and self._base is self._last:
+        same = self._base is not None and self._base is self._last
+        if relaxation is not None and same and self.levels == (limits.level,):
             search = TreeSearch(problem, limits, progress, relaxation.moved)
         else:
             search = TreeSearch(problem, limits, progress)
             cover = [replace(node, duals=None) for node in cover]  # whose units belong to other data
-        self._cover, self.solved = (), 0  # in case the search fails
+        self._cover = ()  # in case the search fails
         outcome = search.run(start, cover=cover)
-        self.solved = outcome.nodes
+        self.solved += outcome.nodes
         self._last, self._relaxation, self._cover = self._base, search.final_relaxation, search.cover_after_step()
+        self.levels = (limits.level,)
         return replace(outcome, resume=None)  # the cover is that of this tree
 
 
@@ -133,33 +136,26 @@ class _Search:
     takes_start: ClassVar[bool]
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Search, and judge the best sequence's trajectory and the tree.
+        """Search below the cost of rest, without a proof below others; judge the best sequence's trajectory and tree.
 
-        A motion far smaller than the bounds is sought among those that cost less than a known one.
+        In a loop, the cost below which the last search was is the first.
         """
         require_convex(problem)
-        end = now() + request.time_limit
-        first = _level_of(problem, _rest(problem), FAR)
-        outcome = self._prove(problem, request, first)
-        if first < np.inf:
-            outcome = self._improve(outcome, np.inf, request, end)
-        if outcome.status in UNPROVEN:
-            known = [outcome.trajectory] if outcome.trajectory else _in_single_modes(problem, end)
-            level = min((_level_of(problem, one, FAR_BEYOND) for one in known), default=np.inf)
-            outcome = outcome if level == np.inf else self._improve(outcome, level, request, end)
-        return outcome
-
-    def _improve(self, outcome: Outcome, level: float, request: Request, end: float) -> Outcome:
-        """Return an outcome, or that of a further search for costs below a level where it is not proven."""
-        if outcome.status == Status.OPTIMAL or outcome.interrupted or now() >= end:
-            return outcome
-        again = self._prove(outcome.problem, request.with_end(end), level)
-        return again if again.status == Status.OPTIMAL or outcome.trajectory is None else outcome
+        end, found, tried = now() + request.time_limit, list[Outcome](), set[float]()
+        known = [] if request.tree is None else request.tree.levels
+        for level in chain(known, _levels(problem, found, end)):
+            if level in tried:
+                continue
+            tried.add(level)
+            found.append(self._prove(problem, request.with_end(end) if found else request, level))
+            if found[-1].status not in UNPROVEN or found[-1].interrupted or now() >= end:
+                break
+        return max(found, key=lambda one: (one.status not in UNPROVEN, one.primal, _bound_of(one)))
 
     def _prove(self, problem: OptimalControlProblem, request: Request, level: float) -> Outcome:
         """Search for costs below a level, and judge what is found."""
-        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
-        started, request = now(), request if level == np.inf else replace(request, tree=None)
+        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes, level)
+        started = now()
         found = self._search(within_level(problem, level), limits, request)
         searched, end = now() - started, started + request.time_limit
         seconds = {"setup": found.setup, "solve": searched - found.setup}
@@ -273,27 +269,39 @@ class MixedInteger:
         """Search from the solver's sequence on; the message names a claim that turns out wrong."""
         require_convex(problem)
         backend = "scip" if self.backend == "auto" else self.backend
-        limits = SearchLimits(self.gap, request.time_limit, self.node_limit or SearchLimits.nodes)
-        end = now() + limits.seconds
-        claim = solve_miqp(problem, backend, None if np.isinf(limits.seconds) else limits.seconds, limits.gap)
-        left = max(limits.seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
-        clock = now()
-        level = _level_of(problem, _rest(problem), FAR)
-        search = TreeSearch(within_level(problem, level), replace(limits, seconds=left), progress=request.progress)
-        outcome = search.run(claim.sequence)
-        late = now() > end  # the message of the search names the rest of the limit
-        if late and outcome.message and not outcome.interrupted:
-            outcome = replace(outcome, message=limits.out_of_time)
-        seconds = {**claim.seconds, "solve": claim.seconds["solve"] + now() - clock}
-        result = replace(_judge_search(problem, "miqp", outcome, limits.gap, seconds, end, level), backend=backend)
+        seconds = request.time_limit
+        end = now() + seconds
+        claim = solve_miqp(problem, backend, None if np.isinf(seconds) else seconds, self.gap)
+        left = max(seconds - sum(claim.seconds.values()), LEAST_PROOF_SECONDS)
+        start = None if claim.sequence is None else Start(claim.sequence, None)
+        search = BranchAndBound(self.gap, self.node_limit)
+        result = search.solve(problem, replace(request, time_limit=left, start=start, tree=None))
+        seconds = {name: claim.seconds.get(name, 0.0) + spent for name, spent in result.seconds.items()}
+        late = now() > end and result.message and not result.interrupted  # it names the rest of the limit
+        message = SearchLimits(seconds=request.time_limit).out_of_time if late else result.message
+        result = replace(result, method=self.shorthand, backend=backend, seconds=seconds, message=message)
         claimed, proven = ("nothing" if cost is None else f"{cost:.9g}" for cost in (claim.cost, result.cost))
         certificate, agreed = result.certificate, False
         if claim.cost is not None and certificate is not None:
-            agreed = abs(claim.cost - certificate.cost) <= max(limits.gap, AGREEMENT) * certificate.cost_scale
+            agreed = abs(claim.cost - certificate.cost) <= max(self.gap, AGREEMENT) * certificate.cost_scale
         if result.status == Status.OPTIMAL and not agreed:
             message = f"{backend} ended with {claimed} ('{claim.message}'), the optimum is {proven}"
             return replace(result, message=message)
         return result
+
+
+def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
+    """Yield the costs below which to search: that of rest, any, that of what was found then, or of a single mode."""
+    signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+    yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
+    yield np.inf
+    known = [one.trajectory for one in found if one.trajectory]
+    if not known:
+        limit = None if end == np.inf else end - now()
+        sequences = (np.full(problem.horizon, mode) for mode in range(len(problem.mode_names)))
+        points = [_solve_sequence(problem, sequence, limit, None) for sequence in sequences]
+        known = [point.trajectory for point in points if point is not None]
+    yield min((_level_of(problem, one) for one in known), default=np.inf)
 
 
 def _bound_of(outcome: Outcome) -> float:
@@ -301,38 +309,14 @@ def _bound_of(outcome: Outcome) -> float:
 
 
 LEVEL_MARGIN = 2.0  # of the cost of a trajectory: an optimum lies well inside the box of costs below this
-FAR = 1e6  # widths of that box from which bounds are far: to the accuracy of programs, 1e-8, motions are then nothing
 
 
-def _level_of(problem: OptimalControlProblem, trajectory: Trajectory | None, far: float) -> float:
-    """Return a cost below which to search, as a trajectory costs less; inf if it is not feasible, or no bound is far.
-
-    ``far``: how many widths of the box of that level a bound is away.
-    """
-    if trajectory is None or problem.level_sizes.any():
-        return np.inf
-    level = LEVEL_MARGIN * problem.value(trajectory.x, trajectory.u)
-    boxes = level_boxes(problem, level) if level > 0 else None
-    if boxes is None:
-        return np.inf
-    pairs = zip(boxes, (problem.state_boxes, problem.control_tube), strict=True)
-    if not any((tube.upper - tube.lower > far * (box.upper - box.lower)).any() for box, tube in pairs):
+def _level_of(problem: OptimalControlProblem, trajectory: Trajectory | None) -> float:
+    """Return a cost below which to search, as a trajectory costs less; inf if it is not feasible, or makes no bound."""
+    level = np.inf if trajectory is None else LEVEL_MARGIN * problem.value(trajectory.x, trajectory.u)
+    if trajectory is None or level <= 0 or level_boxes(problem, level) is None:
         return np.inf
     return level if judge(problem, trajectory, zero_multipliers(problem, 1.0)).feasible else np.inf
-
-
-def _rest(problem: OptimalControlProblem) -> Trajectory | None:
-    """Return the trajectory at rest, with zeros where no cost asks for other values."""
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    return trajectory_at_rest(problem, Trajectory(np.zeros((T + 1, n)), np.zeros((T, m))))
-
-
-def _in_single_modes(problem: OptimalControlProblem, end: float) -> list[Trajectory]:
-    """Return the optimal trajectories of those that stay in one mode."""
-    T, modes = problem.horizon, range(len(problem.mode_names))
-    limit = None if end == np.inf else end - now()
-    points = (_solve_sequence(problem, np.full(T, mode), limit, None) for mode in modes)
-    return [point.trajectory for point in points if point is not None]
 
 
 def _judge_search(

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.certificate.hybrid import level_boxes, tree_bound
+from lin_freq_ocp.program.hybrid import PathRelaxation
 
 SMALL = (1e-7, 1e-9, 1e-11, 1e-13)
 
@@ -43,6 +44,22 @@ def test_a_small_motion_to_rest_is_proven_where_rest_is_not_feasible(start):
     of_order_one = lfo.solve(problem_at(0.1, terminal_state=[0.0, 0.0]))
     assert result.status == "optimal"
     assert result.cost / start**2 == pytest.approx(of_order_one.cost / 0.1**2, rel=2e-6)
+
+
+def test_bounds_that_are_far_add_no_nodes():
+    trees = [lfo.solve(problem_at(start)).tree for start in (0.1, 1e-3, 1e-5, *SMALL)]
+    assert {len(tree.nodes) for tree in trees} == {1}
+    assert all(tree.level < np.inf for tree in trees)
+
+
+def test_a_loop_that_comes_to_rest_keeps_its_relaxations_and_is_proven(monkeypatch):
+    reused, moved = [], PathRelaxation.moved
+    monkeypatch.setattr(PathRelaxation, "moved", lambda one, problem: reused.append(problem) or moved(one, problem))
+    controller, step, x = lfo.RecedingHorizon(problem_at(1.0)), problem_at(1.0).dynamics.stepper(1), np.array([1e-6, 0])
+    for k in range(12):
+        x = step(0, x, controller.step(x)) if k != 10 else np.array([0.7, 0.2])
+    assert set(controller.log.statuses) == {"optimal"}
+    assert len(reused) >= 9  # the first step has none to reuse
 
 
 @pytest.mark.parametrize("start", [1e-10, 1e-12, 1e-14])

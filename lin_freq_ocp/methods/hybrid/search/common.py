@@ -31,11 +31,12 @@ FEASIBLE = 1e-5
 
 @dataclass(frozen=True)
 class SearchLimits:
-    """When to stop: relative gap, seconds in all, relaxations solved, and the share of the seconds for the search."""
+    """When to stop: relative gap, seconds in all, relaxations, the cost to be below; and the share for the search."""
 
     gap: float = GAP
     seconds: float = np.inf
     nodes: int = 10**9
+    level: float = np.inf
     share: float = SEARCH_SHARE
 
     @property
