@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 49_332,
-    "code lines": 45_906,
-    "code lines, linear part": 21_749,
+    "shipped lines": 49_440,
+    "code lines": 46_014,
+    "code lines, linear part": 21_751,
     "code lines, hybrid": 8_600,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 64,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.1,
+    "functions used once [%]": 12.2,
     "files entered by a solve": 47,
     "functions entered by a solve": 378,
     "calls of a solve": 726,
