@@ -339,7 +339,7 @@ def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
     end = problem.ends[1]
     for rows in problem.stage_rows:
         C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
-        violated = np.asarray(end.support(C) > e).reshape(-1, rows.rows).any(axis=0)
+        violated = np.asarray((end.support(C) > e).reshape(-1, rows.rows).any(axis=0))
         if rows.penalty is None and violated.any() and not _follow_from_before(problem, first, rows, violated):
             advice = " (it does with following=0 in rate_limited)" if rows.name == RATE_LIMIT else ""
             yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero{advice}"

@@ -46,6 +46,11 @@ class StimulatedAxis:
     ------
     ProblemError
         If a time constant, the limit or the scale is not above zero, or a weight is below zero.
+
+    Examples
+    --------
+    >>> lfo.library.StimulatedAxis((1.5, 2.5, 0.15), (0.55, 0.15, 0.3), limit=15.0, scale=0.31).limit
+    15.0
     """
 
     time_constants: tuple[float, float, float]
@@ -142,7 +147,8 @@ def mri_gradient(
     --------
     >>> lfo.minimum_time(lfo.library.mri_gradient, horizons=(120, 140)).horizon
     132
-    >>> lfo.minimum_time(partial(lfo.library.mri_gradient, stimulation=1.0), horizons=(120, 140)).horizon
+    >>> felt = lambda horizon: lfo.library.mri_gradient(horizon, stimulation=1.0)
+    >>> lfo.minimum_time(felt, horizons=(120, 140)).horizon
     135
     """
     T = positive_integer("horizon", horizon)
