@@ -250,7 +250,7 @@ MPT3 = "MPT3, mpt3.org; python-control, optimal_test.py"
 ROWS = [
     *(
         Row(f"mpt3_u{t}", MPT3, f"The same regulator: its control at the step {t}", printed, partial(mpt3_control, t))
-        for t, printed in ((2, ".1393"), (3, ".3361"))
+        for t, printed in ((0, "-1"), (1, "-1"), (2, ".1393"), (3, ".3361"))
     ),
     Row(
         "mpt3",
