@@ -98,7 +98,7 @@ SKETCHES = {  # of _static/sketches, with the examples that have this plant
     "discs": ("obstacles",),
     "drive": ("two_mass_drive",),
     "gantry": ("gantry",),
-    "gradient_coil": ("minimum_time",),
+    "gradient_coil": ("minimum_time", "stimulation"),
     "inverter": ("inverter", "switching_angles"),
     "mass_chain": ("several_controls",),
     "mass_on_a_spring": ("oscillating_mass", "oscillating_mass_in_c"),

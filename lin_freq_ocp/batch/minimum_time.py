@@ -1,7 +1,8 @@
 """The least feasible horizon of a range, by bisection where feasibility is proven monotone, and from below otherwise.
 
 Feasibility is monotone if zeros can be appended: after any feasible trajectory of T steps, u_T = 0 keeps the state, or
-at least keeps it within the bounds of the end, and that is feasible for T + 1 steps. ``obstacles`` checks what this
+at least keeps it within the bounds of the end, and that is feasible for T + 1 steps. Joint rows must hold at every such
+end, or at those that one step within all rows reaches: linear programs decide that. ``obstacles`` checks what this
 needs, one condition after another; costs, and constraints that may be violated at a price, play no part. The conditions
 are sufficient: where one fails, nothing is said.
 
@@ -27,9 +28,13 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
 from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
 from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
-from lin_freq_ocp.certificate.bound import NUMERICAL
+from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.sets.base import ConvexSet
+from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.families import Options
@@ -334,9 +339,58 @@ def _rows_in_the_way(problem: OptimalControlProblem, first: int) -> Iterator[str
     end = problem.ends[1]
     for rows in problem.stage_rows:
         C, e = _entries_from(rows.C, first, 2), _entries_from(rows.e, first, 1)
-        if rows.penalty is None and (end.support(C) > e).any():
+        violated = np.asarray((end.support(C) > e).reshape(-1, rows.rows).any(axis=0))
+        if rows.penalty is None and violated.any() and not _follow_from_before(problem, first, rows, violated):
             advice = " (it does with following=0 in rate_limited)" if rows.name == RATE_LIMIT else ""
             yield f"stage_rows: '{rows.name}' does not hold at every admissible end with a control of zero{advice}"
+
+
+def _follow_from_before(problem: OptimalControlProblem, first: int, rows: StageRows, some: Mask) -> bool:
+    """Whether C_j x_T <= e_j is proven, for some rows, of all ends that one step reaches within bounds and rows.
+
+    Each is a linear program: a problem of one step, whose bound the judge proves. Its bounds hold those of all steps
+    from ``first`` - 1 on, and its rows are those that are the same in all of them. A component that steps do not move
+    alike, such as a sum weighted by time, or that a state without limits moves, is free within the end: it has a
+    control of its own.
+    """
+    before, dynamics, end = first - 1, problem.linear, problem.ends[1]
+    hard = [one for one in problem.stage_rows if one.penalty is None]
+    parts = {one.name: _steady(before, (one.C, 2), (one.D, 2), (one.e, 1)) for one in hard}
+    families = {name: values for name, (values, same) in parts.items() if same.all()}
+    if rows.name not in families:
+        return False
+    (A, B, d), alike = _steady(before, (dynamics.A, 2), (dynamics.B, 2), (dynamics.offset, 1))
+    x, u = (
+        Box(box.lower[before:].min(axis=0), box.upper[before:].max(axis=0))
+        for box in (problem.state_boxes, problem.control_tube)
+    )
+    limited = np.isfinite([x.lower, x.upper]).any(axis=0) | np.vstack([C for C, _, _ in families.values()]).any(axis=0)
+    alike = alike & ~A[:, ~limited].any(axis=1)
+    free = np.eye(len(alike))[:, ~alike]
+    step = OptimalControlProblem(
+        LinearDynamics(A * alike[:, None], np.hstack([B * alike[:, None], free]), d * alike),
+        1,
+        QuadraticCost(),
+        Box(np.append(u.lower, end.lower[~alike]), np.append(u.upper, end.upper[~alike])),
+        initial_state=Box(np.where(limited, x.lower, 0.0), np.where(limited, x.upper, 0.0)),
+        terminal_state=end,
+        stage_rows=[
+            StageRows(C, np.pad(D, ((0, 0), (0, free.shape[1]))), e, name) for name, (C, D, e) in families.items()
+        ],
+    )
+    C, _, e = families[rows.name]
+    for j in np.flatnonzero(some):
+        found = solve_judged(replace(step, cost=QuadraticCost(p=-C[j])))
+        if found.bound != RIGOROUS or (found.lower_bound is not None and found.lower_bound < -e[j]):
+            return False
+    return True
+
+
+def _steady(first: int, *parts: tuple[Array, int]) -> tuple[list[Array], Mask]:
+    """Return the last entry of each array, and which of their rows are the same at all times from ``first`` on."""
+    entries = [_entries_from(values, first, dimensions) for values, dimensions in parts]
+    same = [(one == one[-1]).reshape(*one.shape[:2], -1).all(axis=(0, 2)) for one in entries]
+    return [one[-1] for one in entries], np.logical_and.reduce(same)
 
 
 def _spectra_in_the_way(problem: OptimalControlProblem) -> Iterator[str]:

@@ -218,14 +218,19 @@ class Series:
 
 
 def certified_peak(samples: Array, limits: Limits, kind: Callable[[ComplexArray, float], Series] = Series) -> Peak:
-    """Return the largest |V| / l of samples (N,), with proof; for another kind of series, its |g| / l."""
+    """Return the largest |V| / l of samples (N,), with proof; for another kind of series, its |g| / l.
+
+    Cells reach beyond an interval by rounding, its end does not: the limit is known at the frequency that is returned.
+    """
     size = float(np.abs(samples).max(initial=0.0))
     if size == 0:
         return Peak(0.0, 0.0, float(limits.low[0]))
     if not np.isfinite(size):
         return Peak(np.inf, np.inf, float(limits.low[0]))
     least = float(min(limits.at_low.min(), limits.at_high.min())) / size
-    return bound_peak(_cells_on_intervals(kind(*_coefficients(to_long_double(samples) / size, least)), limits, size))
+    peak = bound_peak(_cells_on_intervals(kind(*_coefficients(to_long_double(samples) / size, least)), limits, size))
+    within = np.clip(peak.frequency, limits.low, limits.high)
+    return replace(peak, frequency=float(within[np.argmin(np.abs(within - peak.frequency))]))
 
 
 def _coefficients(values: Array, least: float) -> tuple[ComplexArray, float]:

@@ -19,11 +19,12 @@ from lin_freq_ocp.library.power_electronics import buck_affine, pulse_pattern
 from lin_freq_ocp.library.swing_up import cart_pole, pendulum_swing_up, planar_quadrotor
 from lin_freq_ocp.library.vehicles import elliptic_rendezvous, quadcopter, quarter_car
 from lin_freq_ocp.library.walls import cart_between_walls, cart_pole_with_walls, pendulum_with_wall
-from lin_freq_ocp.library.waveforms import mri_gradient, printer_move, wave_energy
+from lin_freq_ocp.library.waveforms import StimulatedAxis, mri_gradient, printer_move, wave_energy
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 # fmt: off
 __all__ = [
+    "StimulatedAxis",
     "absolute_value", "ball_and_paddle", "buck_affine", "buck_converter", "cart_between_walls", "cart_pole",
     "cart_pole_with_walls", "crane", "double_integrator", "elliptic_rendezvous", "flexible_joint_arm",
     "flexible_satellite", "mass_chain", "max_min_network", "mri_gradient", "norm_dynamics", "pendulum",

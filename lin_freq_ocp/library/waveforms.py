@@ -7,7 +7,7 @@ wave-energy converter, known by boundary-element coefficients per frequency.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 import numpy as np
@@ -29,6 +29,52 @@ MS_PER_S = 1e3
 BAND_LEVEL = 145.17  # mT/m: 5 % of the largest |V| of the default pulse without bands, 2903.35 mT/m at 632 Hz
 
 
+@dataclass(frozen=True)
+class StimulatedAxis:
+    """The numbers of the SAFE model of nerve stimulation for one axis of a scanner.
+
+    Parameters
+    ----------
+    time_constants, weights : (float, float, float)
+        tau_1, tau_2, tau_3 in ms, and c_1, c_2, c_3, of the filters of the slew, its magnitude, and the slew again.
+    limit : float
+        The stimulation that counts as 1, in T/m/s.
+    scale : float
+        Of the stimulation.
+
+    Raises
+    ------
+    ProblemError
+        If a time constant, the limit or the scale is not above zero, or a weight is below zero.
+
+    Examples
+    --------
+    >>> lfo.library.StimulatedAxis((1.5, 2.5, 0.15), (0.55, 0.15, 0.3), limit=15.0, scale=0.31).limit
+    15.0
+    """
+
+    time_constants: tuple[float, float, float]
+    weights: tuple[float, float, float]
+    limit: float
+    scale: float
+
+    def __post_init__(self) -> None:
+        for name, values in (("time_constants", self.time_constants), ("weights", self.weights)):
+            given = real_array(name, values)
+            if given.shape != (3,) or (given < 0).any() or (name == "time_constants" and not given.all()):
+                least = "above zero" if name == "time_constants" else "zero or above"
+                raise ProblemError(name, brief(values), f"three numbers, {least}")
+        positive_number("limit", self.limit)
+        positive_number("scale", self.scale)
+
+
+EXAMPLE_AXES = {  # safe_example_hw_peripheral.m
+    "x": StimulatedAxis((0.2, 0.03, 3.0), (0.4, 0.1, 0.5), 30.0, 0.35),
+    "y": StimulatedAxis((1.5, 2.5, 0.15), (0.55, 0.15, 0.3), 15.0, 0.31),
+    "z": StimulatedAxis((2.0, 0.12, 1.0), (0.42, 0.4, 0.18), 25.0, 0.25),
+}
+
+
 def mri_gradient(
     horizon: int = 132,
     zeroth_moment: float | None = 0.0,
@@ -40,8 +86,10 @@ def mri_gradient(
     raster: float = 0.01,
     forbidden_bands_hz: Sequence[Sequence[float]] | None = None,
     band_level: float = BAND_LEVEL,
+    stimulation: float | None = None,
+    hardware: str | StimulatedAxis = "y",
 ) -> OptimalControlProblem:
-    """Shape a gradient pulse with given moments: minimum time, forbidden bands of acoustic resonances.
+    """Shape a gradient pulse with given moments: minimum time, forbidden bands, limited stimulation of nerves.
 
     Minimise 1/2 sum of g_t^2 over the samples g_0 .. g_{T-1} of a gradient with g_0 = g_{T-1} = 0, |g_t| <= amplitude
     and |g_t - g_{t-1}| <= slew_rate * raster. Sample t is at the time t * raster, and the moment of order k is
@@ -49,6 +97,11 @@ def mri_gradient(
     moments. The horizon is the number of samples, both zeros counted: with the defaults (a bipolar pulse for flow
     encoding, 1.32 ms) 132 samples are feasible and 131 are not; that is so, too, with moments about the centres of
     samples. A prephaser is ``zeroth_moment=11.0, first_moment=None``, or with further moments of zero.
+
+    With ``stimulation``, the SAFE model limits what nerves feel of the slew s_t = (g_t - g_{t-1}) / raster. Three
+    low-pass filters w+ = w + a (input - w), a = raster / (tau + raster), have the inputs s, |s| and s, and
+    (c_1 |w_1| + c_2 w_2 + c_3 |w_3|) scale / limit <= stimulation after every sample. A second control v >= |s| stands
+    for |s|: a larger v only adds stimulation, and so the least horizon is the same.
 
     Parameters
     ----------
@@ -68,11 +121,15 @@ def mri_gradient(
         Bands in which |sum_t g_t exp(-iwt)| <= band_level at every frequency, as (560, 620), (960, 1310), (1860, 1950).
     band_level : float
         In mT/m. Default: 5 % of the largest |sum_t g_t exp(-iwt)| of the default pulse without bands.
+    stimulation : float or None
+        The largest stimulation, as a share of the one that the hardware's limit stands for; None: free.
+    hardware : str or StimulatedAxis
+        The numbers of the SAFE model; "x", "y" or "z": an axis of the published example, which is no real scanner.
 
     Returns
     -------
     OptimalControlProblem
-        With the moments and the sample before, g_{t-1}, as states.
+        With the moments, the sample before, g_{t-1}, and with ``stimulation`` w_1, w_2, w_3 as states.
 
     Raises
     ------
@@ -83,11 +140,16 @@ def mri_gradient(
     ----------
     Loecher, Middione and Ennis, "A gradient optimization toolbox for general purpose time-optimal MRI gradient
     waveform design", Magnetic Resonance in Medicine 84(6), 2020: GrOpt, whose flow-encoding pulse is the default.
+    Hebrank and Gebhardt, "SAFE model: a new method for predicting peripheral nerve stimulations in MRI", Proceedings of
+    the ISMRM 8, 2000.
 
     Examples
     --------
     >>> lfo.minimum_time(lfo.library.mri_gradient, horizons=(120, 140)).horizon
     132
+    >>> felt = lambda horizon: lfo.library.mri_gradient(horizon, stimulation=1.0)
+    >>> lfo.minimum_time(felt, horizons=(120, 140)).horizon
+    135
     """
     T = positive_integer("horizon", horizon)
     if T < 2:
@@ -112,7 +174,7 @@ def mri_gradient(
     edges = np.zeros((0, 2)) if forbidden_bands_hz is None else real_array("forbidden_bands_hz", forbidden_bands_hz)
     if edges.ndim != 2 or edges.shape[1] != 2 or (edges[:, 0] >= edges[:, 1]).any() or (edges < 0).any():
         raise ProblemError("forbidden_bands_hz", brief(forbidden_bands_hz), "pairs (low, high) in Hz, 0 <= low < high")
-    return OptimalControlProblem(
+    pulse = OptimalControlProblem(
         dynamics=LinearDynamics(
             np.diag(1.0 - before),
             gains,
@@ -127,12 +189,59 @@ def mri_gradient(
         initial_state=np.zeros(len(before)),
         terminal_state=Box(np.append(values - tolerance, 0.0), np.append(values + tolerance, 0.0)),
         control_spectrum=[
-            MagnitudeBound(level, band=notch(centre_hz=(low + high) / 2, width_hz=high - low), every_frequency=True)
+            MagnitudeBound(
+                level, band=notch(centre_hz=(low + high) / 2, width_hz=high - low), every_frequency=True, component=0
+            )
             for low, high in edges.tolist()
         ]
         or None,
         stage_rows=StageRows(np.stack([-before, before]), [[1.0], [-1.0]], [change, change], name="slew rate"),
         name="mri_gradient",
+    )
+    return pulse if stimulation is None else _limit_stimulation(pulse, stimulation, hardware, step, change / step)
+
+
+def _limit_stimulation(
+    pulse: OptimalControlProblem, stimulation: float, hardware: str | StimulatedAxis, step: float, slew: float
+) -> OptimalControlProblem:
+    """Return the pulse with the filters of the SAFE model; the last of its states is the sample before."""
+    share = positive_number("stimulation", stimulation)
+    axis = EXAMPLE_AXES.get(hardware) if isinstance(hardware, str) else hardware
+    if not isinstance(axis, StimulatedAxis):
+        raise ProblemError("hardware", brief(hardware), f"a StimulatedAxis, or one of {', '.join(EXAMPLE_AXES)}")
+    dynamics, T, n, tube, end = pulse.linear, pulse.horizon, pulse.state_dim, pulse.control_tube, pulse.terminal_box
+    a = step / (np.array(axis.time_constants) + step)
+    A, B = np.pad(dynamics.A, (0, 3)), np.pad(dynamics.B, ((0, 0), (0, 3), (0, 1)))
+    A[n:, n:], A[[n, n + 2], n - 1] = np.diag(1.0 - a), -a[::2] / step
+    B[:, [n, n + 2], 0], B[:, n + 1, 1] = a[::2] / step, a[1]
+    before = np.eye(n + 3)[n - 1] / step
+    signs = np.array([(first, 1.0, last) for first in (1.0, -1.0) for last in (1.0, -1.0)])
+    felt = signs * np.array(axis.weights) * axis.scale / axis.limit
+    # a filter of a slew within the slew rate stays within it: these bounds limit nothing, and make proofs short
+    low, high, free = np.array([-slew, 0.0, -slew]), np.full(3, slew), np.full(n, np.inf)
+    return replace(
+        pulse,
+        dynamics=LinearDynamics(
+            A,
+            B,
+            sampling_time=dynamics.sampling_time,
+            state_names=[
+                *pulse.state_names,
+                *(f"filtered {kind} [T/m/s]" for kind in ("slew 1", "|slew| 2", "slew 3")),
+            ],
+            control_names=[*pulse.control_names, "|slew| [T/m/s]"],
+        ),
+        cost=QuadraticCost(R=np.diag([1.0, 0.0])),
+        control_set=Box(np.hstack([tube.lower, np.zeros((T, 1))]), np.hstack([tube.upper, np.full((T, 1), slew)])),
+        state_set=Box(np.append(-free, low), np.append(free, high)),
+        initial_state=np.zeros(n + 3),
+        terminal_state=Box(np.append(end.lower, low), np.append(end.upper, high)),
+        stage_rows=[
+            StageRows(
+                np.stack([-before, before]), [[1 / step, -1.0], [-1 / step, -1.0]], np.zeros(2), name="slew rate"
+            ),
+            StageRows(felt @ A[n:], felt @ B[0, n:], np.full(4, share), name="stimulation"),
+        ],
     )
 
 

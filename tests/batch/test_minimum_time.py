@@ -455,3 +455,64 @@ def test_a_search_goes_on_from_the_file_of_a_sweep(tmp_path):
     assert (found.horizon, found.proven) == (4, True)
     assert found.verdicts[5] == "feasible"
     assert {row["parameters"]["horizon"] for row in lfo.load_sweep(path).rows} >= {3, 4, 5}
+
+
+def filtered(random):
+    """Return a problem whose state follows bounded controls through filters, with rows on both."""
+    n = 2
+    A, B = np.diag(random.uniform(0.2, 0.9, n)), random.uniform(-1, 1, (n, 2))
+    rows = lfo.StageRows(random.normal(size=(3, n)), random.normal(size=(3, 2)), random.uniform(0.5, 3.0, 3), "rows")
+    # of the states alone, from (A x + B u) with a margin: rows that the step before may imply
+    C = random.normal(size=(1, n))
+    kept = lfo.StageRows(C @ A, C @ B, [random.uniform(0.3, 1.5)], "filtered")
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B),
+        6,
+        lfo.QuadraticCost(R=1.0),
+        lfo.Box(-1, 1),
+        lfo.Box(-9, 9),
+        [0, 0],
+        stage_rows=[rows, kept],
+    )
+
+
+def largest_after_a_step(problem, C):
+    """Return the largest C x_T over all ends that a step within rows and bounds reaches, by HiGHS."""
+    A, B = problem.dynamics.A, problem.dynamics.B
+    F = np.vstack([np.hstack([one.C, one.D]) for one in problem.stage_rows] + [s * np.hstack([A, B]) for s in (1, -1)])
+    g = np.concatenate([one.e for one in problem.stage_rows] + [np.full(2, 9.0)] * 2)
+    found = linprog(-np.hstack([C @ A, C @ B]), F, g, bounds=[(-9, 9)] * 2 + [(-1, 1)] * 2)
+    return -found.fun
+
+
+@pytest.mark.parametrize("seed", seeds(range(4)))
+def test_rows_that_the_step_before_implies_are_those_of_linear_programs(seed):
+    random, answers = np.random.default_rng(seed), set()
+    for _ in range(15):
+        problem = filtered(random)
+        found = obstacles(partial(problem_at_horizon, problem), 2, 6, same_data=True)
+        for rows in problem.stage_rows:
+            margins = [rows.e[j] - largest_after_a_step(problem, rows.C[j]) for j in range(len(rows.e))]
+            if min(map(abs, margins)) > 1e-6:
+                implied = min(margins) > 0
+                answers.add(implied)
+                assert implied != any(f"'{rows.name}'" in words for words in found)
+    assert answers == {True, False}
+
+
+def test_rows_that_change_at_the_end_are_not_implied_by_the_step_before():
+    """The row of the last steps is narrower than that of the step before them."""
+
+    def problem(widths):
+        rows = lfo.StageRows([[0.5]], [[0.5]], np.array(widths)[:, None], name="filtered")
+        plant = lfo.LinearDynamics([[0.5]], [[0.5]])
+        return lfo.OptimalControlProblem(
+            plant, len(widths), lfo.QuadraticCost(R=1.0), lfo.Box(-1, 1), lfo.Box(-4, 4), [0], stage_rows=rows
+        )
+
+    def found(widths):
+        return obstacles(lambda T: problem(widths[:T]), 3, len(widths), same_data=False)
+
+    assert found([0.8] * 6) == []
+    assert any("'filtered'" in words for words in found([0.8, 0.8, 0.8, 0.7, 0.7, 0.7]))
+    assert found([0.7, 0.7, 0.8, 0.8, 0.8, 0.8]) == []

@@ -65,6 +65,16 @@ def test_values_that_are_known():
     assert second.ratio == pytest.approx(dirichlet, rel=1e-9)
 
 
+@pytest.mark.parametrize("seed", seeds(range(9)))
+def test_the_peak_at_the_end_of_a_band_is_within_it(seed):
+    """Where the limit is known: cells that end with a band, up to rounding, reach beyond it by rounding."""
+    rng = np.random.default_rng(seed)
+    for k in range(1, 64):
+        samples = rng.choice([-1, 1]) ** np.arange(3) * rng.uniform(0.5, 1.0, 3)
+        limits = limits_on([(np.pi * k / 64, np.pi * (k + 0.5) / 64)], np.zeros(1), np.ones(1))
+        assert np.isfinite(limits.at(np.array([certified_peak(samples, limits).frequency])))
+
+
 def test_zero_and_overflowing_signals():
     limits = limits_on(WHOLE, np.zeros(1), np.ones(1))
     assert certified_peak(np.zeros(5), limits).ratio == 0

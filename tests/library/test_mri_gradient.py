@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import turn
-from lin_freq_ocp.library import mri_gradient
+from lin_freq_ocp.library import StimulatedAxis, mri_gradient
 
 BANDS = ((560, 620), (960, 1310), (1860, 1950))  # Hz
 
@@ -55,6 +55,65 @@ def test_bands_are_held_at_every_frequency_and_without_them_are_not():
     assert masked.certificate.globally_optimal
 
 
+def stimulation(g, axis, after=1000):
+    """Return the largest stimulation of a waveform, also after its end, sample by sample, in the words of the model."""
+    tau, weights, limit, scale = {
+        "x": ((0.2, 0.03, 3.0), (0.4, 0.1, 0.5), 30.0, 0.35),
+        "y": ((1.5, 2.5, 0.15), (0.55, 0.15, 0.3), 15.0, 0.31),
+        "z": ((2.0, 0.12, 1.0), (0.42, 0.4, 0.18), 25.0, 0.25),
+    }[axis]
+    filtered, largest = [0.0, 0.0, 0.0], 0.0
+    for slew in np.diff([0.0, *g, *[0.0] * after]) / 0.01:
+        for i, value in enumerate((slew, abs(slew), slew)):
+            filtered[i] += 0.01 / (tau[i] + 0.01) * (value - filtered[i])
+        felt = sum(weight * abs(value) for weight, value in zip(weights, filtered, strict=True))
+        largest = max(largest, felt * scale / limit)
+    return largest
+
+
+@pytest.mark.parametrize(
+    ("axis", "share", "least"),
+    [
+        *(("x", 1.0, 132), ("x", 0.8, 133), ("x", 0.5, 148)),
+        *(("y", 1.0, 135), ("y", 0.8, 145), ("y", 0.5, 173)),
+        *(("z", 1.0, 132), ("z", 0.8, 132), ("z", 0.5, 145)),
+    ],
+)
+def test_the_least_pulse_that_nerves_take_is_proven(axis, share, least):
+    """All shorter horizons are proven by one of them: after a pulse within the limit, zeros stay within it."""
+    stated = partial(mri_gradient, stimulation=share, hardware=axis)
+    found = lfo.minimum_time(stated, horizons=(least - 30, least + 20))
+    assert (found.horizon, found.monotone, found.proven) == (least, True, True)
+    g = found.result.control[:, 0]
+    assert stimulation(g, axis) <= share * (1 + 1e-6)
+    assert moment(found.result, 1) == pytest.approx(11.74, abs=1e-3 + 1e-8)
+    assert np.abs(np.diff(g)).max() <= 2 + 1e-9
+    if share == 0.5:
+        assert stimulation(lfo.solve(mri_gradient(least)).control[:, 0], axis) > 0.5
+
+
+def test_hardware_of_ones_own_is_that_of_its_numbers():
+    own = StimulatedAxis((1.5, 2.5, 0.15), (0.55, 0.15, 0.3), limit=15.0, scale=0.31)
+    given, named = (mri_gradient(140, stimulation=0.9, hardware=hardware) for hardware in (own, "y"))
+    assert lfo.solve(given).cost == lfo.solve(named).cost
+
+
+@pytest.mark.parametrize("field", ["time_constants", "weights", "limit", "scale"])
+def test_bad_numbers_of_hardware_are_named(field):
+    good = {"time_constants": (1.0, 1.0, 1.0), "weights": (1.0, 0.0, 1.0), "limit": 1.0, "scale": 1.0}
+    StimulatedAxis(**good)
+    for bad in (-1.0, (1.0, -1.0, 1.0), (1.0, 1.0)):
+        with pytest.raises(lfo.errors.ProblemError, match=f"^{field}"):
+            StimulatedAxis(**good | {field: bad})
+
+
+@turn(1)
+@pytest.mark.parametrize("samples", [246, 250])
+def test_pulses_with_bands_are_proven_where_the_peak_is_at_the_end_of_a_band(samples):
+    masked = lfo.solve(mri_gradient(samples, forbidden_bands_hz=BANDS))
+    assert masked.certificate.globally_optimal
+
+
 def test_the_level_is_a_twentieth_of_the_peak_without_bands():
     V = np.abs(np.fft.rfft(lfo.solve(mri_gradient()).control[:, 0], 2**16))
     assert mri_gradient(forbidden_bands_hz=BANDS).control_spectrum[0].limit == pytest.approx(V.max() / 20, rel=1e-4)
@@ -70,6 +129,10 @@ def test_the_level_is_a_twentieth_of_the_peak_without_bands():
         ("forbidden_bands_hz", {"forbidden_bands_hz": [5]}),
         ("first_moment", {"first_moment": "x"}),
         ("second_moment", {"second_moment": [1.0, 2.0]}),
+        ("stimulation", {"stimulation": 0.0}),
+        ("stimulation", {"stimulation": -1.0}),
+        ("hardware", {"stimulation": 1.0, "hardware": "w"}),
+        ("hardware", {"stimulation": 1.0, "hardware": 3.0}),
     ],
 )
 def test_bad_parameters_are_named(field, given):
