@@ -46,8 +46,10 @@ from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.methods.native_code import compiled_library
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
-ROUNDING = 1e-13  # of L_r, whose terms are of order 1: rounding errors of some 10^3 sums that telescope are smaller
-LEAST_REST = 1e-9  # of d/h above a whole number: its rounding is smaller
+TRACKING_ROUNDING = (
+    1e-13  # of L_r, whose terms are of order 1: rounding errors of some 10^3 sums that telescope are smaller
+)
+LEAST_FRACTION = 1e-9  # of d/h above a whole number: its rounding is smaller
 COUNTS = 100  # numbers N among which one lets dwells be just above multiples of h
 MOST_CHOICES = 2**29  # bytes: a tube that needs more is not searched
 FIRST_WIDTH = 0.1  # half width of the first tube [rad]
@@ -92,9 +94,9 @@ class AngleLattice:
 
     def __init__(self, quarter: Quarter, count: int):
         d = float(quarter.dwells[1:-1].min(initial=QUARTER))
-        self.count = min(range(count, count + COUNTS), key=lambda N: (d * N / QUARTER - LEAST_REST) % 1.0)
+        self.count = min(range(count, count + COUNTS), key=lambda N: (d * N / QUARTER - LEAST_FRACTION) % 1.0)
         self._quarter, self._h = quarter, QUARTER / self.count
-        hold = np.floor(quarter.dwells / self._h - LEAST_REST).astype(np.int64)
+        hold = np.floor(quarter.dwells / self._h - LEAST_FRACTION).astype(np.int64)
         hold[1:-1] -= 1
         self._hold = np.maximum(hold, 0)
         m, s = len(quarter.dwells) - 1, quarter.step
@@ -113,13 +115,13 @@ class AngleLattice:
             least, steps, angles = self._least(r, width, part)
             loss = self._squares + self._h**2 * len(steps) * width * q.step / np.pi
             leaving = 4 * width**3 / (3 * np.pi * steepest) if width < farthest else np.inf
-            if least - loss <= leaving or leaving - ROUNDING + q.shift(r) >= enough:
+            if least - loss <= leaving or leaving - TRACKING_ROUNDING + q.shift(r) >= enough:
                 break
             width = WIDER * (3 * np.pi / 4 * steepest * least) ** (1 / 3) if least < np.inf else 2 * width
         if least < np.inf:
             needed = WIDER * (3 * np.pi / 4 * steepest * max(least, 0.0)) ** (1 / 3)
             self._width = min(width, max(needed, self._h))
-        return LatticePoint(min(least - loss, leaving) - ROUNDING + q.shift(r), r, steps, angles)
+        return LatticePoint(min(least - loss, leaving) - TRACKING_ROUNDING + q.shift(r), r, steps, angles)
 
     def best(self, part: AngleRange, r: Array, end: float, enough: float = np.inf) -> Iterator[LatticePoint]:
         """Yield the points of cutting planes from r on, until the bound is ``enough`` or stays, or after end."""
@@ -171,8 +173,8 @@ class AngleLattice:
             raise UnsupportedError(
                 f"no bound on a lattice of {N} angles: got a tube that needs more than half a gigabyte."
             )
-        low = np.maximum(np.floor(part.low / h - LEAST_REST).astype(np.int64), self._hold[0])
-        high = np.ceil(part.high / h + LEAST_REST).astype(np.int64)
+        low = np.maximum(np.floor(part.low / h - LEAST_FRACTION).astype(np.int64), self._hold[0])
+        high = np.ceil(part.high / h + LEAST_FRACTION).astype(np.int64)
         spans = np.concatenate([[1], self._hold])
         moments = np.array([self._moments(r, int(span)) for span in spans])
         ring = int(spans.max()) + 1

@@ -29,7 +29,7 @@ from lin_freq_ocp.transform.simulation import simulate
 GAP = 1e-6  # default of the relative gap to prove
 SHARE_OF_BOXES = 0.95  # of the time, after which the best train is refined and judged
 LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
-NEAR = 0.01  # distance of angles [rad] of two trains of a lattice from which the local optimum is the same
+SAME_OPTIMUM = 0.01  # distance of angles [rad] of two trains of a lattice from which the local optimum is the same
 FEW_ANGLES = 3  # boxes alone prove them within a second
 FEW_TO_NARROW = 5  # angles up to which boxes prove the gap that the lattice leaves
 LATTICES = 1000, 4000, 8000  # angles of a quarter: gaps of about 1, .1 and .03 % for eight switches
@@ -115,7 +115,7 @@ class _TrainSearch:
                 for point in AngleLattice(quarter, angles).best(whole, r, end):
                     if self._cost_at_least(point) > self._floor:
                         self._floor, r = self._cost_at_least(point), point.r
-                    self._look_once(point.steps, point.angles, NEAR)
+                    self._look_once(point.steps, point.angles, SAME_OPTIMUM)
                 if self._floor >= self._cutoff:
                     return
             if count <= FEW_TO_NARROW:
@@ -132,7 +132,7 @@ class _TrainSearch:
             for point in lattice.best(AngleRange(low[i], high[i], sign), r, end, self._enough):
                 if self._cost_at_least(point) > bound[i]:
                     bound[i], r_best = self._cost_at_least(point), point.r
-                self._look_once(point.steps, point.angles, NEAR)
+                self._look_once(point.steps, point.angles, SAME_OPTIMUM)
             for j, side in product(range(len(sign)), (0, 1)):
                 if bound[i] >= self._cutoff or now() > end:
                     break
