@@ -194,7 +194,14 @@ STEP, THIRD = 0.5, 0.01  # between levels of an optimal pulse pattern, and the l
 
 
 def pulse_pattern(
-    kind: str = "shep", samples: int = 128, tolerance: float | None = None, modulation: float = 0.9, switches: int = 8
+    kind: str = "shep",
+    samples: int = 128,
+    tolerance: float | None = None,
+    modulation: float = 0.9,
+    switches: int = 8,
+    least_dwell: float = 0.0,
+    unipolar: bool = False,
+    exactly: bool = False,
 ) -> OptimalControlProblem:
     """Switch an inverter between five levels: harmonics removed, or least distortion with a budget of switches.
 
@@ -206,6 +213,8 @@ def pulse_pattern(
     Optimal pulse pattern ("opp"): u(theta) in {-1, -1/2, 0, 1/2, 1} with quarter-wave symmetry and u(0) = 0 changes by
     one level at no more than k free angles of a period. With dI/dtheta = u, b_1 = M and |b_3| <= 0.01, the cost is the
     square of the total demand distortion, 1/pi times the integral of I^2, less M^2: the sum of (b_k / k)^2 over k >= 3.
+    The published patterns have exactly k switches, at least 0.01 pi apart, and no level below zero in the first half of
+    a period: ``least_dwell=0.01 * np.pi, unipolar=True, exactly=True``.
 
     Parameters
     ----------
@@ -220,6 +229,12 @@ def pulse_pattern(
         "opp": M, above 0 and up to 4/pi.
     switches : int
         "opp": k, a multiple of 4.
+    least_dwell : float
+        "opp": the least angle [rad] between two switches, also across the axes of symmetry.
+    unipolar : bool
+        "opp": no level below zero in the first half of a period, where the fundamental is positive.
+    exactly : bool
+        "opp": k switches instead of at most k. It needs a least dwell above zero, and a least dwell needs it.
 
     Returns
     -------
@@ -246,7 +261,7 @@ def pulse_pattern(
     if kind == "shep":
         return _elimination(samples, tolerance)
     if kind == "opp":
-        return _optimal_pattern(modulation, switches)
+        return _optimal_pattern(modulation, switches, least_dwell, unipolar, exactly)
     raise ProblemError("kind", brief(kind), "'shep' or 'opp'", suggestion(kind, ["shep", "opp"]))
 
 
@@ -274,21 +289,33 @@ def _elimination(samples: int, tolerance: float | None) -> OptimalControlProblem
     )
 
 
-def _optimal_pattern(modulation: float, switches: int) -> OptimalControlProblem:
+def _optimal_pattern(
+    modulation: float, switches: int, least_dwell: float, unipolar: bool, exactly: bool
+) -> OptimalControlProblem:
     M, k = positive_number("modulation", modulation), positive_integer("switches", switches)
     if M > 4 / np.pi:
         raise ProblemError("modulation", brief(modulation), "at most 4/pi, the fundamental of a square wave")
     if k % 4:
         raise ProblemError("switches", str(k), "a multiple of 4", "Each of a quarter period happens four times.")
-    dynamics = PulseTrain(STEP, orders=(1, 3))
+    dwell = 0.0 if least_dwell == 0 else positive_number("least_dwell", least_dwell)
+    if exactly and not dwell:
+        hint = "With switches that may coincide, k switches are no fewer than k - 4 of them. Give a least dwell."
+        raise ProblemError("exactly", "True with least_dwell=0", "a least dwell above zero", hint)
+    if dwell and not exactly:
+        hint = "Every switch counts with a least dwell. For fewer switches, solve with a smaller number of them."
+        raise ProblemError("exactly", f"False with least_dwell={brief(dwell)}", "True", hint)
+    if dwell * k > 2 * np.pi:
+        raise ProblemError("least_dwell", brief(dwell), f"at most 2 pi/k = {2 * np.pi / k:.6g}: k of them fit a period")
+    dynamics, dwells, lowest = PulseTrain(STEP, orders=(1, 3)), np.full(k // 4 + 1, dwell), 0 if unipolar else -1
+    dwells[[0, -1]] /= 2  # the other half is beyond the axis of symmetry
     energy = -(M**2)  # plus the sum over the trajectory: the square of the distortion at the end
     return OptimalControlProblem(
         dynamics=dynamics,
         horizon=k // 4 + 1,
         cost=QuadraticCost(p=[0, 0, 0, 1, 0, 0]),
-        control_set=Box([0, -1], [QUARTER, 1]),
-        state_set=Box([0, -1, -QUARTER, energy, -2, -2], [QUARTER, 1, QUARTER, 4, 2, 2]),
+        control_set=Box(np.column_stack([dwells, -np.ones_like(dwells)]) if dwell else [0, -1], [QUARTER, 1]),
+        state_set=Box([0, lowest, -QUARTER, energy, -2, -2], [QUARTER, 1, QUARTER, 4, 2, 2]),
         initial_state=Box([0, 0, -QUARTER, energy, 0, 0], [0, 0, QUARTER, energy, 0, 0]),
-        terminal_state=Box([QUARTER, -1, 0, energy, M, -THIRD], [QUARTER, 1, 0, 4, M, THIRD]),
+        terminal_state=Box([QUARTER, lowest, 0, energy, M, -THIRD], [QUARTER, 1, 0, 4, M, THIRD]),
         name="pulse_pattern",
     )

@@ -23,7 +23,7 @@ from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 FAILURE = "answer.c could not be compiled, slower code computes the same"
 COMPILER = compiler()
 COMPILE = f'exec {COMPILER} "$@"'
-SOURCES = ("kernel.c", "path.c", "loops.c")
+SOURCES = ("kernel.c", "path.c", "loops.c", "lattice.c")
 STRICT = "-std=c99 -O1 -Wall -Wextra -Wpedantic -Wno-unknown-pragmas -Werror".split()
 SINGLE = ("-DLFO_REAL=float", "-DLFO_SQRT=sqrt")  # numbers of single precision, for generated controllers
 WRITE_NO_LIBRARY = 'for last; do case "$last" in *.so) echo no library > "$last";; esac; done'

@@ -12,6 +12,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "smooth.interior_point": "Barrier BarrierPoint FEW_ROWS Filter Measure",
     "smooth.local_optimum": "End LocalOptimum smooth_optimum",
     "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress",
-    "smooth.newton": "NewtonRun NewtonSystem iterate_from newton", "angles": "AngleBound AngleBoxes",
+    "smooth.newton": "NewtonRun NewtonSystem iterate_from newton", "angles": "AngleBound AngleBoxes local_angles",
+    "angle_lattice": "AngleLattice FIRST_WIDTH AngleRange", "quarter": "Quarter",
 })
 # fmt: on

@@ -1,13 +1,7 @@
 """A lower bound on the cost of every pulse train, by branch and bound over boxes of its angles.
 
-A pulse train (problem/hybrid/pulse_train.py) that starts at level 0 is given by its steps s_i = +-step and
-the angles 0 <= a_1 <= .. <= a_d <= pi/2 at which they are taken. With c_i = pi/2 - a_i, and I(pi/2) = 0, it has
-I(theta) = -sum_i s_i min(pi/2 - theta, c_i) over the quarter, so that for odd k
-
-    J = 4/pi sum_ij s_i s_j K(c_i, c_j) + e_0,    K(a, b) = ab pi/2 - a^3/6 - a b^2/2  for a <= b,
-    b_k = 4/(pi k) sum_i s_i cos k a_i,
-
-twice differentiable, with K_ab = pi/2 - max(a, b) and K_aa = -min(a, b) for a != b, and d^2 K(a, a)/da^2 = pi - 4a.
+J = E + e_0 and b_k (quarter.py) are twice differentiable in the angles, with K_ab = pi/2 - max(a, b) and
+K_aa = -min(a, b) for a != b, and d^2 K(a, a)/da^2 = pi - 4a.
 With any lambda and l_k <= b_k <= h_k, a feasible train has
 
     J >= L = J + sum_k lambda_k b_k - sum_k max(lambda_k l_k, lambda_k h_k),
@@ -16,8 +10,8 @@ and on a box with centre c and half widths r, by Taylor's formula,
 
     L >= L(c) - sum_i |L_i(c)| r_i + 1/2 sum_i min(0, least of L_ii) r_i^2 - 1/2 sum_(i != j) |L_ij| r_i r_j.
 
-lambda makes the slope at the centre small (least squares), or is zero. Boxes are left out where their angles are not in
-order, or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
+lambda makes the slope at the centre small (least squares), or is zero. Boxes are left out where a dwell is too short,
+or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
 steps are all those with levels within the limit. A train with fewer switches is one of them: two opposite steps at the
 same angle do nothing, nor does a step at pi/2. No bound is below that of Parseval's equation, J = sum_k (b_k/k)^2 + e_0
 over all odd k: the least squares of the amplitudes that have bounds, and nothing of the others.
@@ -37,8 +31,8 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
-from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.methods.hybrid.quarter import Quarter
+from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
 ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
 MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
@@ -83,45 +77,32 @@ class AngleBound:
     ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is the sum of the absolute terms of J.
     """
 
-    def __init__(self, problem: OptimalControlProblem, dynamics: PulseTrain):
-        _require_form(problem, dynamics)
-        self._orders = np.array(dynamics.orders, dtype=float)
-        self._price = float(problem.quadratic.p[ENERGY])
-        start, end = problem.ends
-        self._offset = float(start.lower[ENERGY])
-        self.low, self.high = end.lower[4:] - start.upper[4:], end.upper[4:] - start.lower[4:]
-        d = problem.horizon - 1
-        self._amplitude = max(d, 1) * dynamics.step * 4 / np.pi
+    def __init__(self, quarter: Quarter):
+        self._quarter = quarter
+        self._orders = np.array(quarter.orders, dtype=float)
+        self._price, self._offset = quarter.price, quarter.offset
+        self.low, self.high = quarter.low, quarter.high
+        d = len(quarter.dwells) - 1
+        self._amplitude = max(d, 1) * quarter.step * 4 / np.pi
         self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
         # all patterns of steps whose levels stay within their bounds
-        steps, limits = np.zeros((1, 0)), problem.state_boxes
+        signs = np.zeros((1, 0))
         for _ in range(d):
-            steps = np.vstack([np.column_stack([steps, np.full(len(steps), s * dynamics.step)]) for s in (1.0, -1.0)])
-            levels = steps.sum(axis=1)
-            slack = ROUNDING * np.abs(steps).sum(axis=1)
-            within = (levels >= limits.lower[0, LEVEL] - slack) & (levels <= limits.upper[0, LEVEL] + slack)
-            steps = steps[within]
-            if len(steps) > MOST_PATTERNS:
+            signs = np.vstack([np.column_stack([signs, np.full(len(signs), s)]) for s in (1.0, -1.0)])
+            levels = signs.sum(axis=1)
+            signs = signs[(levels >= quarter.lowest) & (levels <= quarter.highest)]
+            if len(signs) > MOST_PATTERNS:
                 raise UnsupportedError(
                     f"no bound over angles: got more than {MOST_PATTERNS:,} orders of {d} steps up and down; expected "
                     "a shorter horizon, or fewer levels."
                 )
-        least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), dynamics.orders, strict=True)
+        steps = signs * quarter.step
+        least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), quarter.orders, strict=True)
         trivial = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self._offset))
         whole = self._price * np.nextafter(float(trivial), -np.inf)
         middle = np.full(steps.shape, QUARTER / 2)
         self.boxes = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), whole))
         self.done = np.inf  # the least bound of the boxes that were dropped for their bound
-
-    def relative_cost(self, steps: Array, angles: Array) -> tuple[float, Array]:
-        """Return J and its slopes (d,) of one train, relative to ``size``."""
-        cost, slope, _, _ = self._cost(steps[None], angles[None], np.zeros_like(angles[None]))
-        return float(cost[0]) / self.size, slope[0] / self.size
-
-    def amplitudes(self, steps: Array, angles: Array) -> tuple[Array, Array]:
-        """Return the amplitudes b_k and their slopes (k, d) of one train."""
-        values, slopes, _ = self._amplitudes(steps[None], angles[None], np.zeros_like(angles[None]))
-        return values[0], slopes[0]
 
     @property
     def value(self) -> float:
@@ -160,8 +141,11 @@ class AngleBound:
     def _bound_boxes(self, boxes: AngleBoxes) -> AngleBoxes:
         """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
         s, c, r = boxes.steps, boxes.centre, boxes.radius
-        # boxes of angles in order whose amplitudes may meet their bounds
-        ordered = ((c - r)[:, :-1] <= (c + r)[:, 1:] + ROUNDING).all(axis=1)
+        # boxes whose dwells and amplitudes may meet their bounds
+        ends = ((0, 0), (1, 1))
+        low, high = np.pad(c - r, ends), np.pad(c + r, ends)
+        low[:, -1] = high[:, -1] = QUARTER
+        ordered = (low[:, :-1] + self._quarter.dwells <= high[:, 1:] + ROUNDING).all(axis=1)
         values, slopes, curvature = self._amplitudes(s, c, r)
         reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
         reach += ROUNDING * self._amplitude
@@ -211,15 +195,19 @@ class AngleBound:
         return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
 
 
-def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array, float] | None:
+def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, float] | None:
     """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails."""
     from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
 
-    low, high = bound.low, bound.high
-    order = np.diff(np.eye(len(angles)), axis=0)
+    low, high, count = quarter.low, quarter.high, len(angles)
+    size = 2 * (max(count, 1) * quarter.step * 4 / np.pi) ** 2 + abs(quarter.offset)
+
+    def cost(angles: Array) -> tuple[float, Array]:
+        value, slope = quarter.energy(steps, angles)
+        return (value + quarter.offset) / size, slope / size
 
     def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
-        return bound.amplitudes(steps, angles)[derivative][rows]
+        return quarter.amplitudes(steps, angles)[derivative][rows]
 
     constraints: list[LinearConstraint | NonlinearConstraint] = []
     limited = np.isfinite(low) | np.isfinite(high)
@@ -227,47 +215,20 @@ def local_angles(bound: AngleBound, steps: Array, angles: Array) -> tuple[Array,
         if len(rows):
             values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
             constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
-    if len(order):
-        constraints.append(LinearConstraint(order, 0.0, np.inf))
+    if count > 1:
+        constraints.append(LinearConstraint(np.diff(np.eye(count), axis=0), quarter.dwells[1:-1], np.inf))
+    first, last = quarter.dwells[0], QUARTER - quarter.dwells[-1]
     optimum = minimize(
-        partial(bound.relative_cost, steps),
+        cost,
         angles,
         jac=True,
         method="SLSQP",
-        bounds=[(0.0, QUARTER)] * len(angles),
+        bounds=[(first, last)] * count,
         constraints=constraints,
         options={"ftol": COST_ROUNDING, "maxiter": 200},
     )
-    at = np.clip(np.maximum.accumulate(optimum.x), 0.0, QUARTER)
-    values, _ = bound.amplitudes(steps, at)
+    at = np.clip(np.maximum.accumulate(optimum.x), first, last)
+    values, _ = quarter.amplitudes(steps, at)
     violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    return None if violation > AMPLITUDE_VIOLATION else (at, bound.size * bound.relative_cost(steps, at)[0])
-
-
-def _require_form(problem: OptimalControlProblem, dynamics: PulseTrain) -> None:
-    """Raise UnsupportedError unless the problem is that of the head of this file."""
-    cost, (start, end), boxes = problem.quadratic, problem.ends, problem.state_boxes
-    price = np.zeros(problem.state_dim)
-    price[ENERGY] = cost.p[ENERGY]
-    linear = not (cost.Q.any() or cost.R.any() or cost.S.any() or cost.P.any() or cost.q.any() or cost.r.any())
-    named = {
-        "a horizon of 1": problem.horizon > 1,
-        "a cost other than that of the energy at the end": linear and (cost.p == price).all() and price[ENERGY] > 0,
-        "terms beyond boxes": not problem.terms and not problem.control_stop.any() and not problem.state_stop.any(),
-        "another start than theta = 0 at level 0 with known energy": _is_fixed(start.lower, start.upper, ANGLE, 0.0)
-        and _is_fixed(start.lower, start.upper, LEVEL, 0.0)
-        and start.lower[ENERGY] == start.upper[ENERGY],
-        "another end than theta = pi/2 with I = 0": _is_fixed(end.lower, end.upper, ANGLE, QUARTER)
-        and _is_fixed(end.lower, end.upper, CURRENT, 0.0),
-        "levels whose bounds depend on time": bool((boxes.lower[:, LEVEL] == boxes.lower[0, LEVEL]).all())
-        and bool((boxes.upper[:, LEVEL] == boxes.upper[0, LEVEL]).all()),
-        "dwells that may be below zero": bool((problem.control_tube.lower[:, DWELL] >= 0).all()),
-    }
-    unmet = [words for words, holds in named.items() if not holds]
-    if unmet:
-        text = f"the bound over angles does not support {unmet[0]}; expected the form in docs/levels.md."
-        raise UnsupportedError(text)
-
-
-def _is_fixed(lower: Array, upper: Array, place: int, value: float) -> bool:
-    return bool(lower[place] == value == upper[place])
+    violation = max(violation, float((quarter.dwells[1:-1] - np.diff(at)).max(initial=0.0)))
+    return None if violation > AMPLITUDE_VIOLATION else (at, quarter.price * size * cost(at)[0])

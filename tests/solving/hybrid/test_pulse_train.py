@@ -27,6 +27,31 @@ def test_published_intervals_hold_the_optimum_and_the_bound(modulation, switches
     assert result.gap <= 1e-6
 
 
+def published(modulation: float, switches: int) -> lfo.OptimalControlProblem:
+    """Return the problem of the published class."""
+    dwell = 0.01 * np.pi
+    return lfo.library.pulse_pattern(
+        "opp", modulation=modulation, switches=switches, least_dwell=dwell, unipolar=True, exactly=True
+    )
+
+
+# The same authors: distortion of moment relaxations, and of polished points
+@pytest.mark.parametrize(
+    ("modulation", "switches", "lower", "upper", "gap"),
+    [(0.05, 8, 0.01353, 0.013543, 1e-6), (0.05, 12, 0.009637, 0.009648, 1e-6), (0.7, 32, 0.010474, 0.010506, 2e-3)],
+)
+def test_the_published_class_is_exact(modulation, switches, lower, upper, gap):
+    result = lfo.solve(published(modulation, switches), gap=gap)
+    assert result.status == "optimal"
+    assert lower <= np.sqrt(result.cost) <= upper
+    assert lower - 4e-6 < np.sqrt(result.lower_bound) <= np.sqrt(result.cost)
+    x, dwells = result.trajectory.x, result.trajectory.u[:, 0]
+    assert len(dwells) == switches // 4 + 1
+    assert (dwells[1:-1] >= 0.01 * np.pi - 1e-8).all()
+    assert (dwells[[0, -1]] >= 0.005 * np.pi - 1e-8).all()
+    assert x[:, 1].min() >= 0
+
+
 def test_the_verdict_does_not_depend_on_the_unit_of_the_cost():
     problem = lfo.library.pulse_pattern(kind="opp")
     result = lfo.solve(replace(problem, cost=lfo.QuadraticCost(p=[0, 0, 0, 1e-9, 0, 0])))
@@ -72,6 +97,7 @@ def test_a_time_limit_keeps_what_was_found():
     assert "time limit" in result.message
 
 
+@pytest.mark.at_tolerance("no time is left to refine the answer")
 @pytest.mark.parametrize("limit", [10.0, 60.0])
 def test_a_search_over_five_angles_ends_in_time_with_the_trivial_bound(limit):
     """Every look at the clock takes a second: each batch of boxes, and each step of Newton's method, looks at it."""
@@ -130,6 +156,10 @@ def test_files_hold_the_train(tmp_path):
         ({"kind": "opp", "modulation": 1.3}, "modulation"),
         ({"kind": "opp", "modulation": 0.0}, "modulation"),
         ({"kind": "opp", "switches": 6}, "switches"),
+        ({"kind": "opp", "exactly": True}, "exactly"),
+        ({"kind": "opp", "least_dwell": 0.1}, "exactly"),
+        ({"kind": "opp", "least_dwell": -0.1, "exactly": True}, "least_dwell"),
+        ({"kind": "opp", "least_dwell": 0.8, "exactly": True}, "least_dwell"),
     ],
 )
 def test_bad_parameters_are_named(given, field):

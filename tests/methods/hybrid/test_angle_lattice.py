@@ -1,0 +1,101 @@
+"""The bound on a lattice of angles: against trains, a finer lattice, and the recursion without a compiler."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from helpers.replacing import substitute
+from helpers.seeds import seeds
+from lin_freq_ocp.methods.hybrid import AngleLattice, AngleRange, Quarter, local_angles
+
+END = np.pi / 2
+
+
+def random_quarter(rng: np.random.Generator) -> tuple[Quarter, np.ndarray, np.ndarray]:
+    """Return limits that a random train of one to three steps meets, some of them without room, and that train."""
+    count, highest, lowest = int(rng.integers(1, 4)), int(rng.integers(1, 3)), -int(rng.integers(0, 3))
+    signs = [1.0]
+    while len(signs) < count:
+        level = sum(signs)
+        signs.append(float(rng.choice([s for s in (1, -1) if lowest <= level + s <= highest])))
+    dwells = rng.choice([0.0, 0.03, 0.2]) * np.ones(count + 1)
+    dwells[[0, -1]] /= 2
+    free = np.sort(rng.uniform(0, END - dwells.sum(), count))
+    step, angles = float(rng.choice([0.5, 1.0])), free + np.cumsum(dwells[:-1])
+    orders = tuple(rng.choice([1, 3, 5], size=int(rng.integers(1, 4)), replace=False).tolist())
+    loose = Quarter(step, lowest, highest, dwells, orders, -np.ones(len(orders)), np.ones(len(orders)), 1.0, 0.0)
+    steps = step * np.array(signs)
+    values, _ = loose.amplitudes(steps, angles)
+    low, high = (values + s * rng.choice([0.0, 0.01, np.inf], len(orders), p=[0.5, 0.4, 0.1]) for s in (-1, 1))
+    return Quarter(step, lowest, highest, dwells, orders, low, high, 1.0, 0.0), steps, angles
+
+
+def whole(quarter: Quarter) -> AngleRange:
+    count = len(quarter.dwells) - 1
+    return AngleRange(np.zeros(count), np.full(count, END), np.zeros(count, dtype=int))
+
+
+def allowed(quarter: Quarter, r: np.ndarray) -> np.ndarray:
+    """Return prices whose bound is finite."""
+    lower, upper = np.where(np.isfinite(quarter.high), -1.0, 0.0), np.where(np.isfinite(quarter.low), 1.0, 0.0)
+    return np.clip(r, lower, upper)
+
+
+@pytest.mark.parametrize("seed", seeds(range(25)))
+@pytest.mark.parametrize("width", [0.002, 0.1])
+def test_no_bound_is_above_a_train(seed, width, monkeypatch):
+    """Whatever the prices, and however narrow the first tube; also of a part that holds the train."""
+    rng = np.random.default_rng(seed)
+    quarter, steps, angles = random_quarter(rng)
+    substitute(monkeypatch, "methods.hybrid.FIRST_WIDTH", width)
+    near = local_angles(quarter, steps, angles)
+    cost = min(quarter.energy(steps, angles)[0], np.inf if near is None else near[1])
+    part = AngleRange(
+        angles - rng.uniform(0, 0.3, len(steps)), angles + rng.uniform(0, 0.3, len(steps)), np.sign(steps)
+    )
+    lattice = AngleLattice(quarter, 150)
+    first = np.clip(0.0, quarter.low, quarter.high) / np.array(quarter.orders)
+    for r in (first, rng.normal(size=len(quarter.orders)), np.zeros(len(quarter.orders))):
+        assert lattice.bound(allowed(quarter, r), whole(quarter)).bound <= cost
+        assert lattice.bound(allowed(quarter, r), part).bound <= quarter.energy(steps, angles)[0]
+    points = list(lattice.best(whole(quarter), first, np.inf))
+    assert max(point.bound for point in points) <= cost
+    assert max(point.bound for point in points) >= points[0].bound
+
+
+@pytest.mark.parametrize("seed", seeds(range(10)))
+def test_a_lattice_less_its_loss_is_below_one_ten_times_as_fine(seed):
+    """The finer one without its own loss: L_r of some train whose dwells are shorter by a step at most."""
+    rng = np.random.default_rng(seed)
+    quarter, _, _ = random_quarter(rng)
+    r = allowed(quarter, rng.uniform(-1, 1, len(quarter.orders)))
+    coarse, fine = AngleLattice(quarter, 40), AngleLattice(quarter, 400)
+    point = fine.bound(r, whole(quarter))
+    k, b = np.array(quarter.orders), quarter.amplitudes(point.steps, point.angles)[0]
+    least = quarter.energy(point.steps, point.angles)[0] - 2 * r @ (b / k) + r @ r
+    dwells = np.diff(np.concatenate([[0.0], point.angles, [END]]))
+    if (dwells >= quarter.dwells - 1e-12).all():  # it is a train of the problem
+        assert coarse.bound(r, whole(quarter)).bound <= least + quarter.shift(r)
+    assert point.bound == pytest.approx(least + quarter.shift(r), abs=1e-3)
+    assert point.bound <= least + quarter.shift(r)
+
+
+@pytest.mark.parametrize("seed", seeds(range(4)))
+def test_without_a_compiler_the_recursion_is_the_same(seed, no_compiler):
+    rng = np.random.default_rng(seed)
+    quarter, _, _ = random_quarter(rng)
+    r = allowed(quarter, rng.uniform(-1, 1, len(quarter.orders)))
+    expected = AngleLattice(quarter, 100).bound(r, whole(quarter))
+    with no_compiler("lattice.c could not be compiled"):
+        found = AngleLattice(quarter, 100).bound(r, whole(quarter))
+    assert found.bound == pytest.approx(expected.bound, abs=1e-13)
+    assert found.angles == pytest.approx(expected.angles)
+    assert (found.steps == expected.steps).all()
+
+
+def test_parts_without_a_train_have_an_infinite_bound():
+    quarter, steps, _ = random_quarter(np.random.default_rng(1))
+    count = len(steps)
+    late = AngleRange(np.full(count, 1.2), np.full(count, 1.1), np.zeros(count, dtype=int))
+    assert AngleLattice(quarter, 100).bound(np.zeros(len(quarter.orders)), late).bound == np.inf
