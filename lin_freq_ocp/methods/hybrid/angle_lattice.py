@@ -12,12 +12,11 @@ trust region find its largest value, and any r gives a bound.
 
 *Angles between those of the lattice.* Of a train a with m switches, |I - R| <= e, let A_i be one of the two multiples
 of h next to a_i, at random, with the mean a_i. With g_i = max(theta, A_i) - max(theta, a_i), I changes by the sum of
-+-s g_i.
-|g_i| <= |A_i - a_i| up to the end of the cell of a_i, and is zero from there; its mean is zero but within the cell,
-where it is >= 0 with an integral of half the variance of A_i, h^2/8 at most. Hence 2 int (I - R) sum_i +-s g_i has a
-mean of at most m s e h^2/4. Draw one offset U for each cell, A_i = h floor(a_i/h + U): for angles of different cells
-means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. In all, the
-mean of L_r grows by at most
++-s g_i. |g_i| <= |A_i - a_i| up to the end of the cell of a_i, and is zero from there; its mean is zero but within the
+cell, where it is >= 0 with an integral of half the variance of A_i, h^2/8 at most. Hence 2 int (I - R) sum_i +-s g_i
+has a mean of at most m s e h^2/4. Draw one offset U for each cell, A_i = h floor(a_i/h + U): for angles of different
+cells means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. In
+all, the mean of L_r grows by at most
 
     h^2 m (f s^2/2 + e s/pi),
 
@@ -34,7 +33,6 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,16 +44,12 @@ from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.methods.native_code import compiled_library
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
-TRACKING_ROUNDING = (
-    1e-13  # of L_r, whose terms are of order 1: rounding errors of some 10^3 sums that telescope are smaller
-)
+TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: rounding of some 10^3 sums that telescope is smaller
 LEAST_FRACTION = 1e-9  # of d/h above a whole number: its rounding is smaller
 COUNTS = 100  # numbers N among which one lets dwells be just above multiples of h
 MOST_CHOICES = 2**29  # bytes: a tube that needs more is not searched
 FIRST_WIDTH = 0.1  # half width of the first tube [rad]
-WIDER = (
-    1.02  # of the width at which a train that leaves the tube costs as much as the answer: more recursions otherwise
-)
+WIDER = 1.02  # of the width at which leaving the tube costs as much as the answer: at 1, rounding asks for more
 RADIUS, LEAST_RADIUS, PROGRESS = 0.05, 1e-7, 1e-5  # trust region of r: the first, the least; relative gain that is none
 MOST_CUTS = 40
 
@@ -101,8 +95,8 @@ class AngleLattice:
         self._hold = np.maximum(hold, 0)
         m, s = len(quarter.dwells) - 1, quarter.step
         self._squares = self._h**2 * m * (1 if d > self._h else m) * s * s / 2
-        self._width = FIRST_WIDTH
-        self._theta = self._h * np.arange(self.count + 1)
+        self._width, self.seconds = FIRST_WIDTH, 0.0
+        self._theta: Array = self._h * np.arange(self.count + 1, dtype=np.float64)
 
     def bound(self, r: Array, part: AngleRange, enough: float = np.inf) -> LatticePoint:
         """Return the bound for some r; infinity if the part has no train. No tube is widened to exceed ``enough``."""
@@ -124,7 +118,10 @@ class AngleLattice:
         return LatticePoint(min(least - loss, leaving) - TRACKING_ROUNDING + q.shift(r), r, steps, angles)
 
     def best(self, part: AngleRange, r: Array, end: float, enough: float = np.inf) -> Iterator[LatticePoint]:
-        """Yield the points of cutting planes from r on, until the bound is ``enough`` or stays, or after end."""
+        """Yield the points of cutting planes from r on, until the bound is ``enough`` or stays, or time is over.
+
+        The next one is not begun if it would be ready after ``end``, by the time that the last one took.
+        """
         from scipy.optimize import linprog  # slow to import
 
         q, k = self._quarter, np.array(self._quarter.orders, dtype=float)
@@ -140,7 +137,9 @@ class AngleLattice:
                 rows.append(row)
                 limits.append(0.0)
         for _ in range(MOST_CUTS):
+            started = now()
             point = self.bound(r, part, enough)
+            self.seconds = now() - started
             yield point
             if point.bound >= enough:
                 return
@@ -151,13 +150,13 @@ class AngleLattice:
                 best, centre, radius = point.bound, r, 1.5 * radius
             else:
                 radius /= 3
-            if radius < LEAST_RADIUS or now() > end:
+            if radius < LEAST_RADIUS or now() + self.seconds > end:
                 return
             box = [*zip(np.maximum(centre - radius, least), np.minimum(centre + radius, most), strict=True)]
             box += [(None, None), *((None, 0.0) if free else (None, None) for free in fixed)]
             objective = np.concatenate([np.zeros(len(k)), [-1.0], np.full(len(k), -2.0)])
-            answer: Any = linprog(objective, np.array(rows), np.array(limits), bounds=box, method="highs")
-            if answer.status or -answer.fun - best < PROGRESS * (abs(best) + self._squares):
+            answer = linprog(objective, np.array(rows), np.array(limits), bounds=box, method="highs")
+            if answer.x is None or answer.fun is None or -answer.fun - best < PROGRESS * (abs(best) + self._squares):
                 return
             r = answer.x[: len(k)]
 
@@ -170,16 +169,15 @@ class AngleLattice:
         half = int(np.ceil(width / unit)) + m + 1
         shape = m + 1, q.highest - q.lowest + 1, 2 * half + 1
         if (N + 1) * np.prod(shape, dtype=float) > MOST_CHOICES:
-            raise UnsupportedError(
-                f"no bound on a lattice of {N} angles: got a tube that needs more than half a gigabyte."
-            )
+            raise UnsupportedError(f"no bound on a lattice of {N} angles: its tube needs more than half a gigabyte.")
         low = np.maximum(np.floor(part.low / h - LEAST_FRACTION).astype(np.int64), self._hold[0])
         high = np.ceil(part.high / h + LEAST_FRACTION).astype(np.int64)
         spans = np.concatenate([[1], self._hold])
         moments = np.array([self._moments(r, int(span)) for span in spans])
         ring = int(spans.max()) + 1
         values, choices = np.empty((ring, *shape)), np.empty((N + 1, *shape), dtype=np.int8)
-        arrays = [np.ascontiguousarray(a) for a in (centre, self._hold, low, high, part.sign.astype(np.int64), moments)]
+        arrays: list[Array | Indices] = [centre, self._hold, low, high, part.sign.astype(np.int64), moments]
+        arrays = list(map(np.ascontiguousarray, arrays))
         model = RecursionInC(N, m, shape[1], q.lowest, half, ring, *(a.ctypes.data for a in arrays), h, q.step)
         library = compiled_library(__file__, "lattice.c")
         if library is None:
@@ -205,9 +203,9 @@ class AngleLattice:
     def _moments(self, r: Array, span: int) -> Array:
         """Return the integrals (3, N + 1) of R, (t - start) R and R^2 from every angle over ``span`` steps."""
         k = np.array(self._quarter.orders, dtype=float)
-        stop = self._theta + span * self._h
+        stop: Array = self._theta + span * self._h
 
-        def primitives(theta: NDArray[np.floating[Any]]) -> tuple[Array, Array, Array]:
+        def primitives(theta: Array) -> tuple[Array, Array, Array]:
             first, second = -np.sin(np.outer(theta, k)) @ (r / k), np.cos(np.outer(theta, k)) @ (r / k**2)
             square = np.zeros(len(theta))
             for a, of_a in zip(k, r, strict=True):
@@ -220,7 +218,7 @@ class AngleLattice:
         return np.array([F - F0, span * self._h * F - (G - G0), S - S0])
 
 
-def _recursion(p: RecursionInC, arrays: Sequence[NDArray[Any]], V: Array, choices: NDArray[np.int8]) -> None:
+def _recursion(p: RecursionInC, arrays: Sequence[Array | Indices], V: Array, choices: NDArray[np.int8]) -> None:
     """Do what lattice.c does, without a compiler."""
     centre, hold, low, high, sign, moments = arrays
     q, width = p.h * p.step, 2 * p.half + 1

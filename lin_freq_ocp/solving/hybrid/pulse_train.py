@@ -111,8 +111,11 @@ class _TrainSearch:
         whole = AngleRange(np.zeros(count), np.full(count, QUARTER), np.zeros(count, dtype=np.intp))
         r = np.clip(0.0, quarter.low, quarter.high) / np.array(quarter.orders)
         with suppress(UnsupportedError):
-            for angles in LATTICES if count > FEW_TO_NARROW else LATTICES[:1]:
-                for point in AngleLattice(quarter, angles).best(whole, r, end):
+            lattices = [AngleLattice(quarter, N) for N in (LATTICES if count > FEW_TO_NARROW else LATTICES[:1])]
+            for coarser, lattice in zip([lattices[0], *lattices], lattices, strict=False):
+                if now() + coarser.seconds * (lattice.count / coarser.count) ** 2 > end:
+                    return
+                for point in lattice.best(whole, r, end):
                     if self._cost_at_least(point) > self._floor:
                         self._floor, r = self._cost_at_least(point), point.r
                     self._look_once(point.steps, point.angles, SAME_OPTIMUM)
@@ -134,7 +137,7 @@ class _TrainSearch:
                     bound[i], r_best = self._cost_at_least(point), point.r
                 self._look_once(point.steps, point.angles, SAME_OPTIMUM)
             for j, side in product(range(len(sign)), (0, 1)):
-                if bound[i] >= self._cutoff or now() > end:
+                if bound[i] >= self._cutoff or now() + lattice.seconds > end:
                     break
                 for _ in range(HALVINGS):
                     part = AngleRange(low[i].copy(), high[i].copy(), sign)
