@@ -215,3 +215,15 @@ def test_a_file_keeps_the_discs(limited, tmp_path):
     again = lfo.read_problem(tmp_path / "waves.toml")
     assert lfo.solve(again).cost == lfo.solve(plan).cost
     np.testing.assert_array_equal(again.uncertainty.radius, discs.radius)
+
+
+def test_a_limit_of_the_end_is_one_of_the_start_of_a_period(limited):
+    ending = replace(limited, terminal_state=lfo.Box([None, -0.02], [None, 0.02]))
+    discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G))
+    found = lfo.solve(lfo.robust(ending, discs))
+    worst = lfo.worst_case(ending, discs, found)
+    one = next(one for one in worst.limits if one.name.startswith("end of position") and one.limit == 0.02)
+    assert worst
+    assert one.index == limited.horizon
+    assert abs(found.trajectory.x[-1, 1]) + one.margin <= 0.02 * (1 + 1e-8)
+    assert not lfo.worst_case(ending, discs, lfo.solve(ending))
