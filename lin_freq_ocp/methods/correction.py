@@ -110,6 +110,8 @@ def trajectory_at_rest(problem: OptimalControlProblem, near: Trajectory) -> Traj
     """
     cost = problem.quadratic
     priced, of_x = (np.diagonal(part, axis1=-2, axis2=-1) > 0 for part in (cost.R, cost.Q))
+    if problem.response is not None:  # outputs follow from the controls: products with them cost, too
+        priced = priced | cost.S.any(axis=-2)
     u = np.where(priced, cost.u_ref, near.u)
     return simulate_from(problem, u, np.where(np.atleast_2d(of_x)[0], np.atleast_2d(cost.x_ref)[0], near.x[0]))
 

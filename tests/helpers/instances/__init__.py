@@ -12,7 +12,7 @@ from importlib import import_module
 
 from helpers.replacing import texts
 
-ROOMS = ("problem", "transform", "methods", "solving")  # these define the classes of the protocols
+ROOMS = ("problem", "transform", "methods", "solving", "uncertainty")  # these define the classes of the protocols
 
 
 def classes_of(protocol: type) -> set[type]:
