@@ -23,12 +23,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
+from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.comparison.shapers import Modes, eigenvalues_of, known_shaper
 from lin_freq_ocp.errors import UnsupportedError
 
 PAGE = Path(__file__).parents[1] / "docs" / "published.md"
 APART = 0.0314159  # rad between switches of the published patterns
+ROUNDED = 1e-12  # relative error of an exact map of a step, which is computed, and of Gauss's rule
 AGREES = 1e-11  # relative difference of two ways to compute an objective: far below the last digit that is printed
 
 
@@ -365,6 +369,221 @@ def wave_energy(force: float | None, folder: Path | None, name: str) -> Found:
     return Found(-result.cost, -result.lower_bound, None, "judge")
 
 
+def least_energy(A: np.ndarray, B: np.ndarray, h: float) -> tuple[lfo.LinearDynamics, np.ndarray]:
+    """Return x+ = exp(A h) x + L w, where |w|^2 is the least integral of |u|^2 on the way, and inv(L).
+
+    L L' is the integral of exp(A s) B B' exp(A' s): a problem with limits at samples only is the same in w.
+    """
+    n = len(A)
+    both = expm(h * np.block([[-A, B @ B.T], [np.zeros((n, n)), A.T]]))
+    Phi = both[n:, n:].T
+    L = np.linalg.cholesky(Phi @ both[:n, n:])
+    return lfo.LinearDynamics(Phi, L), np.linalg.inv(L)
+
+
+def energy(A: np.ndarray, B: np.ndarray, h: float, inverse: np.ndarray, w: np.ndarray) -> float:
+    """Return the integral of |u|^2 by Gauss's rule, where u = B' exp(A' (h - s)) inv(L)' w on each step of w."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    maps = [B.T @ expm(A.T * h * (1 - node) / 2) @ inverse.T for node in nodes]
+    return h / 2 * math.fsum(float(b) * float(((w @ M.T) ** 2).sum()) for M, b in zip(maps, weights, strict=True))
+
+
+TIGHTER = 1e-8  # of a limit at samples: where it holds at every time, too
+DOUBLE = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])  # x'' = u
+
+
+def bryson_denham(samples: int, folder: Path | None, name: str) -> Found:
+    """Limit x at samples only, for the lower end; below the limit by TIGHTER, and then at every time, for the upper."""
+    A, B = DOUBLE
+    h, points = 1 / samples, 20001
+    dynamics, inverse = least_energy(A, B, h)
+    highest = 1 / 9 if samples == 9 else 0.1
+
+    def problem(limit: float) -> lfo.OptimalControlProblem:
+        return lfo.OptimalControlProblem(
+            dynamics,
+            samples,
+            lfo.QuadraticCost(R=1.0),
+            state_set=lfo.Box([None, None], [limit, None]),
+            initial_state=[0, 1],
+            terminal_state=[0, -1],
+        )
+
+    found = proven_apart(problem(highest), lambda x, w: energy(A, B, h, inverse, w) / 2, folder, name)
+    inside = lfo.solve(problem(highest * (1 - TIGHTER)))
+    assert inside.trajectory is not None
+    assert inside.cost is not None
+    s = np.linspace(0, h, points)
+    for x, w in zip(inside.trajectory.x[:-1], inside.trajectory.u, strict=True):
+        slope, last = inverse.T @ w  # u = slope (h - s) + last
+        path = x[0] + x[1] * s + last * s**2 / 2 + slope * (h * s**2 / 2 - s**3 / 6)
+        steepest = max(abs(last), abs(slope * h + last))
+        assert path.max() + steepest * (h / (points - 1)) ** 2 / 8 <= highest
+    return Found(found.low, inside.cost, found.again, found.proof)
+
+
+def cart(folder: Path | None, name: str) -> Found:
+    """Push a cart with friction as far as it is worth."""
+    A, B = np.array([[0.0, 1.0], [0.0, -1.0]]), np.array([[0.0], [1.0]])
+    dynamics, inverse = least_energy(A, B, 1.0)
+    problem = lfo.OptimalControlProblem(dynamics, 1, lfo.QuadraticCost(R=1.0, p=[-1, 0]), initial_state=[0, 0])
+    return proven_apart(problem, lambda x, w: energy(A, B, 1.0, inverse, w) / 2 - float(x[-1, 0]), folder, name)
+
+
+def bryson_ho_154(folder: Path | None, name: str) -> Found:
+    """Bring a body near rest at zero in 100 s, by steps of 10 s."""
+    A, B = DOUBLE
+    dynamics, inverse = least_energy(A, B, 10.0)
+    problem = lfo.OptimalControlProblem(
+        dynamics, 10, lfo.QuadraticCost(R=1.0, P=np.diag([100.0, 1.0])), initial_state=[100, 1]
+    )
+
+    def formula(x: np.ndarray, w: np.ndarray) -> float:
+        return energy(A, B, 10.0, inverse, w) / 2 + float(50 * x[-1, 0] ** 2 + x[-1, 1] ** 2 / 2)
+
+    return proven_apart(problem, formula, folder, name)
+
+
+def ubh1_continuous(folder: Path | None, name: str) -> Found:
+    """Solve the three axes without limits in continuous time; u is a line on each axis, within its limits."""
+    A, B = (np.kron(M, np.eye(3)) for M in DOUBLE)
+    dynamics, inverse = least_energy(A, B, 1000.0)
+    start = [1000.0] * 3 + [-10, 10, -10]
+    problem = lfo.OptimalControlProblem(
+        dynamics, 1, lfo.QuadraticCost(R=2.0), initial_state=start, terminal_state=np.zeros(6)
+    )
+    result = lfo.solve(problem)
+    assert result.control is not None
+    ends = [B.T @ expm(A.T * s) @ inverse.T @ result.control[0] for s in (0.0, 1000.0)]
+    assert np.abs(ends).max() <= 1
+    return proven_apart(problem, lambda x, w: energy(A, B, 1000.0, inverse, w), folder, name)
+
+
+def proven_apart(
+    problem: lfo.OptimalControlProblem,
+    formula: Callable[[np.ndarray, np.ndarray], float],
+    folder: Path | None,
+    name: str,
+) -> Found:
+    """Return the interval of an optimum, widened by the rounding of the exact map and of Gauss's rule."""
+    result = lfo.solve(problem)
+    assert result.trajectory is not None
+    again = formula(result.trajectory.x, result.trajectory.u)
+    interval = result.enclosure
+    if folder is not None:
+        result.write_proof(folder / f"{name}.proof")
+    wider = ROUNDED * max(abs(interval.upper), float(np.sum(result.trajectory.u**2)))
+    return Found(interval.lower - wider, interval.upper + wider, again, "verified")
+
+
+def unreachable(
+    A: np.ndarray, B: np.ndarray, start: np.ndarray, end: np.ndarray, free: list[int], bound: float, T: float
+) -> bool:
+    """Return whether a multiplier proves that no control |u(t)| <= bound of any form reaches the end at T.
+
+    Every control has eta' (x(T) - exp(A T) x(0)) <= bound times the integral of |eta' exp(A s) B|. The multiplier is
+    that of a linear program on some points. Its integral is that of many cells, with the error that a slope allows.
+    """
+    d = end - expm(A * T) @ start
+    n, few, many = len(A), 1500, 400_000
+
+    def waves(points: int) -> np.ndarray:
+        step = expm(A * T / points)
+        g = np.empty((points, n))
+        column = expm(A * T / points / 2) @ B[:, 0]
+        for i in range(points):
+            g[i] = column
+            column = step @ column
+        return g
+
+    g = waves(few)
+    rows = np.vstack([np.hstack([sign * g, -np.eye(few)]) for sign in (1, -1)])
+    limits = [(0, 0) if i in free else (-1, 1) for i in range(n)] + [(0, None)] * few
+    found = linprog(np.append(-d, np.full(few, bound * T / few)), rows, np.zeros(2 * few), bounds=limits)
+    eta = np.where(np.isin(np.arange(n), free), 0.0, found.x[:n])
+    cell = T / many
+    f = waves(many) @ eta
+    slope = 1.01 * np.abs(np.diff(f)).max() / cell  # f is smooth: differences of neighbours are slopes
+    integral = math.fsum((cell * np.abs(f)).tolist()) + T * slope * cell / 4
+    return float(eta @ d) > bound * integral
+
+
+def least_time(
+    system: tuple[np.ndarray, np.ndarray],
+    ends: tuple[list[float], list[float | None]],
+    bound: float,
+    times: tuple[float, float],
+    folder: Path | None,
+    name: str,
+) -> Found:
+    """Bracket the least time: a multiplier excludes all controls at the first; a held one does it at the second."""
+    (A, B), (start, end), (low, high), steps = system, ends, times, 400
+    free = [i for i, value in enumerate(end) if value is None]
+    target = np.array([value or 0.0 for value in end])
+    assert unreachable(A, B, np.array(start), target, free, bound, low)
+    dynamics = lfo.LinearDynamics.from_continuous(A, B, high / steps)
+    problem = lfo.OptimalControlProblem(
+        dynamics,
+        steps,
+        lfo.QuadraticCost(R=1.0),
+        lfo.Box(-bound, bound),
+        initial_state=start,
+        terminal_state=lfo.Box(end, end),
+    )
+    result = lfo.solve(problem)
+    assert result.certificate is not None
+    assert result.certificate.feasible
+    return Found(low, high, None, "multiplier, judge")
+
+
+def spring(derivative: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return two masses and a spring; with the derivative of the states by its stiffness."""
+    K = np.array([[-1.0, 1], [1, -1]])
+    A, B = np.block([[np.zeros((2, 2)), np.eye(2)], [K, np.zeros((2, 2))]]), np.array([[0.0], [0], [1], [0]])
+    if not derivative:
+        return A, B
+    Z, T = np.zeros((4, 4)), np.eye(8)
+    D = Z.copy()
+    D[2:, :2] = K
+    T[4, 5], T[6, 7] = -1, -1  # the derivative of the spring's length, and its rate
+    return T @ np.block([[A, Z], [D, A]]) @ np.linalg.inv(T), T @ np.vstack([B, np.zeros((4, 1))])
+
+
+def stimulated(limit: float, folder: Path | None, name: str) -> Found:
+    """Search around the printed number of samples: it is feasible, one less is proven infeasible."""
+
+    def at(horizon: int) -> lfo.OptimalControlProblem:
+        return lfo.library.mri_gradient(horizon=horizon, stimulation=limit)
+
+    near = {1.0: 135, 0.8: 145, 0.5: 173}[limit]
+    found = lfo.minimum_time(at, horizons=(near - 2, near + 2))
+    assert found.ray is not None
+    assert found.horizon is not None
+    return Found(found.horizon, found.horizon, None, "ray, judge")
+
+
+def shaper_range(shaper: str, signs: tuple[float, ...], folder: Path | None, name: str) -> Found:
+    """Bracket how far a mode may be from the frequency of a shaper, in percent of it, within 5 % of the vibration.
+
+    The shaper is made for a damping ratio of 0.1, and the modes have 0.05 to 0.2. The lower end is proven for all modes
+    in between, the upper one by a mode that exceeds the limit; both are zero if a mode at the frequency does.
+    """
+    made = known_shaper(shaper, 1.0, 0.1)
+    damping = np.linspace(0.05, 0.2, 31)
+
+    def vibration(r: float) -> float:
+        edges = np.concatenate([np.full(31, 1 + sign * r) for sign in signs])
+        return float(np.abs(made.response(eigenvalues_of(edges, np.tile(damping, len(signs))))).max())
+
+    steps = int(np.argmax([vibration(i / 1000) > 0.05 for i in range(1000)]))
+    if steps == 0:
+        return Found(0.0, 0.0, None, "proven peak")
+    ends = [1.0, *(1 + sign * (steps - 1) / 1000 for sign in signs)]
+    peak = Modes(((min(ends), max(ends)),), (0.05, 0.2)).proven_vibration(made, made.duration / 200_000)
+    assert peak <= 0.05
+    return Found((steps - 1) / 10, steps / 10, None, "proven peak")
+
+
 def gropt(folder: Path | None, name: str) -> Found:
     """Search samples of 10 us: the number is exact, one sample less is proven infeasible."""
     found = lfo.minimum_time(lfo.library.mri_gradient, horizons=(100, 200))
@@ -451,6 +670,14 @@ PATTERNS = "Miller, Karamanakos, Geyer, arXiv 2512.08201, public data"
 PATTERN = "Least distortion of five levels, exactly k switches .0314159 rad apart, unipolar, |b3| <= .01; "
 WECOPTTOOL = "WecOptTool test data; external.json of this project's reference"
 WAVE = "Most power from a wave of .3 Hz, 1..50 harmonics in 20 s; "
+DTQP = "DT QP Project, examples"
+BRYSON = "Bryson-Denham: x'' = u in continuous time, x: 0 to 0, v: 1 to -1, x <= l; half the integral of u²; l = "
+SPRING = "Two masses and a spring, |u| <= 1, 0 to 1 at rest, any u(t): least time in s"
+SAFE = "SAFE model, safe_example_hw_peripheral.m; a linear program of this project's reference"
+STIMULATION = "The shortest gradient of GrOpt's demo in samples, with stimulation at most "
+KLIPPER = "Klipper, docs/Resonance_Compensation.md"
+APPROXIMATE = "a mode in the range exceeds 5 %; the source says that its ranges are approximate"
+SHAPER = "Modes that a shaper leaves at most 5 % of, damping .05 to .2, from its frequency in percent; "
 CUTEST = "CUTEst, {0}.SIF"
 MPT3 = "MPT3, mpt3.org; python-control, optimal_test.py"
 ROWS = [
@@ -591,6 +818,62 @@ ROWS = [
             ("free", "no limit", None, "140.007195"),
             ("2000", "force of 2000 N", 2000.0, "98.11269"),
             ("1000", "force of 1000 N", 1000.0, "58.75533"),
+        )
+    ),
+    Row("bryson_9", DTQP, BRYSON + "1/9", "4", partial(bryson_denham, 9)),
+    Row("bryson_10", DTQP, BRYSON + ".1", "4.4444", partial(bryson_denham, 10)),
+    Row("cart", DTQP, "Cart: x'' = u - x', from rest, 1 s; half the integral of u² less x(1)", "-0.0840456204", cart),
+    Row(
+        "bryson_ho_154",
+        DTQP,
+        "Bryson, Ho, 154: x'' = u from (100, 1), 100 s; half of 100 x² + v² at the end and of the integral of u²",
+        "0.1369230615",
+        bryson_ho_154,
+    ),
+    Row("ubh1_continuous", "Betts, Huffman, 1993", "UBH1 in continuous time", "1.116", ubh1_continuous),
+    Row(
+        "spring",
+        "Liu, Wie 1992",
+        SPRING,
+        "4.21786651",
+        partial(least_time, spring(False), ([0.0] * 4, [1.0, 1.0, 0.0, 0.0]), 1.0, (4.2177, 4.2182)),
+    ),
+    Row(
+        "spring_robust",
+        "Singh, Vadali 1994",
+        SPRING + ", where the end does not depend on the stiffness, to first order",
+        "5.86595844",
+        partial(
+            least_time, spring(True), ([0.0] * 8, [1.0, 1.0, 0.0, 0.0, 0.0, None, 0.0, None]), 1.0, (5.8657, 5.8664)
+        ),
+    ),
+    Row(
+        "cushioned",
+        "mintoc.de, cushioned oscillation",
+        "5 x'' + 10 x = u, |u| <= 5, from (2, 5) to rest at 0, any u(t): least time in s",
+        "8.98",
+        partial(
+            least_time,
+            (np.array([[0.0, 1], [-2, 0]]), np.array([[0.0], [0.2]])),
+            ([2.0, 5.0], [0.0, 0.0]),
+            5.0,
+            (8.9914, 8.9922),
+        ),
+        "a multiplier proves that no control reaches the end at this time",
+    ),
+    *(
+        Row(f"safe_{limit}", SAFE, f"{STIMULATION}{limit}", printed, partial(stimulated, limit))
+        for limit, printed in ((1.0, "135"), (0.8, "145"), (0.5, "173"))
+    ),
+    *(
+        Row(label, KLIPPER, f"{SHAPER}{words}", printed, partial(shaper_range, shaper, signs), APPROXIMATE, "below")
+        for label, shaper, words, signs, printed in (
+            ("mzv", "MZV", "MZV, both sides", (-1.0, 1.0), "4"),
+            ("zvd", "ZVD", "ZVD, both sides", (-1.0, 1.0), "15"),
+            ("ei", "EI", "EI, both sides", (-1.0, 1.0), "20"),
+            ("2hump", "2HUMP_EI", "2HUMP_EI, both sides", (-1.0, 1.0), "35"),
+            ("3hump_below", "3HUMP_EI", "3HUMP_EI, below", (-1.0,), "45"),
+            ("3hump_above", "3HUMP_EI", "3HUMP_EI, above", (1.0,), "50"),
         )
     ),
 ]
