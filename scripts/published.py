@@ -96,6 +96,7 @@ def proven(
             result.write_proof(folder / f"{name}.proof")
     except UnsupportedError:
         assert result.lower_bound is not None
+        assert result.cost is not None
         low, high, proof = result.lower_bound, result.cost, "judge"
     return Found(low - constant, high - constant, again, proof)
 
@@ -103,7 +104,9 @@ def proven(
 def riccati(problem: lfo.OptimalControlProblem) -> float:
     """Return the optimal cost from a given start without limits, by the recursion backwards in time."""
     A, B, _ = problem.linear.at(0)
-    cost, x = problem.quadratic, problem.initial_state.lower
+    cost, start = problem.quadratic, problem.initial_state
+    assert isinstance(start, lfo.Box)
+    x = start.lower
     P = cost.P
     for _ in range(problem.horizon):
         mixed = cost.S.T + B.T @ P @ A if cost.S.shape == (len(A), B.shape[1]) else cost.S + B.T @ P @ A
@@ -454,7 +457,8 @@ def ubh1_continuous(folder: Path | None, name: str) -> Found:
     )
     result = lfo.solve(problem)
     assert result.control is not None
-    ends = [B.T @ expm(A.T * s) @ inverse.T @ result.control[0] for s in (0.0, 1000.0)]
+    w = result.control[0]
+    ends = [B.T @ expm(A.T * s) @ inverse.T @ w for s in (0.0, 1000.0)]
     assert np.abs(ends).max() <= 1
     return proven_apart(problem, lambda x, w: energy(A, B, 1000.0, inverse, w), folder, name)
 
