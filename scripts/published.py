@@ -504,6 +504,7 @@ def unreachable(
     rows = np.vstack([np.hstack([sign * g, -np.eye(few)]) for sign in (1, -1)])
     limits = [(0, 0) if i in free else (-1, 1) for i in range(n)] + [(0, None)] * few
     found = linprog(np.append(-d, np.full(few, bound * T / few)), rows, np.zeros(2 * few), bounds=limits)
+    assert found.x is not None
     eta = np.where(np.isin(np.arange(n), free), 0.0, found.x[:n])
     cell = T / many
     f = waves(many) @ eta
