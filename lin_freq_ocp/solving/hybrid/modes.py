@@ -106,7 +106,7 @@ class TreeCache(SearchCache):
         relaxation, cover = self._relaxation, self._cover
         same = self._base is not None and self._base is self._last
         if relaxation is not None and same and self.levels == (limits.level,):
-            search = TreeSearch(problem, limits, progress, relaxation.moved)
+            search = TreeSearch(problem, limits, progress, relaxation)
         else:
             search = TreeSearch(problem, limits, progress)
             cover = [replace(node, duals=None) for node in cover]  # whose units belong to other data
@@ -291,10 +291,9 @@ class MixedInteger:
 
 
 def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
-    """Yield the costs below which to search: that of rest, any, that of what was found then, or of a single mode."""
+    """Yield the costs below which to search: that of rest, that of what was found then or of a single mode, and any."""
     signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
     yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
-    yield np.inf
     known = [one.trajectory for one in found if one.trajectory]
     if not known:
         limit = None if end == np.inf else end - now()
@@ -302,6 +301,7 @@ def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float
         points = [_solve_sequence(problem, sequence, limit, None) for sequence in sequences]
         known = [point.trajectory for point in points if point is not None]
     yield min((_level_of(problem, one) for one in known), default=np.inf)
+    yield np.inf
 
 
 def _bound_of(outcome: Outcome) -> float:
