@@ -341,13 +341,14 @@ def _judge_search(
     certificate = None if point is None else point.certificate
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
-    needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
+    scale = level if certificate is None else certificate.cost_scale
+    needed = np.inf if certificate is None else certificate.cost - gap * scale
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            tree = refine_leaves(within, outcome.tree, weak, end, kind)
+            tree = refine_leaves(within, outcome.tree, weak, end, kind, scale)
             bound = tree_bound(problem, tree, end)
             if bound.value > proof.value:
                 outcome, proof = replace(outcome, tree=tree), bound
