@@ -333,7 +333,7 @@ def _judge_search(
 
     ``programs`` are those of sequences of like problems. The search was for costs below ``level``.
     """
-    outcome, within = replace(outcome, tree=replace(outcome.tree, level=level)), within_level(problem, level)
+    outcome = replace(outcome, tree=replace(outcome.tree, level=level))
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end, limit = clock + left, None if left == np.inf else left
@@ -348,7 +348,9 @@ def _judge_search(
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            tree = refine_leaves(within, outcome.tree, weak, end, kind, scale)
+            below = level if point is None else min(level, _level_of(problem, point.trajectory))
+            tree = replace(outcome.tree, level=below)  # which covers these trajectories, too
+            tree = refine_leaves(within_level(problem, below), tree, weak, end, kind, scale)
             bound = tree_bound(problem, tree, end)
             if bound.value > proof.value:
                 outcome, proof = replace(outcome, tree=tree), bound
