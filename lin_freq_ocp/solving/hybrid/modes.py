@@ -291,16 +291,14 @@ class MixedInteger:
 
 
 def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
-    """Yield the costs below which to search: that of rest, that of what was found then or of a single mode, and any."""
+    """Yield the costs below which to search: that of rest; if nothing is found, that of a single mode; and any."""
     signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
     yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
-    known = [one.trajectory for one in found if one.trajectory]
-    if not known:
+    if all(one.trajectory is None for one in found):
         limit = None if end == np.inf else end - now()
         sequences = (np.full(problem.horizon, mode) for mode in range(len(problem.mode_names)))
         points = [_solve_sequence(problem, sequence, limit, None) for sequence in sequences]
-        known = [point.trajectory for point in points if point is not None]
-    yield min((_level_of(problem, one) for one in known), default=np.inf)
+        yield min((_level_of(problem, one.trajectory) for one in points if one is not None), default=np.inf)
     yield np.inf
 
 
