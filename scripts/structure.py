@@ -54,7 +54,7 @@ LIMITS: dict[str, float] = {
     "shipped lines": 49_324,
     "code lines": 45_898,
     "code lines, linear part": 21_748,
-    "code lines, hybrid": 8_593,
+    "code lines, hybrid": 8_572,
     SHARE_SAID: 19.5,  # at least
     "files": 337,
     "folders": 44,

@@ -275,7 +275,7 @@ def relaxations(cases: Mapping[str, Callable[[], lfo.OptimalControlProblem]], li
             relaxation = kind(problem)
             everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
             reach = relaxation.reach.from_start(everything)
-            outcome = TreeSearch(problem, SearchLimits(gap, limit), relaxation=kind).run()
+            outcome = TreeSearch(problem, SearchLimits(gap, limit), relaxation=relaxation).run()
             nodes = f"{len(outcome.tree.nodes)}" + (" (stopped)" if outcome.message else "")
             root = None if reach is None or best is None else solve_relaxation(relaxation, reach).bound
             cells.append("" if root is None else f"{100 * (best - root) / abs(best):.3g} %, {nodes}")

@@ -51,9 +51,6 @@ from lin_freq_ocp.transform.sizes import stated_sizes
 Number = TypeVar("Number", float, Array)
 
 COST_SHARE = 0.1  # of the cost in common units: bounds are asked to a part of the cost, and a larger cost iterates more
-SMALL_OBJECTIVE = 0.1  # solvers end at errors relative to the objective or to 1: below, the cost gets other units
-LARGE_OBJECTIVE = 1e3  # in units of a smaller cost, from which errors are as large as those units were to avoid
-LARGEST_LEVEL = 1e6  # of these units: a smaller cost is that of rounding errors
 FIXED = 1e-9  # a box narrower than this, in natural units, is an equation: interior-point methods need an interior
 
 
@@ -67,20 +64,23 @@ class Member:
 
 
 class ModeRelaxation:
-    """The relaxations of one problem with piecewise-affine dynamics and a convex cost."""
+    """The relaxations of one problem with piecewise-affine dynamics and a convex cost.
+
+    A ``level`` is a cost below which the search is: solvers end at errors relative to the objective or to 1, and a cost
+    of the level is at least 1 in the units of the objective.
+    """
 
     bounds_where_several = False  # whether (x_t, u_t) also has its own bounds where shares have them
 
-    def __init__(self, problem: OptimalControlProblem, level: float = 1.0):
+    def __init__(self, problem: OptimalControlProblem, level: float = np.inf):
         self.problem, self.reach = problem, ModeReach(problem)
-        self.level = level  # factor by which the objective of members is enlarged
         T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
         hosts = [
             LinearProgram(problem.with_dynamics(piecewise_affine(problem).along(np.full(T, mode))))
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts, stated_sizes(problem))
-        self._scaling = replace(units, cost=COST_SHARE * level * units.cost)
+        self._scaling = replace(units, cost=max(COST_SHARE * units.cost, 1 / level))
         self._program = self._host.sparse.scaled(self._scaling)
         states = (T + 1) * n
         sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
@@ -117,7 +117,7 @@ class ModeRelaxation:
         self._hessian = hessian.data, *(np.asarray(part, dtype=np.int32) for part in hessian.coords)
         self._price = np.zeros(self._at.count)
         self._price[: len(self._program.q)] = self._program.q
-        self._price[self._at.epsilon] = COST_SHARE * level
+        self._price[self._at.epsilon] = self._scaling.cost / units.cost
         self._stage = np.full(self._at.count, -1)
         self._stage[self._at.y] = np.arange(T)[:, None]
 
@@ -180,18 +180,6 @@ class ModeRelaxation:
             group.take(rows, many, mask)
             group.coefficients(values)[:, k:] = bound.reshape(-1, k)
         groups.cone.take(rows, many)
-
-    def for_cost(self, cost: float) -> Self:
-        """Return the same relaxations in units in which the objective of this cost is not far below 1.
-
-        Units for a smaller cost, cached by an earlier solve, are replaced as well.
-        """
-        objective = abs(self.objective(cost))
-        small, large = self.level < LARGEST_LEVEL, self.level > 1
-        if not ((small and objective < SMALL_OBJECTIVE) or (large and objective > LARGE_OBJECTIVE)):
-            return self
-        level = self.level / max(objective, 1 / LARGEST_LEVEL)
-        return type(self)(self.problem, min(max(level, 1.0), LARGEST_LEVEL))
 
     def moved(self, problem: OptimalControlProblem) -> Self:
         """Return the relaxations of a problem that differs in the point where it starts alone."""

@@ -376,13 +376,6 @@ class Duals:
     vertices: Array | None = None
     images: Array | None = None
 
-    def times(self, factor: float) -> Duals:
-        """Return the duals of the same relaxation with its cost in other units."""
-        if not self.eta_C:
-            return self
-        parts = (None if part is None else factor * part for part in (self.vertices, self.images))
-        return Duals(factor * self.adjoint, factor * self.sides, factor * self.regions, self.eta_C, *parts)
-
 
 class PathBounds:
     """Bounds of one problem; Hessians (T+1, k, k) in natural units."""

@@ -106,7 +106,7 @@ class TreeCache(SearchCache):
         relaxation, cover = self._relaxation, self._cover
         same = self._base is not None and self._base is self._last
         if relaxation is not None and same and self.levels == (limits.level,):
-            search = TreeSearch(problem, limits, progress, relaxation.moved)
+            search = TreeSearch(problem, limits, progress, relaxation)
         else:
             search = TreeSearch(problem, limits, progress)
             cover = [replace(node, duals=None) for node in cover]  # whose units belong to other data
@@ -291,17 +291,15 @@ class MixedInteger:
 
 
 def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
-    """Yield the costs below which to search: that of rest, any, that of what was found then, or of a single mode."""
+    """Yield the costs below which to search: that of rest; if nothing is found, that of a single mode; and any."""
     signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
     yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
-    yield np.inf
-    known = [one.trajectory for one in found if one.trajectory]
-    if not known:
+    if all(one.trajectory is None for one in found):
         limit = None if end == np.inf else end - now()
         sequences = (np.full(problem.horizon, mode) for mode in range(len(problem.mode_names)))
         points = [_solve_sequence(problem, sequence, limit, None) for sequence in sequences]
-        known = [point.trajectory for point in points if point is not None]
-    yield min((_level_of(problem, one) for one in known), default=np.inf)
+        yield min((_level_of(problem, one.trajectory) for one in points if one is not None), default=np.inf)
+    yield np.inf
 
 
 def _bound_of(outcome: Outcome) -> float:
@@ -333,7 +331,7 @@ def _judge_search(
 
     ``programs`` are those of sequences of like problems. The search was for costs below ``level``.
     """
-    outcome, within = replace(outcome, tree=replace(outcome.tree, level=level)), within_level(problem, level)
+    outcome = replace(outcome, tree=replace(outcome.tree, level=level))
     clock = now()
     left = max(end - clock, LEAST_PROOF_SECONDS)
     end, limit = clock + left, None if left == np.inf else left
@@ -341,13 +339,16 @@ def _judge_search(
     certificate = None if point is None else point.certificate
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
-    needed = np.inf if certificate is None else certificate.cost - gap * certificate.cost_scale
+    scale = level if certificate is None else certificate.cost_scale
+    needed = np.inf if certificate is None else certificate.cost - gap * scale
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate
         if not outcome.message and not proof.value >= needed:
             weak = np.flatnonzero(proof.bounds < needed)
-            tree = refine_leaves(within, outcome.tree, weak, end, kind)
+            below = level if point is None else min(level, _level_of(problem, point.trajectory))
+            tree = replace(outcome.tree, level=below)  # which covers these trajectories, too
+            tree = refine_leaves(within_level(problem, below), tree, weak, end, kind, scale)
             bound = tree_bound(problem, tree, end)
             if bound.value > proof.value:
                 outcome, proof = replace(outcome, tree=tree), bound

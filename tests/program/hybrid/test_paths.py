@@ -171,7 +171,8 @@ def test_a_small_cost_gets_units_in_which_its_tree_is_proven():
     Q, R = 0.0025 * np.eye(4), 0.0025 * np.eye(1)
     problem = replace(base, cost=lfo.QuadraticCost(Q, R, P=solve_discrete_are(free.A, free.B, Q, R)))
     result = lfo.solve(problem)
-    relaxation = PathRelaxation(problem)
-    assert relaxation.objective(result.cost) < 0.1 <= relaxation.for_cost(result.cost).objective(result.cost)
+    usual, small = PathRelaxation(problem), PathRelaxation(problem, 2 * result.cost)
+    assert usual.objective(result.cost) < 0.01
+    assert small.objective(result.cost) == pytest.approx(0.5)
     assert result.status == "optimal"
     assert abs(result.gap) < 1e-6

@@ -111,12 +111,12 @@ class TreeSearch:
     problem: OptimalControlProblem
     limits: SearchLimits = field(default_factory=SearchLimits)
     progress: Callable[[SearchProgress], None] | None = None
-    relaxation: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation
+    relaxation: ModeRelaxation | None = None  # of a problem that starts elsewhere
 
     def __post_init__(self):
         self._started = now()
-        self._relaxation = self.relaxation(self.problem)
-        self._first_level = self._relaxation.level
+        given = self.relaxation
+        self._relaxation = given.moved(self.problem) if given else PathRelaxation(self.problem, self.limits.level)
         self._arrays, self._rounding = self._relaxation.reach.arrays, level_rounding(self.problem)
         self._nodes: list[ModeNode] = []
         self._duals: list[Duals | None] = []
@@ -176,7 +176,7 @@ class TreeSearch:
 
     @property
     def final_relaxation(self) -> ModeRelaxation:
-        """Return the relaxations in whose units the last duals are."""
+        """Return the relaxations of the problem searched."""
         return self._relaxation
 
     def cover_after_step(self) -> tuple[CoverNode, ...]:
@@ -228,11 +228,11 @@ class TreeSearch:
         """
         nodes = [ModeNode(node.parent, node.stage, node.allowed, -np.inf, None) for node in cover]
         duals, open_ = list[Duals | None](None for _ in cover), list[tuple[float, int, Reach]]()
-        claims, units = dict[int, tuple[Reach, Duals]](), self._relaxation.level / self._first_level
+        claims = dict[int, tuple[Reach, Duals]]()
         for index, reach in reaches.items():
             start_duals = cover[index].duals
             if reach is not None and start_duals is not None:
-                claims[index] = reach, start_duals.times(units)  # the first answer may have changed the units
+                claims[index] = reach, start_duals
         proven = dict(zip(claims, self._relaxation.proven_each(list(claims.values())).tolist(), strict=True))
         for index, reach in reaches.items():
             bound = np.inf if reach is None else proven.get(index, -np.inf)
@@ -358,11 +358,4 @@ class TreeSearch:
     def _relax_node(self, reach: Reach, cutoff: float) -> NodeSolution:
         self._solved += 1
         end = self._started + self.limits.search_seconds
-        answer = solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff)
-        if self._solved == 1 and np.isfinite(answer.bound):
-            first, self._relaxation = self._relaxation, self._relaxation.for_cost(answer.bound)
-            if self._relaxation is not first:
-                factor = self._relaxation.level / first.level
-                self._duals = [None if one is None else one.times(factor) for one in self._duals]
-                return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff)
-        return answer
+        return solve_relaxation(self._relaxation, reach, TOLERANCES, end, cutoff)

@@ -142,10 +142,14 @@ def refine_leaves(
     tree: ModeTree,
     leaves: Indices,
     end: float = np.inf,
-    kind: Callable[[OptimalControlProblem], ModeRelaxation] = PathRelaxation,
+    kind: type[ModeRelaxation] = PathRelaxation,
+    scale: float = np.inf,
 ) -> ModeTree:
-    """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``."""
-    relaxation, nodes = kind(problem), list(tree.nodes)
+    """Return the tree with new proofs of some leaves, from relaxations solved to the finest tolerance until ``end``.
+
+    Gaps are relative to the ``scale`` of the cost that is found, in whose units the relaxations are.
+    """
+    relaxation, nodes = kind(problem, scale), list(tree.nodes)
     for index in leaves:
         reach = relaxation.reach.from_start(nodes[index].allowed)
         answer = None if reach is None else solve_relaxation(relaxation, reach, FINE, end)

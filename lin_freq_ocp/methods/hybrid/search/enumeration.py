@@ -37,7 +37,7 @@ def enumerate_sequences(
     UnsupportedError
         If there are more than MOST_SEQUENCES.
     """
-    started, relaxation = now(), ModeRelaxation(problem)
+    started, relaxation = now(), ModeRelaxation(problem, limits.level)
     end = started + limits.search_seconds
     everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
     root = relaxation.reach.from_start(everything)
