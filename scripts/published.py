@@ -364,14 +364,6 @@ def pulse_pattern(M: float, k: int, folder: Path | None, name: str) -> Found:
     return Found(math.sqrt(result.lower_bound), math.sqrt(result.cost), None, "judge")
 
 
-def wave_energy(force: float | None, folder: Path | None, name: str) -> Found:
-    """Return the power, which is less the cost."""
-    result = lfo.solve(lfo.library.wave_energy(force=force))
-    assert result.lower_bound is not None
-    assert result.cost is not None
-    return Found(-result.cost, -result.lower_bound, None, "judge")
-
-
 def least_energy(A: np.ndarray, B: np.ndarray, h: float) -> tuple[lfo.LinearDynamics, np.ndarray]:
     """Return x+ = exp(A h) x + L w, where |w|^2 is the least integral of |u|^2 on the way, and inv(L).
 
@@ -554,19 +546,6 @@ def spring(derivative: bool) -> tuple[np.ndarray, np.ndarray]:
     return T @ np.block([[A, Z], [D, A]]) @ np.linalg.inv(T), T @ np.vstack([B, np.zeros((4, 1))])
 
 
-def stimulated(limit: float, folder: Path | None, name: str) -> Found:
-    """Search around the printed number of samples: it is feasible, one less is proven infeasible."""
-
-    def at(horizon: int) -> lfo.OptimalControlProblem:
-        return lfo.library.mri_gradient(horizon=horizon, stimulation=limit)
-
-    near = {1.0: 135, 0.8: 145, 0.5: 173}[limit]
-    found = lfo.minimum_time(at, horizons=(near - 2, near + 2))
-    assert found.ray is not None
-    assert found.horizon is not None
-    return Found(found.horizon, found.horizon, None, "ray, judge")
-
-
 def shaper_range(shaper: str, signs: tuple[float, ...], folder: Path | None, name: str) -> Found:
     """Bracket how far a mode may be from the frequency of a shaper, in percent of it, within 5 % of the vibration.
 
@@ -673,13 +652,9 @@ DTOC6 = "DTOC6: y+ = y + e^x, y = 0 first; sum of x²/2 + (e^x + y)²/2; N = "
 DTOC1L = "DTOC1L: linear, from 0; sum of (x - 1/2)^4 and (y - 1/4)^4; N, controls, states = "
 PATTERNS = "Miller, Karamanakos, Geyer, arXiv 2512.08201, public data"
 PATTERN = "Least distortion of five levels, exactly k switches .0314159 rad apart, unipolar, |b3| <= .01; "
-WECOPTTOOL = "WecOptTool test data; external.json of this project's reference"
-WAVE = "Most power from a wave of .3 Hz, 1..50 harmonics in 20 s; "
 DTQP = "DT QP Project, examples"
 BRYSON = "Bryson-Denham: x'' = u in continuous time, x: 0 to 0, v: 1 to -1, x <= l; half the integral of u²; l = "
 SPRING = "Two masses and a spring, |u| <= 1, 0 to 1 at rest, any u(t): least time in s"
-SAFE = "SAFE model, safe_example_hw_peripheral.m; a linear program of this project's reference"
-STIMULATION = "The shortest gradient of GrOpt's demo in samples, with stimulation at most "
 KLIPPER = "Klipper, docs/Resonance_Compensation.md"
 APPROXIMATE = "a mode in the range exceeds 5 %; the source says that its ranges are approximate"
 SHAPER = "Modes that a shaper leaves at most 5 % of, damping .05 to .2, from its frequency in percent; "
@@ -817,14 +792,6 @@ ROWS = [
         )
         for side, words, printed in (("below", "a lower bound", lower), ("above", "an upper bound", upper))
     ),
-    *(
-        Row(f"wave_{label}", WECOPTTOOL, f"{WAVE}{words}, in W", printed, partial(wave_energy, force))
-        for label, words, force, printed in (
-            ("free", "no limit", None, "140.007195"),
-            ("2000", "force of 2000 N", 2000.0, "98.11269"),
-            ("1000", "force of 1000 N", 1000.0, "58.75533"),
-        )
-    ),
     Row("bryson_9", DTQP, BRYSON + "1/9", "4", partial(bryson_denham, 9)),
     Row("bryson_10", DTQP, BRYSON + ".1", "4.4444", partial(bryson_denham, 10)),
     Row("cart", DTQP, "Cart: x'' = u - x', from rest, 1 s; half the integral of u² less x(1)", "-0.0840456204", cart),
@@ -865,10 +832,6 @@ ROWS = [
             (8.9914, 8.9922),
         ),
         "a multiplier proves that no control reaches the end at this time",
-    ),
-    *(
-        Row(f"safe_{limit}", SAFE, f"{STIMULATION}{limit}", printed, partial(stimulated, limit))
-        for limit, printed in ((1.0, "135"), (0.8, "145"), (0.5, "173"))
     ),
     *(
         Row(label, KLIPPER, f"{SHAPER}{words}", printed, partial(shaper_range, shaper, signs), APPROXIMATE, "below")

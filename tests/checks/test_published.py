@@ -29,7 +29,6 @@ ROWS = {row.name: row for row in published.ROWS}
         ("cart", "confirmed"),
         ("bryson_ho_154", "confirmed"),
         ("ubh1_continuous", "confirmed"),
-        ("wave_2000", "confirmed"),
         ("mzv", "corrected"),
     ],
 )
