@@ -136,10 +136,9 @@ class AngleLattice:
                 row[i], row[len(k) + 1 + i] = -values[i] / k[i], 1.0
                 rows.append(row)
                 limits.append(0.0)
+        begin = now()
         for _ in range(MOST_CUTS):
-            started = now()
             point = self.bound(r, part, enough)
-            self.seconds = now() - started
             yield point
             if point.bound >= enough:
                 return
@@ -150,7 +149,9 @@ class AngleLattice:
                 best, centre, radius = point.bound, r, 1.5 * radius
             else:
                 radius /= 3
-            if radius < LEAST_RADIUS or now() + self.seconds > end:
+            begin, before = now(), begin
+            self.seconds = begin - before
+            if radius < LEAST_RADIUS or begin + self.seconds > end:
                 return
             box = [*zip(np.maximum(centre - radius, least), np.minimum(centre + radius, most), strict=True)]
             box += [(None, None), *((None, 0.0) if free else (None, None) for free in fixed)]

@@ -340,7 +340,7 @@ def _judge_search(
     proof = tree_bound(problem, outcome.tree, end)
     unproven = now() > end
     scale = level if certificate is None else certificate.cost_scale
-    needed = np.inf if certificate is None else certificate.cost - gap * scale
+    needed = np.inf if certificate is None else certificate.cost - gap / 2 * scale  # half of it is a reserve
     if unproven and not outcome.interrupted:
         outcome = replace(outcome, message=f"{outcome.message or 'time limit'}; not all leaves were proven in time")
     for kind in (PathRelaxation, ModeRelaxation):  # near a cost of zero, solutions of the second are more accurate

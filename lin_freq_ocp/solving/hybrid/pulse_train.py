@@ -113,7 +113,7 @@ class _TrainSearch:
         with suppress(UnsupportedError):
             lattices = [AngleLattice(quarter, N) for N in (LATTICES if count > FEW_TO_NARROW else LATTICES[:1])]
             for coarser, lattice in zip([lattices[0], *lattices], lattices, strict=False):
-                if now() + coarser.seconds * (lattice.count / coarser.count) ** 2 > end:
+                if lattice is not coarser and now() + coarser.seconds * (lattice.count / coarser.count) ** 2 > end:
                     return
                 for point in lattice.best(whole, r, end):
                     if self._cost_at_least(point) > self._floor:
