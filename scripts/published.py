@@ -645,16 +645,16 @@ EXCLUDED = "the proof excludes it, and a Riccati recursion has our digits"
 OUTSIDE = "a proof excludes it"
 CONVEX = "convexity excludes it, by a bound from the gradient or the Lagrangian"
 HAGER3 = "HAGER3: trapezoids of x' = x/2 + u; sum of h/8 (.625 (x² + x x+ + x+²) + (x + x+) u) + h/4 u²; N = "
-HAGER4 = "HAGER4: x' = x + e^t u by implicit Euler, u <= 1; exact integrals of e^-2t x² of lines, and u²/2; N = "
-UBH1 = "UBH1: y'' = u in three axes, 1000 s to rest at 0, |u| <= 1; integral of |u|², all by trapezoids; N = "
+HAGER4 = "HAGER4: x' = x + exp(t) u by implicit Euler, u ≤ 1; exact integrals of exp(-2 t) x² of lines, and u²/2; N = "
+UBH1 = "UBH1: y'' = u in three axes, 1000 s to rest at 0, |u| ≤ 1; integral of |u|², all by trapezoids; N = "
 DTOC5 = "DTOC5: y+ = y - h x + h y², h = 1/N, y = 1 first; h times the sum of x² + y²; N = "
-DTOC6 = "DTOC6: y+ = y + e^x, y = 0 first; sum of x²/2 + (e^x + y)²/2; N = "
+DTOC6 = "DTOC6: y+ = y + exp(x), y = 0 first; sum of x²/2 + (exp(x) + y)²/2; N = "
 DTOC1L = "DTOC1L: linear, from 0; sum of (x - 1/2)^4 and (y - 1/4)^4; N, controls, states = "
 PATTERNS = "Miller, Karamanakos, Geyer, arXiv 2512.08201, public data"
-PATTERN = "Least distortion of five levels, exactly k switches .0314159 rad apart, unipolar, |b3| <= .01; "
+PATTERN = "Least distortion of five levels, exactly k switches .0314159 rad apart, unipolar, |b3| ≤ .01; "
 DTQP = "DT QP Project, examples"
-BRYSON = "Bryson-Denham: x'' = u in continuous time, x: 0 to 0, v: 1 to -1, x <= l; half the integral of u²; l = "
-SPRING = "Two masses and a spring, |u| <= 1, 0 to 1 at rest, any u(t): least time in s"
+BRYSON = "Bryson-Denham: x'' = u in continuous time, x: 0 to 0, v: 1 to -1, x ≤ l; half the integral of u²; l = "
+SPRING = "Two masses and a spring, |u| ≤ 1, 0 to 1 at rest, any u(t): least time in s"
 KLIPPER = "Klipper, docs/Resonance_Compensation.md"
 APPROXIMATE = "a mode in the range exceeds 5 %; the source says that its ranges are approximate"
 SHAPER = "Modes that a shaper leaves at most 5 % of, damping .05 to .2, from its frequency in percent; "
@@ -822,7 +822,7 @@ ROWS = [
     Row(
         "cushioned",
         "mintoc.de, cushioned oscillation",
-        "5 x'' + 10 x = u, |u| <= 5, from (2, 5) to rest at 0, any u(t): least time in s",
+        "5 x'' + 10 x = u, |u| ≤ 5, from (2, 5) to rest at 0, any u(t): least time in s",
         "8.98",
         partial(
             least_time,
