@@ -89,7 +89,7 @@ def row_of_vertices(T: int) -> list[str]:
 
 
 def row_of_discs(N: int) -> list[str]:
-    """Return the plan of all plants within discs beside the nominal one."""
+    """Return the times, powers and accuracy of the plans for all plants within discs, beside the nominal plan."""
     free = lfo.solve(lfo.library.wave_energy(horizon=N, stroke=1.0))
     problem = lfo.library.wave_energy(horizon=N, stroke=STROKE * float(np.abs(free.trajectory.x[:, 1]).max()))
     radius = SHARE * np.abs(problem.dynamics.G)
