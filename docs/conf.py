@@ -103,7 +103,7 @@ SKETCHES = {  # of _static/sketches, with the examples that have this plant
     "mass_chain": ("several_controls",),
     "mass_on_a_spring": ("oscillating_mass", "oscillating_mass_in_c"),
     "motor_and_wheels": ("torque_map",),
-    "point_absorber": ("wave_energy", "measured_buoy"),
+    "point_absorber": ("wave_energy", "measured_buoy", "which_hull"),
     "printer": ("printer_move", "input_shaper"),
     "quarter_car": ("suspension",),
     "rendezvous": ("rendezvous",),
