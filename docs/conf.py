@@ -97,7 +97,7 @@ SKETCHES = {  # of _static/sketches, with the examples that have this plant
     ),
     "discs": ("obstacles",),
     "drive": ("two_mass_drive",),
-    "gantry": ("gantry",),
+    "gantry": ("gantry", "learned_cost"),
     "gradient_coil": ("minimum_time", "stimulation"),
     "inverter": ("inverter", "switching_angles"),
     "mass_chain": ("several_controls",),
