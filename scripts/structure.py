@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_236,
-    "code lines": 46_759,
-    "code lines, linear part": 21_996,
+    "shipped lines": 50_264,
+    "code lines": 46_787,
+    "code lines, linear part": 22_009,
     "code lines, hybrid": 8_874,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -39,6 +39,7 @@ LABELS = {
     "state spectrum": ("C-vi", "N-xhat"),
     "control spectrum": ("C-vii", "N-uhat"),
     "output spectrum": ("S-yhat", "N-yhat"),
+    "limits of outputs": ("S-z", "N-z"),
     "linked ends": ("S-ends", "N-ends"),
     "stage cost": ("", "N-c"),
     "terminal cost": ("", "N-c"),

@@ -76,7 +76,7 @@ def reachable_bounds(problem: OptimalControlProblem) -> Region:
     States that an unbounded control or initial state affects have no other bounds than the stated ones.
     """
     stated = stated_bounds(problem)
-    reach = _forward_reach(problem, *stated.u)
+    reach = None if problem.response is not None else _forward_reach(problem, *stated.u)
     if reach is None:
         return stated
     return Region(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
@@ -174,8 +174,8 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _two_sided_rows(problem, trajectory)
     left = np.zeros(problem.horizon, dtype=int)
-    _propagate_one_step(problem.linear, residual, rows, 0, radii, left)
-    if np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
+    _propagate_one_step(problem, residual, rows, 0, radii, left)
+    if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
             for side, moved in enumerate((residual, np.zeros_like(residual))):
@@ -185,7 +185,7 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
         return False
     steps = range(problem.horizon)
     for t in (*steps, *reversed(steps), *steps):
-        _propagate_one_step(problem.linear, residual, rows, t, radii, left)
+        _propagate_one_step(problem, residual, rows, t, radii, left)
     _solve_all_steps(problem, trajectory, residual, radii)
     return all(bool(np.isfinite(part).all()) for part in radii)
 
@@ -215,21 +215,22 @@ def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> T
 
 
 def _propagate_one_step(
-    dynamics: LinearDynamics, residual: Array, rows: TwoSided, t: int, radii: Pair, left: Indices
+    problem: OptimalControlProblem, residual: Array, rows: TwoSided, t: int, radii: Pair, left: Indices
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply.
 
     ``left`` (T,) says how many stay unknown: with so many, the step implies no more.
     """
-    A, B, _ = dynamics.at(t)
-    n, m = B.shape
-    x, u = radii
+    n, m, (x, u) = problem.state_dim, problem.control_dim, radii
     values = np.concatenate([x[:, t], u[:, t], x[:, t + 1]], axis=1)
     if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
         return
     rows_here = rows.get(t, [])
-    columns = np.vstack([np.hstack([A, B, -np.eye(n)]), *(np.append(row, np.zeros(n)) for row, _ in rows_here)])
-    if _determine_radii(columns, np.append(residual[t], [distance for _, distance in rows_here]), values):
+    columns, distances = [np.append(row, np.zeros(n)) for row, _ in rows_here], [distance for _, distance in rows_here]
+    if problem.response is None:  # no single step of a response says anything
+        A, B, _ = problem.linear.at(t)
+        columns, distances = [*np.hstack([A, B, -np.eye(n)]), *columns], [*residual[t], *distances]
+    if columns and _determine_radii(np.array(columns), np.array(distances), values):
         x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
@@ -245,9 +246,12 @@ def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, res
         return
     T, n = residual.shape
     columns, of_u = np.zeros((T, n, values.shape[1])), (T + 1) * n + np.arange(u[0].size).reshape(T, -1)
+    if problem.response is not None:
+        columns[..., x[0].size :] = problem.response.matrix[n:].reshape(T, n, -1)
     for t in range(T):
-        A, B, _ = problem.linear.at(t)
-        columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
+        if problem.response is None:
+            A, B, _ = problem.linear.at(t)
+            columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
     rows, distances = [columns.reshape(T * n, -1)], [residual.ravel()]
     for term in problem.terms:

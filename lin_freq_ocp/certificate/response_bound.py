@@ -36,7 +36,7 @@ from lin_freq_ocp.certificate.bound import (
     unit_rounding,
 )
 from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
-from lin_freq_ocp.certificate.reach import Pair
+from lin_freq_ocp.certificate.reach import Pair, implied_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response import Response
@@ -61,7 +61,10 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
         passed = Trajectory(extremal.trajectory.x, np.fft.irfft(spectrum, n=problem.horizon, axis=0))
         extremal = extremal_at(problem, passed, extremal.multipliers)
     cost, tube = extremal.cost, problem.control_tube
-    proven = _evaluate(extremal, response, curvature, (tube.lower, tube.upper), cost, RIGOROUS, "the stated bounds")
+    proven = _evaluate(extremal, response, curvature, tube.bounds, cost, RIGOROUS, "the stated bounds")
+    if proven.value == -np.inf:
+        implied = implied_bounds(problem)
+        proven = _evaluate(extremal, response, curvature, implied.u, cost, RIGOROUS, implied.follows_from)
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
@@ -79,6 +82,8 @@ def farkas_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None)
     if response is None:
         return ray_bound(extremal, sizes, multiple)
     flat, bounds, u = np.zeros(problem.control_dim), problem.control_tube.bounds, extremal.trajectory.u
+    if not np.isfinite(bounds).all():
+        bounds = implied_bounds(problem).u
     proven = _evaluate(extremal, response, flat, bounds, 0.0, RIGOROUS, "the stated bounds")
     if proven.value > -np.inf:
         return proven

@@ -55,7 +55,10 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
         x, u = states.project(moved[0]), controls.project(moved[1])
         if ((x != moved[0]) & ~repair.held_states).any() or ((u != moved[1]) & ~repair.held).any():
             return None
-        exceeded = (term.violation(x, u) > ROW_ULPS * EPSILON * term.map.sizes(x, u) for term in hard)
+        rounded = np.abs(x)
+        if hard:  # a state is no more exact than the terms of its equation
+            rounded[1:] = np.maximum(rounded[1:], problem.equations.successor_sizes(x, u))
+        exceeded = (term.violation(x, u) > ROW_ULPS * EPSILON * term.map.sizes(rounded, u) for term in hard)
         if not any(map(np.any, exceeded)):
             return Trajectory(seal(x), seal(u))
     return None

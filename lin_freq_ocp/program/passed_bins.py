@@ -83,7 +83,7 @@ def passed_bins(linear: LinearProgram, program: Program, scaling: Scaling) -> Pa
     start, signals = response_basis(linear, columns[: linear.signals])
     first, links = rows[Block.TERMS].start, list[Indices]()
     for term, own in zip(linear.problem.terms, linear.of_terms, strict=True):
-        if term.kind is TermKind.LINKED_ENDS:
+        if term.kind is TermKind.LINKED_ENDS and term.source is None:  # follows from the dynamics
             links.append(np.arange(first, first + len(own.lower)))
         first += len(own.lower)
     dynamics, bins = (np.arange(*rows[block].indices(first)[:2]) for block in (Block.DYNAMICS, Block.CONTROL_SPECTRUM))

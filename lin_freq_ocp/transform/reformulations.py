@@ -99,7 +99,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
     none = Translation(problem, problem, np.zeros(problem.state_dim))
     if not origin.any():
         return none
-    dynamics, cost = problem.dynamics.translated(origin), problem.cost.translated(origin)
+    dynamics, cost = problem.dynamics.translated(origin, problem.horizon), problem.cost.translated(origin)
     if dynamics is None or cost is None:
         return none
     moved = replace_fields(
@@ -110,6 +110,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         initial_state=problem.initial_state.translated(origin),
         terminal_state=problem.terminal_state.translated(origin),
         stage_rows=tuple(rows.translated(origin) for rows in problem.stage_rows),
+        output_spectrum=[outputs.translated(origin) for outputs in entries_of(problem.output_spectrum)] or None,
         _origin=origin if problem.origin is None else problem.origin + origin,
     )
     with warnings.catch_warnings():

@@ -37,10 +37,10 @@ from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectr
 from lin_freq_ocp.problem.terms.maps import JoinedMap, StageMap
 from lin_freq_ocp.problem.terms.norm_rows import NormRows
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
-from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.transform.reformulations import augment_states
+from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
@@ -135,6 +135,8 @@ class Discs(Uncertainty):
         u, limits, leaks = trajectory.u, list[Worst](), list[Worst]()
         if u.shape != (T, problem.control_dim):
             raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
+        translation = translation_of(problem)
+        problem = translation.problem
         response, nominal = _response(problem), simulate(problem, u)
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
@@ -143,7 +145,8 @@ class Discs(Uncertainty):
                 other = _worst_plant(problem, radius, u, c, one.index)
                 under = simulate(replace(problem, dynamics=other), u)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
-                limits.append(replace(one, attained=one.sign * value, trajectory=under, plant=other.G))
+                found = replace(one, attained=one.sign * value, trajectory=under, plant=other.G)
+                limits.append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
             if of_x.any() and not response.closed:
@@ -249,7 +252,11 @@ class DiscLimits(FrequencyConstraint):
         share = np.hstack([kinds[:, own, j] for j, own in enumerate(bins)])
         counts = [len(own) for own in times]
         norm_rows = NormRows(self.limits.T[limited], share, np.repeat(kind.ravel(), counts))
-        yield Term(self.label, signal.kind, JoinedMap((*rows, *spectra)), norm_rows, source)
+        yield Term(self.label, TermKind.OUTPUT_LIMITS, JoinedMap((*rows, *spectra)), norm_rows, source)
+
+    def translated(self, mean: Array) -> DiscLimits:
+        """Return the limits on the outputs less a constant, (outputs,)."""
+        return DiscLimits(self.limits - mean, self.radii, self.record)
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return itself: it is on outputs."""

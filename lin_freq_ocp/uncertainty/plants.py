@@ -25,6 +25,7 @@ from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, component_indices
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection, map_sets
+from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
 from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
@@ -142,9 +143,11 @@ class Plants(Uncertainty):
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
     """Yield each limit at the time, or bin, where a trajectory is closest to it."""
+    translation = translation_of(problem)
+    problem, trajectory = translation.judged_at(trajectory)
     x, u = trajectory.x, trajectory.u
     for rows in hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
-        yield from (one for one, _, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
+        yield from (one.of_given(translation, c) for one, c, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
     for name, spectrum, limits in limited_spectra(problem):
         sizes, levels = np.linalg.norm(spectrum.values(x, u), axis=1), np.nan_to_num(limits)
         k = int(np.argmax(sizes - levels))

@@ -17,6 +17,7 @@ from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plura
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.reformulations import Translation, translation_of
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 from lin_freq_ocp.uncertainty.leakage import bin_values, leakage
 
@@ -40,7 +41,8 @@ class Worst:
     attained : float
         The value of a simulation with ``loads``, or of ``plant``; NaN without (Gaussian loads).
     size : float
-        The sum of the absolute terms of the limit, to which rounding is relative.
+        The sum of the absolute terms of the limit, to which rounding is relative; states that are far from zero
+        count from the middle of what is known of them.
     start : (n,) or None
         The error x_0 - z_0 of the start.
     loads : (T, k) or None
@@ -73,6 +75,12 @@ class Worst:
     plant: int | ComplexArray | None = None
     in_spectrum: bool = False
     sign: int = 1
+
+    def of_given(self, translation: Translation, c: Array) -> Worst:
+        """Return this worst case of a translated problem as one of the given problem; c (n,) is its row of states."""
+        moved, under = self.sign * float(c @ translation.origin), self.trajectory
+        places = {name: getattr(self, name) + moved for name in ("planned", "limit", "attained")}
+        return replace(self, trajectory=under and translation.trajectory(under), **places)
 
     def under(self, case: tuple[Array, Array] | None, trajectory: Trajectory, value: float) -> Worst:
         """Return this worst case with the start and the loads that attain it, and the value of their simulation."""
@@ -261,6 +269,8 @@ def worst_loads(
 ) -> WorstCase:
     """Return what the worst loads do to a trajectory; with the multipliers of a plan, also what larger loads cost."""
     problem.require(trajectory)
+    cost, translation = problem.value(trajectory.x, trajectory.u), translation_of(problem)
+    problem, trajectory = translation.judged_at(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     plan = simulate_loop(problem, loop, trajectory)
     x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
@@ -271,7 +281,8 @@ def worst_loads(
         for one, c, d in rows.closest(x, u, margins):
             t, case = one.index, loop.worst(c, d, one.index)
             under = simulate_loop(problem, loop, trajectory, case)
-            limits.append(one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d)))
+            worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
+            limits.append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
         bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
@@ -282,11 +293,10 @@ def worst_loads(
         planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
         values = int(spectrum.bins[k]), planned, most - planned, level, size + most
         one = Worst(name, *values, in_spectrum=True).under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
-        (limits if judged else leaks).append(one)
+        (limits if judged else leaks).append(one.of_given(translation, np.zeros(n)))
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
-    prices = None if multipliers is None else price, problem.value(trajectory.x, trajectory.u)
-    return WorstCase(words, tuple(limits), tuple(leaks), end, *prices)
+    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price, cost)
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:

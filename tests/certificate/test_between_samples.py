@@ -169,7 +169,7 @@ def test_units_and_the_origin_change_no_verdict():
         assert other.time == pytest.approx(1e-3 * one.time, rel=1e-4)
     origin = np.array([3e4, 0.0])
     moved = lfo.OptimalControlProblem(
-        problem.dynamics.translated(-origin), problem.horizon, lfo.QuadraticCost(R=1.0),
+        problem.dynamics.translated(-origin, problem.horizon), problem.horizon, lfo.QuadraticCost(R=1.0),
         state_set=lfo.Box(boxes.lower + origin, boxes.upper + origin),
     )  # fmt: skip
     assert moved.dynamics.plant is not None

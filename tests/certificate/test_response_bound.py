@@ -284,3 +284,16 @@ def test_multipliers_of_absent_bounds_are_left_out(side):
     at_rest, none = lfo.simulate(problem, np.zeros((2, 1))), zero_multipliers(problem)
     bound = judge(problem, at_rest, replace(none, mu=np.full((3, 1), side))).bound
     assert bound.value == judge(problem, at_rest, none).bound.value
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_controls_in_a_ball_are_bounded(mode):
+    """A linear cost has a bound, and a contradiction a proof, though no box limits the controls."""
+    inside = replace(wave_problem(mode), control_set=lfo.sets.Ball(0.3), cost=lfo.QuadraticCost(q=[0.2], r=[-0.1]))
+    found = lfo.solve(inside)
+    box = lfo.solve(replace(inside, control_set=lfo.Box(-0.3, 0.3)))
+    assert found.status == "optimal"
+    assert found.cost == pytest.approx(box.cost, abs=1e-8)
+    beyond = lfo.StageRows(None, [[1.0]], [-0.31], name="beyond")
+    proof = lfo.solve(replace(inside, stage_rows=beyond), throw=False)
+    assert (proof.status, proof.bound) == ("infeasible", "rigorous")

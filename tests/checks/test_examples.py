@@ -35,6 +35,8 @@ SAYS = {
     "rendezvous": f"solved by method {'structured' if can_compile() else 'convex'}",
     "inverter": "10 of 96 samples between levels; no more than 10 are needed",
     "wave_energy": "force  1000 N: mean power 58.75533 W",
+    "learned_cost": "load 4.96 (5), load speed 0.496 (0.5), target 0.400 m (0.4)",
+    "which_hull": "20 N/m softer: 0.06506 W by the derivative",
     "measured_buoy": "position of the worst plant 145.0 of 145 mm",
     "stepping_stones": "cost 0.774167, no trajectory below 0.77416",
     "price_of_bandwidth": "cutoff_hz = 48  optimal, cost 2881.05",
@@ -53,6 +55,8 @@ SAYS = {
 
 LONG = (
     "measured_buoy",
+    "which_hull",
+    "learned_cost",
     "gusts",
     "gantry",
     "oscillating_mass",

@@ -25,6 +25,11 @@ def recursion(dynamics: Dynamics, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.array([step(t, x[t], u[t]) for t in range(T)])
 
 
+def images(dynamics: Dynamics, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return x_1 .. x_T of controls, (T, n), where each x_t is known or follows from the controls."""
+    return dynamics.successors(x, u) if is_response(dynamics) else recursion(dynamics, x, u)
+
+
 def is_response(dynamics: Dynamics) -> bool:
     return dynamics.response(T) is not None
 
@@ -106,11 +111,11 @@ def test_derived_dynamics_are_those_of_the_given_ones(name):
     """Translated ones, those with further states, and those with a known disturbance."""
     instance, rng = INSTANCES[name], np.random.default_rng(3)
     dynamics, form, x, u = instance.dynamics, instance.problem.form, instance.x, instance.u
-    origin, moved = np.linspace(-2.0, 3.0, x.shape[1]), form.translated(np.linspace(-2.0, 3.0, x.shape[1]))
+    origin, moved = np.linspace(-2.0, 3.0, x.shape[1]), form.translated(np.linspace(-2.0, 3.0, x.shape[1]), T)
     assert (moved is not None) == instance.has_no_zero
     if moved is not None:
         assert moved.mode_names == form.mode_names
-        np.testing.assert_allclose(recursion(moved, x - origin, u) + origin, x[1:], atol=ROUNDING)
+        np.testing.assert_allclose(images(moved, x - origin, u) + origin, x[1:], atol=ROUNDING)
     F, G, w = rng.standard_normal((2, 2)), rng.standard_normal((2, u.shape[1])), [np.zeros(2)]
     if is_response(form):  # its further outputs have no recursion
         F = 0.0 * F

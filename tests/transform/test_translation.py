@@ -55,7 +55,7 @@ def test_costs_terms_and_residuals_are_the_same():
 def test_offsets_are_rounded_once():
     """A c + d - c, of numbers of 1e9, is right to the last digit of what is left."""
     dynamics = lfo.LinearDynamics([[1.0, 0.125], [0.0, 1.0]], [[0.0], [1.0]], [0.1, 0.0])
-    moved = dynamics.translated(np.array([1e9, 8.0]))
+    moved = dynamics.translated(np.array([1e9, 8.0]), 1)
     np.testing.assert_array_equal(moved.offset, [1.1, 0.0])
 
 

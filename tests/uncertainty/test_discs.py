@@ -227,3 +227,39 @@ def test_a_limit_of_the_end_is_one_of_the_start_of_a_period(limited):
     assert one.index == limited.horizon
     assert abs(found.trajectory.x[-1, 1]) + one.margin <= 0.02 * (1 + 1e-8)
     assert not lfo.worst_case(ending, discs, lfo.solve(ending))
+
+
+@pytest.mark.parametrize("mode", ["periodic", "zero-padded"])
+@pytest.mark.parametrize("place", [1e4, -1e6])
+def test_outputs_far_from_zero_have_the_same_plan_and_the_same_worst_case(mode, place):
+    """Both are those near zero, to the digits in which the outputs are given."""
+    near, radius = small(np.random.default_rng(1), mode, (2, 2)), 0.02
+    free, joint = lfo.solve(near).trajectory, near.stage_rows[0]
+    near = replace(near, stage_rows=replace(joint, e=0.9 * joint.values(free.x, free.u).max(axis=0)))  # it binds
+    dynamics, cost = near.dynamics, near.quadratic
+    offset = dynamics.offset.copy()
+    offset[0] += dynamics.record(near.horizon) * place
+    row, state_set = near.stage_rows[0], near.state_boxes
+    far = lfo.OptimalControlProblem(
+        lfo.FrequencyResponse(dynamics.G, 0.1, offset, mode=mode),
+        near.horizon,
+        replace(cost, x_ref=cost.x_ref + place),
+        near.control_set,
+        lfo.Box(state_set.lower + place, state_set.upper + place),
+        stage_rows=lfo.StageRows(row.C, row.D, row.e + row.C @ np.full(2, place), name="joint"),
+    )
+    discs, digits = lfo.Discs(radius), 1e-8 + 40 * np.spacing(abs(place))
+    plans = [lfo.solve(lfo.robust(problem, discs)) for problem in (near, far)]
+    assert [plan.status for plan in plans] == ["optimal", "optimal"]
+    assert plans[1].cost == pytest.approx(plans[0].cost, abs=100 * digits)
+    np.testing.assert_allclose(plans[1].trajectory.x - place, plans[0].trajectory.x, atol=100 * digits)
+    x, u = plans[0].trajectory.x, plans[0].trajectory.u
+    for larger in (1.0, 1.1):  # the plan has no margin for larger discs
+        wider = lfo.Discs(larger * radius)
+        cases = [lfo.worst_case(*one) for one in ((near, wider, plans[0]), (far, wider, lfo.Trajectory(x + place, u)))]
+        assert bool(cases[0]) is bool(cases[1]) is (larger == 1)
+        for one, other in zip(cases[0].limits, cases[1].limits, strict=True):
+            assert (other.name, other.index) == (one.name, one.index)
+            assert other.violation == pytest.approx(one.violation, abs=digits)
+            assert other.attained - other.limit == pytest.approx(one.attained - one.limit, abs=digits)
+            np.testing.assert_allclose(other.trajectory.x - place, one.trajectory.x, atol=digits)

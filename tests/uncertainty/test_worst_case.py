@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.tubes import simulate, tube
+from lin_freq_ocp.transform import translated_by
 
 LOAD = lfo.Disturbance(lfo.Box(-0.15, 0.15))
 
@@ -59,6 +60,24 @@ def test_a_margin_that_is_a_little_too_small_is_noticed(missing):
     assert all(one.name.startswith("u_0") for one in broken)
     assert max(one.violation for one in broken) == pytest.approx(missing, rel=1e-2)
     assert max(one.sign * (one.attained - one.limit) for one in broken) == pytest.approx(missing, rel=1e-2)
+
+
+def test_a_limit_that_is_far_from_zero_is_judged_as_closely():
+    """Of loads and of plants: 1e-8 of 1e6 would have let an excess of 1e-4 pass."""
+    near, place, loads = tube(), np.array([1e6, 0.0]), lfo.Disturbance(lfo.Box(-1e-3, 1e-3), gain=None)
+    near = replace(near, state_set=lfo.Box([-9.05, -2.0], [2.0, 2.0]))
+    far = translated_by(near, -place).problem
+    plan = lfo.solve(near).trajectory
+    plants = lfo.Plants([near.dynamics, replace(near.dynamics, B=near.dynamics.B * 1.0001)])
+    for uncertainty in (loads, plants):
+        one = lfo.worst_case(near, uncertainty, plan)
+        other = lfo.worst_case(far, uncertainty, lfo.Trajectory(plan.x + place, plan.u))
+        assert not one
+        assert [(a.name, a.index, a.holds) for a in one.limits] == [(b.name, b.index, b.holds) for b in other.limits]
+        np.testing.assert_allclose([b.violation for b in other.limits], [a.violation for a in one.limits], atol=1e-9)
+        lower = other["x_0, lower"]
+        assert lower.planned == pytest.approx(one["x_0, lower"].planned + 1e6, abs=1e-9)
+        assert other.cost == pytest.approx(one.cost, rel=1e-9) if one.cost is not None else other.cost is None
 
 
 def test_the_price_of_larger_loads_is_the_slope_of_the_cost():

@@ -152,9 +152,9 @@ class Dynamics(ABC):
         """Return for every norm the times t < T at which its arguments are zero, (T,)."""
         return self.standard_form.active_kinks(x, u)
 
-    def translated(self, origin: Array) -> Dynamics | None:
+    def translated(self, origin: Array, horizon: int) -> Dynamics | None:
         """Return the dynamics of x - origin, origin (n,); None if their zero has a meaning."""
-        return self.standard_form.translated(origin)
+        return self.standard_form.translated(origin, horizon)
 
     def disturbed(self, disturbance: Array) -> Dynamics:
         """Return the dynamics with a disturbance, (n,) or (T, n), added to the coming states, if they are linear."""
@@ -216,7 +216,7 @@ class StandardDynamics(Dynamics):
         """Return ``gains``, which do not depend on the trajectory."""
         return self.gains()
 
-    def translated(self, origin: Array) -> Dynamics | None:
+    def translated(self, origin: Array, horizon: int) -> Dynamics | None:
         """Return None."""
         return None
 

@@ -8,7 +8,7 @@ of frequency, real and imaginary part, interpolated at the bins of a record.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import ClassVar, cast
@@ -310,6 +310,12 @@ class FrequencyResponse(StateEquations):
         if self.disturbance is not None:
             known = known + np.abs(self.disturbance).max(0)
         return np.zeros((self.state_dim, self.state_dim)), np.abs(self.G).max(0), known
+
+    def translated(self, origin: Array, horizon: int) -> FrequencyResponse:
+        """Return the response of y - origin: bin 0 of the offset is the sum of a record."""
+        offset = self.offset.copy()
+        offset[0] -= self.record(horizon) * origin
+        return replace(self, offset=offset)
 
     def stacked(self, plants: Sequence[Dynamics], names: Sequence[str], horizon: int) -> FrequencyResponse:
         """Return the response of the outputs of several plants to the same controls, with these names."""

@@ -399,7 +399,7 @@ class LinearDynamics(StateEquations):
         A, B, d = plain.A, plain.B, plain.offset
         return A if A.ndim == 2 else A.max(0), B if B.ndim == 2 else B.max(0), d if d.ndim == 1 else d.max(0)
 
-    def translated(self, origin: Array) -> LinearDynamics:
+    def translated(self, origin: Array, horizon: int) -> LinearDynamics:
         """Return the dynamics of x - origin, whose offset is d + (A - I) origin."""
         growth = to_long_double(self.A) - np.eye(self.state_dim)
         plant = self.plant and self.plant.translated(origin)

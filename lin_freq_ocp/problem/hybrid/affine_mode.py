@@ -204,9 +204,9 @@ class AffineMode:
         region = StageRows(_coefficients("G", G, rows, n), _coefficients("H", H, rows, m), limits, REGION)
         assign(self, linear=linear, region=region, name=name)
 
-    def translated(self, origin: Array) -> AffineMode:
+    def translated(self, origin: Array, horizon: int) -> AffineMode:
         """Return the mode of x - origin, origin (n,)."""
-        linear, region = self.linear.translated(origin), self.region.translated(origin)
+        linear, region = self.linear.translated(origin, horizon), self.region.translated(origin)
         return AffineMode(linear.A, linear.B, linear.offset, region.C, region.D, region.e, self.name)
 
     @property

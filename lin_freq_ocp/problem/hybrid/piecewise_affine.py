@@ -447,9 +447,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
             modes.append(AffineMode(linear.A, linear.B, linear.offset, G, region.D, region.e, mode.name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, [*self.state_names, *names], self.control_names)
 
-    def translated(self, origin: Array) -> PiecewiseAffineDynamics:
+    def translated(self, origin: Array, horizon: int) -> PiecewiseAffineDynamics:
         """Return the dynamics of x - origin, with the same modes."""
-        return replace(self, modes=[mode.translated(origin) for mode in self.modes])
+        return replace(self, modes=[mode.translated(origin, horizon) for mode in self.modes])
 
     def averaged(self, weights: Array) -> LinearDynamics:
         """Return sum_i alpha_{t,i} (A_i, B_i, d_i), the element of Clarke's Jacobian with the weights (T, modes)."""

@@ -311,7 +311,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         constant = np.nan_to_num(np.abs([jet.values[0] for jet in maps]), nan=0.0, posinf=0.0).max(axis=0)
         return slopes[:, :n], slopes[:, n:], constant
 
-    def translated(self, origin: Array) -> PiecewiseSmoothDynamics:
+    def translated(self, origin: Array, horizon: int) -> PiecewiseSmoothDynamics:
         """Return the dynamics of x - origin, with the same modes."""
         moved = iter(translate_formulas(self.formulas, origin))
         modes = list[SmoothMode]()

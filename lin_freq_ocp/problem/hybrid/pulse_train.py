@@ -74,7 +74,7 @@ class PulseTrain(Dynamics):
         """Return the two modes, up and down."""
         return self._modes
 
-    def translated(self, origin: Array) -> None:
+    def translated(self, origin: Array, horizon: int) -> None:
         """Return None: the zero of angles and levels has a meaning."""
         return None
 

@@ -63,6 +63,10 @@ class FrequencyConstraint(ABC):
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return the same constraints on x in R^n if the signal becomes (x, w), w in R^k."""
 
+    def translated(self, mean: Array) -> FrequencyConstraint:
+        """Return the constraint on the signal less a constant (components,); itself if it does not limit the mean."""
+        return self
+
     def on_components(self, n: int) -> list[Self]:
         """Return a copy for each component that it constrains, of a signal in R^n."""
         return [self.changed(component=i) for i in (range(n) if self.component is None else [self.component])]
@@ -349,6 +353,12 @@ class OutputSpectrum:
         parts = [f"{short_name(self.output_names[j])} = {combination(rows[j], signals[offset:])}" for j in sorted(used)]
         text = ", ".join(parts)
         return text if len(text) <= MOST_TEXT else f"{plural(len(parts), 'linear combination')} of states and controls"
+
+    def translated(self, origin: Array) -> OutputSpectrum:
+        """Return the constraints on the outputs of x - origin, origin (n,)."""
+        if self.C is None:
+            return self
+        return self.with_constraints([one.translated(self.C @ origin) for one in self.constraints])
 
     def augmented(self, n: int, k: int) -> OutputSpectrum:
         """Return the constraints on the same outputs if the states become (x, w), w in R^k."""

@@ -47,6 +47,7 @@ class TermKind(StrEnum):
     STATE_SPECTRUM = "state spectrum", "states", "spectrum"
     CONTROL_SPECTRUM = "control spectrum", "controls", "spectrum"
     OUTPUT_SPECTRUM = "output spectrum", "outputs", "spectrum"
+    OUTPUT_LIMITS = "limits of outputs", "outputs"
     LINKED_ENDS = "linked ends", "", "link"
     STAGE_COST = "stage cost", "", "cost"
     TERMINAL_COST = "terminal cost", "", "cost"

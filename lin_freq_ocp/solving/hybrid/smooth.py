@@ -418,7 +418,7 @@ def _named_in_conflict(
             ray = rest
         else:
             names.append(repr(name))
-    return join_words(names)
+    return join_words(names) if names else ""
 
 
 def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> bool:

@@ -1,7 +1,7 @@
-"""Every pair of features in one small problem, and every feature with what one does with a problem.
+"""Every pair of features in one small problem, every feature with what one does with a problem, and some triples.
 
-A pair works, with a verdict that CVXPY shares where the problem is convex, or it is refused by an error that names a
-field and gives the reason. Everything else is wrong.
+A pair or a triple works, with a verdict that CVXPY shares where the problem is convex, or it is refused by an error
+that names a field and gives the reason. Everything else is wrong.
 """
 
 from __future__ import annotations
@@ -206,14 +206,29 @@ def problem_of(*names: str) -> Problem:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a pair: "works", "refused" or "wrong", and the reason."""
+    """What became of a pair or a triple: "works", "refused" or "wrong", and the reason."""
 
-    pair: tuple[str, str]
+    pair: tuple[str, ...]
     verdict: str
     words: str = ""
 
+    @property
+    def kind(self) -> str:
+        """Return the dynamics."""
+        return type(problem_of(self.pair[0]).dynamics).__name__
 
-def outcome_of(pair: tuple[str, str], tried: Callable[[], str]) -> Outcome:
+    @property
+    def statuses(self) -> tuple[str]:
+        """Return the verdict."""
+        return (self.verdict,)
+
+    @property
+    def passed(self) -> bool:
+        """Whether it works, or is refused."""
+        return self.verdict != "wrong"
+
+
+def outcome_of(pair: tuple[str, ...], tried: Callable[[], str]) -> Outcome:
     """Return the outcome of a trial that returns what is wrong, or raises."""
     try:
         with warnings.catch_warnings():
@@ -259,6 +274,21 @@ def check(pair: tuple[str, str]) -> Outcome:
     if other in FEATURES:
         return outcome_of(pair, lambda: solved_wrongly(pair))
     return outcome_of(pair, lambda: USES[other](one))
+
+
+def triple(seed: int) -> tuple[str, ...]:
+    """Return three features at random that do not exclude each other."""
+    rng, every = np.random.default_rng(seed), list(FEATURES)
+    while True:
+        names = tuple(every[i] for i in sorted(rng.choice(len(every), 3, replace=False).tolist()))
+        if not any(exclude_each_other(*pair) for pair in combinations(names, 2)):
+            return names
+
+
+def check_triple(seed: int) -> Outcome:
+    """Return the outcome of a triple."""
+    names = triple(seed)
+    return outcome_of(names, lambda: solved_wrongly(names))
 
 
 def quick_method(problem: Problem) -> str:

@@ -67,7 +67,7 @@ def response(mode: str) -> Instance:
     kernel = rng.standard_normal((N, 2, 3)) * np.exp(-np.arange(N) / 3)[:, None, None]
     u = rng.standard_normal((T, 3))
     x = np.array([sum(kernel[(t - s) % N] @ u[s] for s in range(T)) for t in range(T + 1)])
-    return Instance(lfo.FrequencyResponse(np.fft.rfft(kernel, axis=0), mode=mode), x, u, has_no_zero=False)
+    return Instance(lfo.FrequencyResponse(np.fft.rfft(kernel, axis=0), mode=mode), x, u)
 
 
 U = np.array([[0.7], [-0.4], [0.3], [-0.9], [0.2]])
