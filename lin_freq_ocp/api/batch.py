@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import report_progress, result_of
+from lin_freq_ocp.api.solve import result_of
+from lin_freq_ocp.base.activity import report_progress
 from lin_freq_ocp.base.arrays import to_shape
 from lin_freq_ocp.base.errors import ProblemError, SolveError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
@@ -254,7 +255,7 @@ def solve_many(
     (('optimal', 'optimal'), array([3199., 3281.]))
     """
     record = (lambda head: nullcontext()) if path is None else partial(ManyFile, problem, path)
-    with report_progress(progress, "{} of {} solved".format) as report:
+    with report_progress(progress, "solving many problems", "{} of {} solved".format) as report:
         outcome = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
     return present_as(Solutions, outcome)
 
@@ -373,7 +374,7 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head: nullcontext()) if path is None else partial(SweepFile, path)
-    with report_progress(progress, "{} of {} solved".format) as report:
+    with report_progress(progress, "sweeping", "{} of {} solved".format) as report:
         return present_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 
 

@@ -37,7 +37,6 @@ from lin_freq_ocp.cli.console import (
     print_lines,
     print_table,
     problem_argument,
-    progress,
     solve_options,
     write_files,
 )
@@ -166,8 +165,8 @@ def minimum_time_command(
     source = read_source(problem, settings)
     outputs = take_outputs(options, problem, as_json, with_trajectory)
     path = _file_in(folder, "minimum_time.jsonl")
-    with _worker_pool(workers) as executor, progress("looking for the least horizon") as report:
-        shortest = minimum_time(source, horizons, **options, throw=False, progress=report, executor=executor, path=path)
+    with _worker_pool(workers) as executor:
+        shortest = minimum_time(source, horizons, **options, throw=False, executor=executor, path=path)
         if shortest.interrupted and executor is not None:
             executor.abandon()
     result = shortest.result

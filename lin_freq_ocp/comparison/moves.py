@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import within
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import number
@@ -98,20 +99,25 @@ class Moves:
         return (self.unshaped, *self.shaped, self.ours)
 
 
+@within("shortest moves")
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
     """Return the shortest moves of a problem for which ``why_not_shaped`` returns nothing."""
     monotone = not obstacles(lambda _: problem, 1, problem.horizon, same_data=True)
     free = replace(problem, control_spectrum=None)
     profiles = remember_zero(free)
 
+    def solve_at(variant: OptimalControlProblem, T: int) -> Outcome:
+        with within(f"{T} samples"):
+            return solve(problem_at_horizon(variant, T))
+
     def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:
-        return search_horizons(low, problem.horizon, bisect, lambda T: solve(problem_at_horizon(variant, T)))
+        return search_horizons(low, problem.horizon, bisect, partial(solve_at, variant))
 
     unshaped = search(free, 1, monotone)
     least = unshaped.horizon or problem.horizon  # of all searches: the other problems have more constraints
     ours = search(problem, least, monotone)
     shortest = least if profiles is free else search(profiles, least, True).horizon or problem.horizon
-    plan = cache(lambda T: solve(problem_at_horizon(profiles, T)).trajectory)
+    plan = cache(lambda T: solve_at(profiles, T).trajectory)
     infeasible = {0, *unshaped.proven, *ours.proven}
     return Moves(
         problem,

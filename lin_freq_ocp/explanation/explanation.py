@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import doing, tell
 from lin_freq_ocp.base.arrays import Array, positive_number
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -56,6 +57,7 @@ LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cu
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 
+@doing("looking for the constraints in conflict")
 @one_blas_thread
 def explain(
     problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None
@@ -151,6 +153,7 @@ class _VariantSolver:
         of_ray = [block for block in self.blocks if block.name in shares]
         family = of_ray if len(of_ray) < len(self.blocks) and self._infeasible(of_ray) else list(self.blocks)
         for block in sorted(family, key=lambda block: shares.get(block.name, 0.0)):
+            tell(f"{len(family)} constraints in conflict at most; without the {block.name}")
             rest = [member for member in family if member is not block]
             if self._infeasible(rest):
                 family = rest
@@ -167,6 +170,7 @@ class _VariantSolver:
 
     def cure(self, block: Limit) -> Cure | None:
         """Return the smallest relaxation of a block that restores feasibility; None if there is none, or no time."""
+        tell(f"smallest change of the {block.name}")
         return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
 
 
