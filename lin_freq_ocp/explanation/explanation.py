@@ -10,6 +10,7 @@ of bins that are passed at its edges.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +47,7 @@ Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem h
 
 # Relative margins on the least amount, tried in turn until rounding no longer decides.
 MARGINS = (1e-6, 1e-4, 1e-2)
+ACCURATE = 1e-8  # residuals of the least amount: below its first margin, and reached where all digits are not
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
 UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays, or is zero afterwards
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
@@ -208,8 +210,12 @@ def _least_by_delta(
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
     elastic = _elastic_problem(problem, limit, rows)
-    for method in ("auto", "convex"):  # the second is slower, and more accurate where an amount is tiny
-        found = solve_judged(elastic, Options(method, time_limit=time_limit), proof=False).trajectory
+    for method in ("structured", "convex"):  # the second is slower, and takes what the first one does not
+        found = None
+        with suppress(UnsupportedError):
+            found = solve_judged(
+                elastic, Options(method, time_limit=time_limit, tolerance=ACCURATE), proof=False
+            ).trajectory
         relaxation = None if found is None else _try_relaxation(problem, limit, found, feasible)
         if relaxation is not None:
             return relaxation
