@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 from lin_freq_ocp.base.activity import within
 from lin_freq_ocp.base.arrays import Array
@@ -221,7 +221,11 @@ def compare_methods(
         control = apply_filter(name, problem, plan.u)
         replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
-    moves = shortest_moves(problem, partial(solve_within, throw=False), shapers) if shapers else None
+
+    def solve_move(variant: OptimalControlProblem) -> Outcome:
+        return constrained if variant is problem else solve_within(variant, throw=False)
+
+    moves = shortest_moves(problem, solve_move, shapers) if shapers else None
     return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)
 
 
