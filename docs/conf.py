@@ -89,7 +89,7 @@ def _save_first_panel(figure: Figure, path: str) -> None:
         artist.set_visible(True)
 
 
-SKETCHES = {  # of _static/sketches, with the examples that have this plant
+SKETCHES = {  # of lin_freq_ocp/library/sketches, with the examples that have this plant
     "cart": ("first_steps", "gusts", "both_sides_of_a_kink", "problem_files", "certify_another_tool"),
     "cart_pendulum": (
         *("pendulum", "receding_horizon", "masked_pendulum", "price_of_bandwidth"),
@@ -150,7 +150,8 @@ def show_sketch(app: Sphinx, page: str, source: list[str]) -> None:
     if folders[:1] == ["gallery"] and example != "index":
         (sketch,) = (name for name, examples in SKETCHES.items() if example in examples)
         docstring, blocks = source[0].split(FIRST_BLOCK, 1)
-        source[0] = f"{docstring}.. raw:: html\n   :file: ../../_static/sketches/{sketch}.svg\n\n{FIRST_BLOCK}{blocks}"
+        path = f"../../../lin_freq_ocp/library/sketches/{sketch}.svg"
+        source[0] = f"{docstring}.. raw:: html\n   :file: {path}\n\n{FIRST_BLOCK}{blocks}"
 
 
 def setup(app: Sphinx) -> None:

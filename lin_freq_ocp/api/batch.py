@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import result_of
-from lin_freq_ocp.base.activity import report_progress
+from lin_freq_ocp.base.activity import doing, report_progress
 from lin_freq_ocp.base.arrays import to_shape
 from lin_freq_ocp.base.errors import ProblemError, SolveError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
@@ -272,6 +273,8 @@ class Sweep(SweepOutcome):
         All points as flat rows, for pandas.DataFrame.
     plot()
         A figure of the costs.
+    save(folder)
+        Write an HTML page with the figure and all points.
     to_csv(path)
         Write the points as a table.
 
@@ -308,6 +311,14 @@ class Sweep(SweepOutcome):
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write the table, one line per row; a missing value is an empty cell."""
         save_sweep_csv(path, self)
+
+    @doing("drawing the page")
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Write a self-contained HTML page and its figure into a folder; return the page's path."""
+        from lin_freq_ocp.pages.report.page import save_sweep_report  # Matplotlib is slow to import
+
+        proven = sum(row["proven"] for row in self.rows)
+        return save_sweep_report(self, f"{self._title}, {proven} of them proven", Path(folder))
 
     def plot(self) -> Figure:
         """Return a figure of costs and infeasible points over the first parameter whose values are numbers."""

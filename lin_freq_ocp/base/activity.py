@@ -38,7 +38,7 @@ class ActivityLine:
     def show(self) -> None:
         """Show the levels, unless the line has just changed."""
         with self._lock:
-            if now() >= self._next and not self._ended.is_set():
+            if self.levels and now() >= self._next and not self._ended.is_set():
                 self._next, self._shown = now() + BETWEEN_SECONDS, True
                 self._write(f"{'; '.join(self.levels)} ({now() - self._begun:.0f} s)")
 
