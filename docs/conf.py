@@ -92,7 +92,10 @@ def save_thumbnail(figure: Figure, panel: int, path: str) -> None:
         artist.set_visible(False)
     figure.set_layout_engine("none")
     figure.set_size_inches(4, 2.6)
-    axes.set(position=(0.17, 0.2, 0.79, 0.74), aspect="auto", title="")
+    axes.set(position=(0.2, 0.2, 0.77, 0.74), aspect="auto", title="")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="0.87", linewidth=0.8)
+    axes.set_axisbelow(True)
     for line in axes.get_lines():
         line.set_linewidth(1.8)
     for text in [axes.title, axes._left_title, axes._right_title, *axes.texts, *filter(None, [axes.get_legend()])]:
