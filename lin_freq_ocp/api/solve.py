@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Never
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.base.activity import report_progress
@@ -15,10 +13,8 @@ from lin_freq_ocp.base.errors import (
     LimitError,
     LinFreqOCPError,
     NumericalError,
-    ProblemError,
     SolveError,
     UnboundedError,
-    suggestion,
 )
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -52,7 +48,6 @@ def solve(
     start: object = None,
     gap: float | None = None,
     global_bound: bool | None = None,
-    **unknown: Never,
 ) -> Result:
     """Solve a problem, and certify the answer.
 
@@ -122,11 +117,6 @@ def solve(
     >>> result.status, result.certificate.globally_optimal
     ('optimal', True)
     """
-    for name, value in unknown.items():
-        known = [key for key in inspect.signature(solve).parameters if key not in ("problem", "unknown")]
-        solver = f"backend={str(value).lower()!r} chooses the solver, method= the algorithm."
-        advice = solver if name == "solver" else suggestion(name, known)
-        raise ProblemError(name, repr(value), f"one of the keywords {', '.join(known)}", advice)
     started = now()
     options = Options(method, backend, time_limit, tolerance, gap, node_limit, executor, start, global_bound)
     with report_progress(progress, "solving", str) as report:

@@ -14,6 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 Given, Returned = ParamSpec("Given"), TypeVar("Returned")
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
+ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
 MOST_CHARACTERS = 1000  # of a message: it may repeat names, files and values of any length
 
 
@@ -271,7 +272,8 @@ def _answering(function: Callable[Given, Returned]) -> Callable[Given, Returned]
             if unknown is None or any(one.kind is one.VAR_KEYWORD for one in parameters.values()):
                 raise
             expected = f"one of the keywords {', '.join(known)}"
-            raise ProblemError(unknown, repr(keywords[unknown]), expected, suggestion(unknown, known)) from None
+            advice = ADVICE.get(unknown, suggestion(unknown, known))
+            raise ProblemError(unknown, repr(keywords[unknown]), expected, advice) from None
 
     return call
 

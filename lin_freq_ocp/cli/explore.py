@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from lin_freq_ocp.base.activity import doing, tell
+from lin_freq_ocp.base.activity import doing
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.cli.console import PROVEN, problem_argument, say, settings_option
@@ -35,8 +35,7 @@ def explore_command(
     from lin_freq_ocp.pages.explorer.server import ExploreServer, points, static_page
 
     if file is not None:
-        with doing("solving"):
-            write_text(file, static_page(session, lambda done, count: tell(f"{done} of {count} points")))
+        write_text(file, static_page(session))
         say(f"wrote {file} with {plural(len(points(session.sliders)), 'solved point')}")
         return PROVEN
     with ExploreServer(session, port or 0) as server:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -220,12 +220,16 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     windows = [_window_row(loop, spectra) for spectra in loop.spectra()]
     note = "Each window of applied controls or measured states against the level of its Spectrogram."
-    page = _tables_page(
-        "control loop",
-        loop.problem.name or "Control loop",
-        sentence,
-        headline,
-        [
+    return _save_tables(
+        folder,
+        [drawing],
+        kind="control loop",
+        title=loop.problem.name or "Control loop",
+        kicker="Receding-horizon control with constraints in time and in frequency",
+        finding=sentence,
+        caution=limits_of_plans(loop.problem),
+        tiles=headline,
+        tables=[
             PageTable("Windows of the applied signals", WINDOW_COLUMNS, windows, {0, 1, 7}, note),
             PageTable(
                 "Outcomes of the steps",
@@ -235,12 +239,8 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             ),
             PageTable("Relaxed constraints", ("constraint", "largest violation of a plan", "steps"), violations, {0}),
         ],
-        {"The problem of each step": problem_facts(loop.problem, loop.problem.gap)},
-        kicker="Receding-horizon control with constraints in time and in frequency",
-        caution=limits_of_plans(loop.problem),
-        drawings=[drawing],
+        facts={"The problem of each step": problem_facts(loop.problem, loop.problem.gap)},
     )
-    return save_page(folder, page, [drawing])
 
 
 def save_sweep_report(sweep: SweepOutcome, sentence: str, folder: Path) -> Path:
@@ -251,34 +251,29 @@ def save_sweep_report(sweep: SweepOutcome, sentence: str, folder: Path) -> Path:
         drawings.append(drawing_of("sweep", title, "", sweep_figure(sweep)))
     except ProblemError as error:
         caution = f"No figure: {error}"
-    parameters = len(sweep.names)
-    table = tables.sweep_table(sweep)
-    cells = [[getattr(cell, "plain", cell) for cell in column.cells] for column in table.columns]
-    page = _tables_page(
-        "sweep",
-        sweep.problem,
-        sentence,
-        [(status, str(count), "") for status, count in Counter(row["status"] for row in sweep.rows).most_common()],
-        [
-            PageTable(
-                "Every point",
-                tuple(str(column.header) for column in table.columns),
-                list(zip(*cells, strict=True)),
-                {parameters, parameters + 3, parameters + 5},
-            )
-        ],
-        {"The grid": [(name, ", ".join(map(str, values))) for name, values in sweep.grid.items()]},
-        caution=caution,
-        drawings=drawings,
+    table, words = tables.sweep_table(sweep), {len(sweep.names) + i for i in (0, 3, 5)}
+    rows = list(
+        zip(*([getattr(cell, "plain", cell) for cell in column.cells] for column in table.columns), strict=True)
     )
-    return save_page(folder, page, drawings)
+    statuses = Counter(row["status"] for row in sweep.rows).most_common()
+    return _save_tables(
+        folder,
+        drawings,
+        kind="sweep",
+        title=sweep.problem,
+        finding=sentence,
+        caution=caution,
+        tiles=[(status, str(count), "") for status, count in statuses],
+        tables=[PageTable("Every point", tuple(str(column.header) for column in table.columns), rows, words)],
+        facts={"The grid": [(name, ", ".join(map(str, values))) for name, values in sweep.grid.items()]},
+    )
 
 
 def save_problem_page(title: str, about: str, parameters: Facts, facts: Facts, folder: Path) -> Path:
     """Write index.html with a problem, its sketch if the library has one, and its parameters into a folder."""
     lists = {"The problem": facts, "Parameters with their defaults, changed by --set": parameters}
     sketch = Markup(library.sketch_of(title))
-    return save_page(folder, _tables_page("problem", title, about, [], [], lists, sketch=sketch), [])
+    return _save_tables(folder, [], kind="problem", title=title, finding=about, facts=lists, sketch=sketch)
 
 
 class PageTable(NamedTuple):
@@ -291,21 +286,9 @@ class PageTable(NamedTuple):
     note: str = ""
 
 
-def _tables_page(
-    kind: str,
-    title: str,
-    finding: str,
-    tiles: Sequence[tuple[str, str, str]],
-    tables: Sequence[PageTable],
-    facts: Mapping[str, Facts],
-    *,
-    kicker: str = "Optimal control with constraints in time and in frequency",
-    caution: str = "",
-    drawings: Sequence[Drawing] = (),
-    sketch: Markup | str = "",
-) -> str:
-    """Return a page of tables, and then of facts under their headings."""
-    return render_template("report", "tables.html.jinja", **locals())
+def _save_tables(folder: Path, drawings: Sequence[Drawing], **values: object) -> Path:
+    """Write a page of figures, tables, and then facts under their headings."""
+    return save_page(folder, render_template("report", "tables.html.jinja", drawings=drawings, **values), drawings)
 
 
 def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:
