@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import result_of
-from lin_freq_ocp.base.activity import doing, report_progress
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.arrays import to_shape
 from lin_freq_ocp.base.errors import ProblemError, SolveError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
@@ -312,7 +312,7 @@ class Sweep(SweepOutcome):
         """Write the table, one line per row; a missing value is an empty cell."""
         save_sweep_csv(path, self)
 
-    @doing("drawing the page")
+    @activity("drawing the page")
     def save(self, folder: str | PathLike[str]) -> Path:
         """Write a self-contained HTML page and its figure into a folder; return the page's path."""
         from lin_freq_ocp.pages.report.page import save_sweep_report  # Matplotlib is slow to import

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import solve
-from lin_freq_ocp.base.activity import doing, report_progress
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -58,7 +58,7 @@ class Comparison(ComparisonOutcome):
 
         return comparison_figure(self)
 
-    @doing("drawing the report")
+    @activity("drawing the report")
     def save(self, folder: str | Path) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
         from lin_freq_ocp.pages.report.page import save_report  # Matplotlib is slow to import

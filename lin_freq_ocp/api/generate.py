@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from lin_freq_ocp.api.receding_horizon import RecedingHorizon
-from lin_freq_ocp.base.activity import doing
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.loop import embedded, log
@@ -14,7 +14,7 @@ from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
 
 
-@doing("generating C")
+@activity("generating C")
 def generate(
     controller: RecedingHorizon,
     folder: str | PathLike[str],
@@ -76,7 +76,7 @@ def generate(
     return embedded.generate(given.problem, given.soft, given.delay, Path(folder), real, changes, memory, references)
 
 
-@doing("certifying the log")
+@activity("certifying the log")
 def certify_log(controller: RecedingHorizon, path: str | PathLike[str], tolerance: float = 0.01) -> CertifiedLog:
     """Judge the log of a generated controller: which of its controls begin a plan that is proven optimal.
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for
-from lin_freq_ocp.base.activity import doing, report_progress
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.arrays import Array, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
@@ -222,7 +222,7 @@ class RecedingHorizon:
             raise AssertionError("an outcome without a plan is an error")
         return step.control
 
-    @doing("certifying the plans")
+    @activity("certifying the plans")
     def certify(self) -> ClosedLoop:
         """Judge all plans that were not judged yet (``certify="later"``), and return the steps until now."""
         self._controller.certify()

@@ -58,13 +58,13 @@ _line: ActivityLine | None = None
 
 
 @contextmanager
-def doing(what: str) -> Generator[None]:
+def activity(what: str) -> Generator[None]:
     """Show what a call does while it lasts, also as a decorator; in another such call, as a further level."""
     global _line
     line = activity_line() if _line is None else None
     _line = _line or line
     try:
-        with within(what):
+        with activity_step(what):
             yield
     finally:
         if line is not None:
@@ -73,7 +73,7 @@ def doing(what: str) -> Generator[None]:
 
 
 @contextmanager
-def within(what: str) -> Generator[None]:
+def activity_step(what: str) -> Generator[None]:
     """Add a level to the line of the call, if it has one: for what is too quick to open a line."""
     line = _line
     if line is None or line.owner != _caller():
@@ -106,7 +106,7 @@ def report_progress(
     def report(*args: Reported.args, **kwargs: Reported.kwargs) -> None:
         tell(words(*args, **kwargs))
 
-    with doing(what):
+    with activity(what):
         yield report if _line is not None else None
 
 

@@ -244,10 +244,10 @@ def answering_misspelt(public: object) -> object:
     if isinstance(public, type):
         for name, member in list(vars(public).items()):
             if name == "__init__" or (isinstance(member, classmethod) and not name.startswith("_")):
-                called = _answering(getattr(member, "__func__", member))
+                called = _with_answer(getattr(member, "__func__", member))
                 setattr(public, name, called if name == "__init__" else classmethod(called))
     elif inspect.isfunction(public):
-        called = _answering(public)
+        called = _with_answer(public)
         setattr(sys.modules[public.__module__], public.__name__, called)
         return called
     return public
@@ -260,7 +260,7 @@ def answering_classes(namespace: Mapping[str, object]) -> None:
             answering_misspelt(value)
 
 
-def _answering(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+def _with_answer(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     @wraps(function)
     def call(*args: Given.args, **keywords: Given.kwargs) -> Returned:
         try:

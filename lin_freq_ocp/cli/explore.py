@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from lin_freq_ocp.base.activity import doing
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.cli.console import PROVEN, problem_argument, say, settings_option
@@ -30,7 +30,7 @@ def explore_command(
     if file is not None:
         require_writable("--static", file, problem)
     source = read_source(problem, settings)
-    with doing("preparing the page"):
+    with activity("preparing the page"):
         session = Session(description, lambda horizon: source(horizon=horizon))
     from lin_freq_ocp.pages.explorer.server import ExploreServer, points, static_page
 

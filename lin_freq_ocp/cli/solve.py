@@ -19,7 +19,7 @@ import click
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
-from lin_freq_ocp.base.activity import doing
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -141,7 +141,7 @@ def solve_command(
             result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     worst, status = None, console.exit_status(result)
     if isinstance(description, RobustProblem) and result.trajectory is not None:
-        with doing("the nominal problem"):
+        with activity("the nominal problem"):
             nominal = solve(description.given, **options, throw=False)
         worst = replace(worst_case(description.given, description.uncertainty, result), nominal=nominal.cost)
     if as_json:

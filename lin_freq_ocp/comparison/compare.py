@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from lin_freq_ocp.base.activity import within
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
@@ -203,11 +203,11 @@ def compare_methods(
 
     failure: LimitError | None = None
     try:
-        with within("without frequency constraints"):
+        with activity_step("without frequency constraints"):
             classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
     except LimitError as error:  # an unproven point can also be filtered
         classical, failure = error.result, error
-    with within("with frequency constraints"):
+    with activity_step("with frequency constraints"):
         constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
     if classical.trajectory is None and constrained.trajectory is not None:
         classical = solve_within(free, 1.0, constrained.trajectory, method=method, throw=False)

@@ -17,7 +17,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from lin_freq_ocp.base.activity import within
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import number
@@ -99,7 +99,7 @@ class Moves:
         return (self.unshaped, *self.shaped, self.ours)
 
 
-@within("shortest moves")
+@activity_step("shortest moves")
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
     """Return the shortest moves of a problem for which ``why_not_shaped`` returns nothing."""
     monotone = not obstacles(lambda _: problem, 1, problem.horizon, same_data=True)
@@ -108,7 +108,7 @@ def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence
 
     @cache
     def solve_at(variant: OptimalControlProblem, T: int) -> Outcome:
-        with within(f"{T} samples"):
+        with activity_step(f"{T} samples"):
             return solve(problem_at_horizon(variant, T))
 
     def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:

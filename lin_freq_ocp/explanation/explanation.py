@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.base.activity import doing, tell
+from lin_freq_ocp.base.activity import activity, tell
 from lin_freq_ocp.base.arrays import Array, positive_number
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -59,7 +59,7 @@ LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cu
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 
-@doing("looking for the constraints in conflict")
+@activity("looking for the constraints in conflict")
 @one_blas_thread
 def explain(
     problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.activity import within
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -167,7 +167,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     for _ in range(ROUNDS):
         reduced = sampled_masks(problem, frequencies)
         beyond = f", limits exceeded by {violation:.0e}" if rounds else ""
-        with within(f"round {len(rounds) + 1}{beyond}"):
+        with activity_step(f"round {len(rounds) + 1}{beyond}"):
             outcome = method.solve(reduced.problem, of_round.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
         if outcome.trajectory is None or outcome.multipliers is None:

@@ -21,7 +21,7 @@ from itertools import product
 from socket import socket
 from typing import NoReturn
 
-from lin_freq_ocp.base.activity import doing, tell
+from lin_freq_ocp.base.activity import activity, tell
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
@@ -67,7 +67,7 @@ def page(session: Session, solved: list[Data] | None = None) -> str:
     )
 
 
-@doing("solving the points")
+@activity("solving the points")
 def static_page(session: Session) -> str:
     """Return the page with a solved sweep."""
     grid = points(session.sliders)
