@@ -53,7 +53,7 @@ SHARE_SAID = "docstrings and comments [% of lines]"
 LIMITS: dict[str, float] = {
     "shipped lines": 50_400,
     "code lines": 46_943,
-    "code lines, linear part": 22_135,
+    "code lines, linear part": 22_134,
     "code lines, hybrid": 8_874,
     SHARE_SAID: 19.5,  # at least
     "files": 343,

@@ -9,9 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import cache, wraps
-from typing import Any, ParamSpec, TypeVar
-
-Given, Returned = ParamSpec("Given"), TypeVar("Returned")
+from typing import Any
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
 ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
@@ -260,9 +258,9 @@ def answering_classes(namespace: Mapping[str, object]) -> None:
             answering_misspelt(value)
 
 
-def _with_answer(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+def _with_answer(function: Callable[..., object]) -> Callable[..., object]:
     @wraps(function)
-    def call(*args: Given.args, **keywords: Given.kwargs) -> Returned:
+    def call(*args: object, **keywords: object) -> object:
         try:
             return function(*args, **keywords)
         except TypeError:

@@ -48,7 +48,8 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 PIXELS_PER_INCH = 150
 
-Facts, Rows = Sequence[tuple[str, str]], Sequence[Sequence[object]]
+Facts = Sequence[tuple[str, str]]
+Rows = Sequence[Sequence[object]]
 WINDOW_COLUMNS = ("signal", "band", "level", "worst window", "at", "which begins at", "windows above", "bins above")
 
 MOST_NAMED_BINS = 8  # of a level that was exceeded, that a table names
