@@ -242,7 +242,7 @@ def answering_misspelt(public: object) -> object:
     if isinstance(public, type):
         for name, member in list(vars(public).items()):
             if name == "__init__" or (isinstance(member, classmethod) and not name.startswith("_")):
-                called = _with_answer(getattr(member, "__func__", member))
+                called = _with_answer(member.__func__ if isinstance(member, classmethod) else member)
                 setattr(public, name, called if name == "__init__" else classmethod(called))
     elif inspect.isfunction(public):
         called = _with_answer(public)
