@@ -13,7 +13,6 @@ from pathlib import Path
 from textwrap import indent
 
 from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
@@ -54,7 +53,7 @@ suppress_warnings = ["config.cache", "ref.python"]
 def save_figures(block: object, variables: dict[str, dict], settings: dict, **options: object) -> str:
     """Save each Figure that an example holds for the first time, and return the text that shows them.
 
-    The first image of an example is its thumbnail, which no page shows: the first panel of its first figure. The
+    The first image of an example is its thumbnail, which no page shows: one panel of its first figure. The
     picture that the example itself saves in its folder goes.
     """
     Path(variables["src_file"]).with_suffix(".png").unlink(missing_ok=True)
@@ -62,11 +61,12 @@ def save_figures(block: object, variables: dict[str, dict], settings: dict, **op
     paths = list[str]()
     for figure in _figures(variables["example_globals"]):
         if not any(figure is earlier for earlier in shown):
-            if not shown:
-                _save_first_panel(figure, next(variables["image_path_iterator"]))
+            thumbnail = None if shown else next(variables["image_path_iterator"])
             shown.append(figure)
             paths.append(next(variables["image_path_iterator"]))
             figure.savefig(paths[-1], dpi=110)
+            if thumbnail is not None:
+                save_thumbnail(figure, THUMBNAILS.get(Path(variables["src_file"]).stem, 0), thumbnail)
     return ".. container:: figures\n\n" + indent(figure_rst(paths, settings["src_dir"]), "    ") if paths else ""
 
 
@@ -74,22 +74,38 @@ def _figures(names: dict[str, object]) -> Iterator[Figure]:
     return (value for name, value in list(names.items()) if isinstance(value, Figure) and not name.startswith("_"))
 
 
-def _save_first_panel(figure: Figure, path: str) -> None:
-    """Save the first axes of a figure with their tick labels, but without titles and legends."""
-    around = [*figure.legends, *figure.texts]  # their places follow the size of the figure, and would be in the panel
-    for artist in around:
+THUMBNAILS = {  # the panel that shows what is special of an example, other than the first
+    **dict.fromkeys(("pendulum", "first_steps", "gantry", "masked_pendulum", "minimum_time", "problem_files"), 1),
+    **dict.fromkeys(("printer_move", "oscillating_mass", "receding_horizon", "satellite", "scanner"), 1),
+    **dict.fromkeys(("suspension", "two_mass_drive", "oscillating_mass_in_c"), 1),
+    **dict.fromkeys(("gusts", "kinks", "stepping_stones", "swing_up", "torque_map"), 2),
+    **dict.fromkeys(("several_controls", "wall"), 3),
+    "rendezvous": 4,
+    "state_frequency_constraint": -1,
+}
+
+
+def save_thumbnail(figure: Figure, panel: int, path: str) -> None:
+    """Keep one panel of a figure alone, and save it: all in the same size, with the same lines and letters."""
+    axes = figure.axes[panel]
+    for artist in [*figure.legends, *figure.texts, *(one for one in figure.axes if one is not axes)]:
         artist.set_visible(False)
-    figure.draw_without_rendering()
-    axes = figure.axes[0]
-    frame, labelled = axes.get_window_extent(), axes.get_tightbbox()
-    assert labelled is not None  # the first axes of each example are visible
-    panel = Bbox.from_extents(labelled.x0, labelled.y0, frame.x1, frame.y1).padded(6)
-    figure.savefig(path, dpi=110, bbox_inches=panel.transformed(figure.dpi_scale_trans.inverted()))
-    for artist in around:
-        artist.set_visible(True)
+    figure.set_layout_engine("none")
+    figure.set_size_inches(4, 2.6)
+    axes.set(position=(0.2, 0.2, 0.77, 0.74), aspect="auto", title="")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(color="0.87", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for line in axes.get_lines():
+        line.set_linewidth(1.8)
+    for text in [axes.title, axes._left_title, axes._right_title, *axes.texts, *filter(None, [axes.get_legend()])]:
+        text.set_visible(False)
+    for text in (axes.xaxis.label, axes.yaxis.label, *axes.get_xticklabels(), *axes.get_yticklabels()):
+        text.set_fontsize(9)
+    figure.savefig(path, dpi=100)
 
 
-SKETCHES = {  # of _static/sketches, with the examples that have this plant
+SKETCHES = {  # of lin_freq_ocp/library/sketches, with the examples that have this plant
     "cart": ("first_steps", "gusts", "both_sides_of_a_kink", "problem_files", "certify_another_tool"),
     "cart_pendulum": (
         *("pendulum", "receding_horizon", "masked_pendulum", "price_of_bandwidth"),
@@ -150,7 +166,8 @@ def show_sketch(app: Sphinx, page: str, source: list[str]) -> None:
     if folders[:1] == ["gallery"] and example != "index":
         (sketch,) = (name for name, examples in SKETCHES.items() if example in examples)
         docstring, blocks = source[0].split(FIRST_BLOCK, 1)
-        source[0] = f"{docstring}.. raw:: html\n   :file: ../../_static/sketches/{sketch}.svg\n\n{FIRST_BLOCK}{blocks}"
+        path = f"../../../lin_freq_ocp/library/sketches/{sketch}.svg"
+        source[0] = f"{docstring}.. raw:: html\n   :file: {path}\n\n{FIRST_BLOCK}{blocks}"
 
 
 def setup(app: Sphinx) -> None:

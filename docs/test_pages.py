@@ -32,7 +32,7 @@ def test_what_a_page_shows_runs(page, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "sketch", sorted((ROOT / "docs" / "_static" / "sketches").iterdir()), ids=lambda path: path.stem
+    "sketch", sorted((ROOT / "lin_freq_ocp" / "library" / "sketches").iterdir()), ids=lambda path: path.stem
 )
 def test_a_sketch_has_a_description_and_the_colours_of_the_page(sketch):
     root = ElementTree.fromstring(sketch.read_text(encoding="utf-8"))

@@ -21,6 +21,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from lin_freq_ocp.base import lazy_exports
+from lin_freq_ocp.base.errors import answering_misspelt
 from lin_freq_ocp.base.interrupts import leave_silently
 from lin_freq_ocp.base.kinds import register_later
 
@@ -138,7 +139,9 @@ def __getattr__(name: str) -> Any:
         namespace = import_module(f"{__name__}.{space}")
         if name in namespace.__all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it is lin_freq_ocp.{space}.{name}")
-    return _import_name(name)
+    value = answering_misspelt(_import_name(name))
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -1,5 +1,6 @@
 """Dynamics: linear, by frequency response, piecewise affine and piecewise smooth."""
 
+from lin_freq_ocp.base.errors import answering_classes
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -15,3 +16,5 @@ __all__ = [
     "PiecewiseAffineDynamics", "PiecewiseSmoothDynamics", "PulseTrain", "SmoothMode", "SmoothPiece",
 ]
 # fmt: on
+
+answering_classes(globals())

@@ -1,5 +1,6 @@
 """Frequency constraints: bands that are removed, masks, energy bounds, and bounds on outputs."""
 
+from lin_freq_ocp.base.errors import answering_classes
 from lin_freq_ocp.problem.spectrum.bands import LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
@@ -13,3 +14,5 @@ __all__ = [
     "band_pass", "closed_loop", "high_pass", "iec_61000_3_2_class_a", "ieee_519", "low_pass", "notch", "stop_band",
 ]
 # fmt: on
+
+answering_classes(globals())

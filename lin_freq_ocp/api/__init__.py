@@ -6,6 +6,6 @@ from lin_freq_ocp.base import lazy_exports
 __all__, __getattr__ = lazy_exports(__name__, {
     "result": "present_as", "runs": "Rerun SAME_COST outcome_fields rerun_summary",
     "shaper": "FIRST_PERIODS",
-    "solve": "BETWEEN_SECONDS ERRORS FIRST_SECONDS TERMINAL_SECONDS progress_line raise_for report_progress",
+    "solve": "ERRORS raise_for",
 })
 # fmt: on

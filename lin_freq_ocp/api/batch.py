@@ -7,13 +7,15 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import report_progress, result_of
+from lin_freq_ocp.api.solve import result_of
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.arrays import to_shape
 from lin_freq_ocp.base.errors import ProblemError, SolveError
 from lin_freq_ocp.base.phrases import MOST_TABLE_ROWS, count_all, html_table, number, plural, settings
@@ -254,7 +256,7 @@ def solve_many(
     (('optimal', 'optimal'), array([3199., 3281.]))
     """
     record = (lambda head: nullcontext()) if path is None else partial(ManyFile, problem, path)
-    with report_progress(progress, "{} of {} solved".format) as report:
+    with report_progress(progress, "solving many problems", "{} of {} solved".format) as report:
         outcome = run_many(problem, initial_states, references, executor, method, time_limit, record, report)
     return present_as(Solutions, outcome)
 
@@ -271,6 +273,8 @@ class Sweep(SweepOutcome):
         All points as flat rows, for pandas.DataFrame.
     plot()
         A figure of the costs.
+    save(folder)
+        Write an HTML page with the figure and all points.
     to_csv(path)
         Write the points as a table.
 
@@ -307,6 +311,14 @@ class Sweep(SweepOutcome):
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write the table, one line per row; a missing value is an empty cell."""
         save_sweep_csv(path, self)
+
+    @activity("drawing the page")
+    def save(self, folder: str | PathLike[str]) -> Path:
+        """Write a self-contained HTML page and its figure into a folder; return the page's path."""
+        from lin_freq_ocp.pages.report.page import save_sweep_report  # Matplotlib is slow to import
+
+        proven = sum(row["proven"] for row in self.rows)
+        return save_sweep_report(self, f"{self._title}, {proven} of them proven", Path(folder))
 
     def plot(self) -> Figure:
         """Return a figure of costs and infeasible points over the first parameter whose values are numbers."""
@@ -373,7 +385,7 @@ def sweep(
     """
     options = {"method": method, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     record = (lambda head: nullcontext()) if path is None else partial(SweepFile, path)
-    with report_progress(progress, "{} of {} solved".format) as report:
+    with report_progress(progress, "sweeping", "{} of {} solved".format) as report:
         return present_as(Sweep, run_sweep(problem, grid, options, executor, record, report))
 
 

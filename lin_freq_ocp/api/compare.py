@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 
 from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import solve
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.phrases import html_table
 from lin_freq_ocp.comparison.compare import ComparisonOutcome, compare_methods
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -57,6 +58,7 @@ class Comparison(ComparisonOutcome):
 
         return comparison_figure(self)
 
+    @activity("drawing the report")
     def save(self, folder: str | Path) -> Path:
         """Write a self-contained HTML page and its figures into a folder; return the page's path."""
         from lin_freq_ocp.pages.report.page import save_report  # Matplotlib is slow to import
@@ -110,4 +112,5 @@ def compare(
     True
     """
     search = partial(solve, progress=progress)
-    return present_as(Comparison, compare_methods(problem, search, filters, backend, time_limit, start))
+    with report_progress(progress, "comparing", str):
+        return present_as(Comparison, compare_methods(problem, search, filters, backend, time_limit, start))

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from lin_freq_ocp.api.receding_horizon import RecedingHorizon
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.loop import embedded, log
@@ -13,6 +14,7 @@ from lin_freq_ocp.loop.embedded import GeneratedController
 from lin_freq_ocp.loop.log import CertifiedLog
 
 
+@activity("generating C")
 def generate(
     controller: RecedingHorizon,
     folder: str | PathLike[str],
@@ -74,6 +76,7 @@ def generate(
     return embedded.generate(given.problem, given.soft, given.delay, Path(folder), real, changes, memory, references)
 
 
+@activity("certifying the log")
 def certify_log(controller: RecedingHorizon, path: str | PathLike[str], tolerance: float = 0.01) -> CertifiedLog:
     """Judge the log of a generated controller: which of its controls begin a plan that is proven optimal.
 

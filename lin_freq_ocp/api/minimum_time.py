@@ -12,7 +12,8 @@ from typing import final
 import numpy as np
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import conflict_in_words, raise_for, report_progress
+from lin_freq_ocp.api.solve import conflict_in_words, raise_for
+from lin_freq_ocp.base.activity import report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
 from lin_freq_ocp.base.phrases import html_table, plural, runs_of, term_rows
 from lin_freq_ocp.batch.grid import Source, require_executor
@@ -182,7 +183,7 @@ def minimum_time(
     name = method if isinstance(method, str) else repr(method)
     stated = {"method": name, "backend": backend, "time_limit": time_limit, "tolerance": tolerance}
     head = sweep_head(problem, {"horizon": range(low, high + 1)}, stated) if path is not None else {}
-    with report_progress(progress, "horizon {}: {}".format) as report:
+    with report_progress(progress, "looking for the least horizon", "horizon {}: {}".format) as report:
         solve_at = partial(solve_horizon, problem, options)
         record = None if path is None else SweepFile(path, head)
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.result import Result, present_as
-from lin_freq_ocp.api.solve import raise_for, report_progress
+from lin_freq_ocp.api.solve import raise_for
+from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.arrays import Array, positive_integer, real_array
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
@@ -221,6 +222,7 @@ class RecedingHorizon:
             raise AssertionError("an outcome without a plan is an error")
         return step.control
 
+    @activity("certifying the plans")
     def certify(self) -> ClosedLoop:
         """Judge all plans that were not judged yet (``certify="later"``), and return the steps until now."""
         self._controller.certify()
@@ -283,7 +285,7 @@ class RecedingHorizon:
         stopped, delay = "", self._controller.delay
         acting = np.zeros(self.problem.control_dim)
         try:
-            with report_progress(progress, "{} of {} steps".format) as report:
+            with report_progress(progress, "running the loop", "{} of {} steps".format) as report:
                 tell = report or (lambda done, count: None)
                 for k in range(count):
                     tell(k, count)

@@ -58,7 +58,7 @@ class Result(Outcome):
         A figure of the answer.
     save(path)
         Write .npz with the multipliers, or .csv or .mat, by the suffix.
-    to_csv(path), to_mat(path), to_json(path), to_frame(), to_time_response()
+    to_csv(path), to_mat(path), to_json(path), to_frame() (also to_pandas()), to_time_response()
         The trajectory for other tools.
     dump(path)
         Write the problem, the options and the answer to a file that ``lfo.load_run`` reads and solves again.
@@ -185,6 +185,8 @@ class Result(Outcome):
             If there is no trajectory.
         """
         return to_frame(self.problem, self._require_trajectory())
+
+    to_pandas = to_frame
 
     def to_time_response(self) -> TimeResponseData:
         """Return the trajectory as a ``control.TimeResponseData``, whose outputs are the states."""

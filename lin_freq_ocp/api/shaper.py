@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.api.minimum_time import MinimumTime, minimum_time
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.arrays import Array, brief, freeze, positive_integer, positive_number, real_array
 from lin_freq_ocp.base.errors import InfeasibleError, ProblemError
 from lin_freq_ocp.base.phrases import html_table, number, plural
@@ -112,6 +113,7 @@ class Shaper(Impulses):
         return shaper_figure(self, self.modes, self.limit)
 
 
+@activity("looking for the shortest shaper")
 def shaper(
     bands: ArrayLike, damping: ArrayLike = 0.1, vibration: float = 0.05, impulses: int = 5, step: float | None = None
 ) -> Shaper:

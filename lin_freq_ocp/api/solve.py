@@ -1,31 +1,20 @@
-"""solve(): an answer with its certificate or an error, and the line of progress in a notebook or on a terminal."""
+"""solve(): an answer with its certificate, or an error."""
 
 from __future__ import annotations
 
-import inspect
-import sys
-from collections.abc import Callable, Generator
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import replace
-from html import escape
-from importlib import import_module
-from io import TextIOWrapper
-from multiprocessing import parent_process
-from shutil import get_terminal_size
-from typing import Never, ParamSpec
 
 from lin_freq_ocp.api.result import Result, present_as
+from lin_freq_ocp.base.activity import report_progress
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import (
     InfeasibleError,
     LimitError,
     LinFreqOCPError,
     NumericalError,
-    ProblemError,
     SolveError,
     UnboundedError,
-    suggestion,
 )
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -33,11 +22,6 @@ from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.method import Method, Report
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-
-# Before the line of progress appears, in a notebook and on a terminal, and between its changes.
-FIRST_SECONDS, TERMINAL_SECONDS, BETWEEN_SECONDS = 0.5, 2.0, 0.2
-
-Reported = ParamSpec("Reported")
 
 EXPLAIN_SECONDS = 5.0  # of processor time for the explanation of an infeasible problem
 
@@ -64,7 +48,6 @@ def solve(
     start: object = None,
     gap: float | None = None,
     global_bound: bool | None = None,
-    **unknown: Never,
 ) -> Result:
     """Solve a problem, and certify the answer.
 
@@ -134,14 +117,9 @@ def solve(
     >>> result.status, result.certificate.globally_optimal
     ('optimal', True)
     """
-    for name, value in unknown.items():
-        known = [key for key in inspect.signature(solve).parameters if key not in ("problem", "unknown")]
-        solver = f"backend={str(value).lower()!r} chooses the solver, method= the algorithm."
-        advice = solver if name == "solver" else suggestion(name, known)
-        raise ProblemError(name, repr(value), f"one of the keywords {', '.join(known)}", advice)
     started = now()
     options = Options(method, backend, time_limit, tolerance, gap, node_limit, executor, start, global_bound)
-    with report_progress(progress, str) as report:
+    with report_progress(progress, "solving", str) as report:
         outcome = solve_judged(problem, options, report)
     return result_of(outcome, throw, None if time_limit is None else time_limit - (now() - started))
 
@@ -208,75 +186,3 @@ def with_explanation(
         return replace(result, explanation=explain(result.problem, seconds_left, processor_time))
     except LinFreqOCPError:  # the proof stands without it
         return result
-
-
-@contextmanager
-def report_progress(
-    progress: Callable[Reported, None] | None, words: Callable[Reported, str]
-) -> Generator[Callable[Reported, None] | None]:
-    """Yield the given function that reports progress; without one, a function that shows its words where a line can."""
-    line = progress_line() if progress is None else None
-    if line is None:
-        yield progress
-        return
-
-    def report(*args: Reported.args, **kwargs: Reported.kwargs) -> None:
-        line.show(words(*args, **kwargs))
-
-    try:
-        yield report
-    finally:
-        line.clear()
-
-
-def progress_line() -> ProgressLine | None:
-    """Return the line of a Jupyter kernel, else that of a terminal; None elsewhere, and in a worker of a pool.
-
-    A library that has replaced sys.stderr, as the spinners of Rich do, has a line of its own.
-    """
-    if parent_process() is not None:
-        return None
-    ipython = sys.modules.get("IPython")
-    if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
-        return ProgressLine(NotebookOutput(), FIRST_SECONDS)
-    terminal = isinstance(sys.stderr, TextIOWrapper) and sys.stderr.isatty()
-    return ProgressLine(write_on_terminal, TERMINAL_SECONDS) if terminal else None
-
-
-class ProgressLine:
-    """A line that ``write`` replaces, by a text or by nothing: calls quicker than ``first`` seconds never show it."""
-
-    def __init__(self, write: Callable[[str], None], first: float):
-        self._write, self._next, self._shown = write, now() + first, False
-
-    def show(self, text: str) -> None:
-        """Show a text, unless the last one has just appeared."""
-        if now() >= self._next:
-            self._next, self._shown = now() + BETWEEN_SECONDS, True
-            self._write(text)
-
-    def clear(self) -> None:
-        """Empty the line."""
-        if self._shown:
-            self._write("")
-
-
-def write_on_terminal(text: str) -> None:
-    """Replace the last line of the terminal."""
-    width = get_terminal_size().columns - 1
-    print(f"\r{text[:width]:{width}}", end="" if text else "\r", file=sys.stderr, flush=True)
-
-
-class NotebookOutput:
-    """A function that replaces a line below the running cell."""
-
-    def __init__(self):
-        self._update: Callable[..., object] | None = None
-
-    def __call__(self, text: str) -> None:
-        """Replace the line."""
-        bundle = {"text/plain": text, "text/html": f"<progress></progress> {escape(text)}"} if text else {}
-        if self._update is None:
-            self._update = import_module("IPython.display").display(bundle, raw=True, display_id=True).update
-        else:
-            self._update(bundle, raw=True)

@@ -24,6 +24,7 @@ def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Cal
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
+    "activity": "BETWEEN_SECONDS FIRST_SECONDS TERMINAL_SECONDS TICK_SECONDS activity_line report_progress",
     "archives": "LARGE MOST_COMPRESSED MOST_ENTRIES",
     "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "kinds": "register_all",
     "cones": "Cone apply_scaling apply_scaling_twice compute_scaling product quotient spectral_values steepest",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import inspect
 import sys
 import warnings
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import cache, wraps
 from typing import Any
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
+ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
 MOST_CHARACTERS = 1000  # of a message: it may repeat names, files and values of any length
 
 
@@ -229,6 +231,49 @@ def suggestion(given: object, known: Iterable[str]) -> str:
     """Return "Did you mean ...?" with the nearest known word; empty if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
+
+
+@cache
+def answering_misspelt(public: object) -> object:
+    """Let a function, or a class with its class methods, answer an unknown keyword by the nearest that it has.
+
+    A class is changed in place; a function also where it is defined, so that it can be sent to other processes.
+    """
+    if isinstance(public, type):
+        for name, member in list(vars(public).items()):
+            if name == "__init__" or (isinstance(member, classmethod) and not name.startswith("_")):
+                called = _with_answer(member.__func__ if isinstance(member, classmethod) else member)
+                setattr(public, name, called if name == "__init__" else classmethod(called))
+    elif inspect.isfunction(public):
+        called = _with_answer(public)
+        setattr(sys.modules[public.__module__], public.__name__, called)
+        return called
+    return public
+
+
+def answering_classes(namespace: Mapping[str, object]) -> None:
+    """Let the public classes of a namespace answer misspelt keywords."""
+    for value in list(namespace.values()):
+        if isinstance(value, type):
+            answering_misspelt(value)
+
+
+def _with_answer(function: Callable[..., object]) -> Callable[..., object]:
+    @wraps(function)
+    def call(*args: object, **keywords: object) -> object:
+        try:
+            return function(*args, **keywords)
+        except TypeError:
+            parameters = inspect.signature(function).parameters
+            known = [name for name in parameters if name not in ("self", "cls")]
+            unknown = next((name for name in keywords if name not in known), None)
+            if unknown is None or any(one.kind is one.VAR_KEYWORD for one in parameters.values()):
+                raise
+            expected = f"one of the keywords {', '.join(known)}"
+            advice = ADVICE.get(unknown, suggestion(unknown, known))
+            raise ProblemError(unknown, repr(keywords[unknown]), expected, advice) from None
+
+    return call
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from functools import partial
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
@@ -239,7 +240,8 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
 
 def solve_horizon(source: Source, options: Options, horizon: int) -> Outcome:
     """Return the answer at a horizon."""
-    return solve_judged(problem_at_horizon(source, horizon), options)
+    with activity_step(f"horizon {horizon}"):
+        return solve_judged(problem_at_horizon(source, horizon), options)
 
 
 def require_source(source: Source) -> None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 import click
@@ -17,7 +16,6 @@ from click.shell_completion import CompletionItem
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleDimensions, Group, RenderableType
-from rich.markup import escape
 from rich.measure import Measurement
 from rich.padding import Padding
 from rich.table import Column, Table
@@ -156,16 +154,6 @@ def print_certificate(problem: OptimalControlProblem, certificate: Certificate |
         from lin_freq_ocp.pages.report.tables import certificate_table
 
         print_table(certificate_table(problem, certificate), ("scale", "tolerance", "residual", "worst at"))
-
-
-@contextmanager
-def progress(activity: str) -> Generator[Callable[..., None] | None]:
-    """Show the current activity on a terminal, and yield a function that shows the progress of a search."""
-    if not err.is_terminal:
-        yield None
-        return
-    with err.status(escape(activity)) as status:
-        yield lambda *state: status.update(escape(" ".join(map(str, (f"{activity}:", *state)))))
 
 
 def fit_console() -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import click
 
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.phrases import plural
-from lin_freq_ocp.cli.console import PROVEN, problem_argument, progress, say, settings_option
+from lin_freq_ocp.cli.console import PROVEN, problem_argument, say, settings_option
 from lin_freq_ocp.cli.problems import build, read_source, require_writable
 from lin_freq_ocp.pages.explorer.session import Session
 
@@ -29,13 +30,12 @@ def explore_command(
     if file is not None:
         require_writable("--static", file, problem)
     source = read_source(problem, settings)
-    with progress(f"preparing {description.name or problem}"):
+    with activity("preparing the page"):
         session = Session(description, lambda horizon: source(horizon=horizon))
     from lin_freq_ocp.pages.explorer.server import ExploreServer, points, static_page
 
     if file is not None:
-        with progress(f"solving {session.problem.name}") as tell:
-            write_text(file, static_page(session, lambda done, count: tell and tell(f"{done} of {count} points")))
+        write_text(file, static_page(session))
         say(f"wrote {file} with {plural(len(points(session.sliders)), 'solved point')}")
         return PROVEN
     with ExploreServer(session, port or 0) as server:

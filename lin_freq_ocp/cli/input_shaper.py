@@ -46,9 +46,8 @@ def shaper_command(
     if calibration is not None:
         bands = read_calibration(calibration, share, column)
         other = read_calibration(calibration, OTHER_SHARE, column)
-    with console.progress("looking for the shortest shaper"):
-        found = shaper(bands, damping, vibration, impulses)
-        second = shaper(other, damping, vibration, impulses) if other is not None and other != bands else None
+    found = shaper(bands, damping, vibration, impulses)
+    second = shaper(other, damping, vibration, impulses) if other is not None and other != bands else None
     if as_json:
         console.print_json(_summary(found) | ({} if second is None else {"other_bands": _summary(second)}))
     else:

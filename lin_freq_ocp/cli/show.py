@@ -35,14 +35,21 @@ def list_command() -> int:
 @console.problem_argument
 @console.settings_option
 @console.json_option
+@click.option(
+    "--out", "folder", type=click.Path(path_type=Path), help="Write an HTML page with a sketch into this folder."
+)
 @click.option("--toml", "as_toml_file", is_flag=True, help="Print the problem file of the problem, and nothing else.")
-def show_command(problem: str, settings: tuple[str, ...], as_json: bool, as_toml_file: bool) -> int:
+def show_command(
+    problem: str, settings: tuple[str, ...], as_json: bool, folder: Path | None, as_toml_file: bool
+) -> int:
     """Describe a library problem or a problem file, with its parameters for --set and their defaults."""
-    if as_json and as_toml_file:
-        raise click.UsageError("--json and --toml exclude each other.")
-    from lin_freq_ocp.cli.problems import build, is_file, parse_settings  # here: list needs no files
+    if as_json + as_toml_file + (folder is not None) > 1:
+        raise click.UsageError("--json, --toml and --out exclude each other.")
+    from lin_freq_ocp.cli.problems import build, is_file, parse_settings, require_folder  # here: list needs no files
     from lin_freq_ocp.files import problem_file
 
+    if folder is not None:
+        require_folder(folder)
     values = parse_settings(settings)
     description = build(problem, settings)
     if as_toml_file:
@@ -57,17 +64,22 @@ def show_command(problem: str, settings: tuple[str, ...], as_json: bool, as_toml
     if as_json:
         console.print_json(summary)
         return console.PROVEN
+    rows = list[tuple[str, str]]()
+    for one in parameters:  # default and value as they are written after --set
+        texts = [as_toml(value) for value in (one.default, one.value)]
+        default, value = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..." for text in texts)
+        rows.append((f"{one.name} = {default}" + ("" if value == default else f" (set: {value})"), one.about))
+    facts = [(fact["what"], fact["words"]) for fact in summary["facts"]]
+    if folder is not None:
+        from lin_freq_ocp.pages.report.page import save_problem_page  # Matplotlib is slow to import
+
+        title = description.name or Path(problem).stem
+        console.say(f"page: {save_problem_page(title, about or str(description), rows, facts, folder)}")
+        return console.PROVEN
     console.print_lines(str(description))
     console.out.print(Text(f"{about}\n" if about else ""))
-    console.print_terms((fact["what"], fact["words"]) for fact in summary["facts"])
+    console.print_terms(facts)
     console.out.print(Text("\nParameters with their defaults, changed by --set NAME=VALUE (TOML):\n"))
-    rows = list[tuple[str, str]]()
-    for parameter in parameters:  # default and value as they are written after --set
-        texts = [as_toml(value) for value in (parameter.default, parameter.value)]
-        default, value = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..." for text in texts)
-        rows.append(
-            (f"{parameter.name} = {default}" + ("" if value == default else f" (set: {value})"), parameter.about)
-        )
     console.print_terms(rows)
     return console.PROVEN
 

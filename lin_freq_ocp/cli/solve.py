@@ -19,6 +19,7 @@ import click
 from lin_freq_ocp.api.result import Result
 from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import open_replacement
 from lin_freq_ocp.base.errors import ProblemError, SolveError, UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -135,14 +136,12 @@ def solve_command(
     if local:
         options["global_bound"] = False
     with dumping_errors(outputs.get("dump"), description, options):
-        with console.progress(f"solving {description.name or problem}") as report:
-            result = solve(description, **options, throw=False, progress=report)
+        result = solve(description, **options, throw=False)
         if result.status == Status.INFEASIBLE or result.ray is not None:
-            with console.progress("looking for the smallest relaxation"):
-                result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
+            result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     worst, status = None, console.exit_status(result)
     if isinstance(description, RobustProblem) and result.trajectory is not None:
-        with console.progress("solving the nominal problem"):
+        with activity("the nominal problem"):
             nominal = solve(description.given, **options, throw=False)
         worst = replace(worst_case(description.given, description.uncertainty, result), nominal=nominal.cost)
     if as_json:
@@ -168,8 +167,7 @@ def certify_command(
     """Check the maximum principle for a trajectory: an .npz (with its multipliers, if any), a .csv or a .mat."""
     description = build(problem, settings)
     trajectory, multipliers = load_trajectory(solution, description)
-    with console.progress("certifying"):
-        certificate = certify(description, trajectory, multipliers, tolerance)
+    certificate = certify(description, trajectory, multipliers, tolerance)
     status, descent = console.certificate_status(certificate), certificate.descent
     if as_json:
         console.print_json(certificate_summary(description, certificate))
@@ -217,8 +215,7 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
 def rerun_command(file: str, as_json: bool) -> int:
     """Repeat the run in a file of solve --dump, and show in which results it differs."""
     run = load_run(file)
-    with console.progress(f"solving {run.problem.name or file}"):
-        comparison = rerun(run)
+    comparison = rerun(run)
     if as_json:
         console.print_json(rerun_summary(comparison))
     else:
@@ -260,8 +257,7 @@ def compare_command(
     trajectory = None if start is None else load_trajectory(start, description)[0]
     names = None if filters is None else [name.strip() for name in filters.split(",")]
     try:
-        with console.progress(f"comparing {description.name or problem}") as report:
-            comparison = compare(description, names, backend, time_limit, trajectory, report)
+        comparison = compare(description, names, backend, time_limit, trajectory)
     except SolveError as error:
         if not as_json or error.result is None:
             raise
@@ -286,8 +282,7 @@ def compare_command(
         return status
 
     def save_report() -> None:
-        with console.progress("drawing the report"):
-            page = comparison.save(folder)
+        page = comparison.save(folder)
         if not as_json:
             console.say(f"report: {page}")
 

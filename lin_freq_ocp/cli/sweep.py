@@ -29,20 +29,17 @@ from lin_freq_ocp.cli.console import (
     NOT_PROVEN,
     PROVEN,
     Command,
-    complain,
-    err,
     json_option,
     print_certificate,
     print_json,
     print_lines,
     print_table,
     problem_argument,
-    progress,
     solve_options,
     write_files,
 )
 from lin_freq_ocp.cli.problems import ProblemFile, read_source, require_folder, require_keys_of_file
-from lin_freq_ocp.cli.solve import output_options, save_figure, take_outputs, write_outputs
+from lin_freq_ocp.cli.solve import output_options, take_outputs, write_outputs
 from lin_freq_ocp.files.batch_files import sweep_summary
 from lin_freq_ocp.files.reading import FileValue
 from lin_freq_ocp.files.summary import SCHEMA, result_summary
@@ -65,7 +62,7 @@ def batch_options(files: str) -> Callable[[Command], Command]:
 @problem_argument
 @click.option("--grid", "grids", multiple=True, metavar="KEY=VALUES", help=f"{GRID_FORM}; repeatable.")
 @solve_options
-@batch_options("sweep.jsonl, .csv and .png")
+@batch_options("a page, and sweep.jsonl, .csv, .svg and .png")
 @json_option
 def sweep_command(
     problem: str,
@@ -79,8 +76,8 @@ def sweep_command(
     """Solve a problem at every point of a grid, to see the cost of bandwidth, time or a bound."""
     source = read_source(problem, settings)
     grid, path = parse_grid(grids, source), _file_in(folder, "sweep.jsonl")
-    with _worker_pool(workers) as executor, _progress_bar() as report:
-        points = sweep(source, grid, executor, path, **options, progress=report)
+    with _worker_pool(workers) as executor:
+        points = sweep(source, grid, executor, path, **options)
         if points.interrupted and executor is not None:
             executor.abandon()
     if as_json:
@@ -92,16 +89,7 @@ def sweep_command(
     status = INTERRUPTED if points.interrupted else PROVEN if points.proven else NOT_PROVEN
     if folder is None:
         return status
-
-    def draw_sweep() -> None:
-        try:
-            figure = points.plot()
-        except ProblemError as error:
-            complain(f"no figure: {error}")
-            return
-        save_figure(figure, folder / "sweep.png")
-
-    return write_files(status, lambda: points.to_csv(folder / "sweep.csv"), draw_sweep)
+    return write_files(status, lambda: points.to_csv(folder / "sweep.csv"), lambda: points.save(folder))
 
 
 def _file_in(folder: Path | None, name: str) -> Path | None:
@@ -129,20 +117,6 @@ def _worker_pool(workers: int) -> Generator[WorkerPool | None]:
     pool.shutdown()
 
 
-@contextmanager
-def _progress_bar() -> Generator[Callable[[int, int], None] | None]:
-    """Show the number of finished points on a terminal."""
-    if not err.is_terminal:
-        yield None
-        return
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
 @click.command("minimum-time")
 @problem_argument
 @click.option("--horizons", nargs=2, type=int, required=True, metavar="LO HI", help="The range, both ends included.")
@@ -166,8 +140,8 @@ def minimum_time_command(
     source = read_source(problem, settings)
     outputs = take_outputs(options, problem, as_json, with_trajectory)
     path = _file_in(folder, "minimum_time.jsonl")
-    with _worker_pool(workers) as executor, progress("looking for the least horizon") as report:
-        shortest = minimum_time(source, horizons, **options, throw=False, progress=report, executor=executor, path=path)
+    with _worker_pool(workers) as executor:
+        shortest = minimum_time(source, horizons, **options, throw=False, executor=executor, path=path)
         if shortest.interrupted and executor is not None:
             executor.abandon()
     result = shortest.result

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.base.errors import LimitError, ProblemError, SolveError
@@ -202,10 +203,12 @@ def compare_methods(
 
     failure: LimitError | None = None
     try:
-        classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
+        with activity_step("without frequency constraints"):
+            classical = solve_within(free, 1.0 if alone else 0.5, start, method=method)
     except LimitError as error:  # an unproven point can also be filtered
         classical, failure = error.result, error
-    constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
+    with activity_step("with frequency constraints"):
+        constrained = classical if alone else solve_within(problem, 1.0, start, throw=False)
     if classical.trajectory is None and constrained.trajectory is not None:
         classical = solve_within(free, 1.0, constrained.trajectory, method=method, throw=False)
     plan = classical.trajectory
@@ -218,7 +221,11 @@ def compare_methods(
         control = apply_filter(name, problem, plan.u)
         replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
-    moves = shortest_moves(problem, partial(solve_within, throw=False), shapers) if shapers else None
+
+    def solve_move(variant: OptimalControlProblem) -> Outcome:
+        return constrained if variant is problem else solve_within(variant, throw=False)
+
+    moves = shortest_moves(problem, solve_move, shapers) if shapers else None
     return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)
 
 

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import number
@@ -98,25 +99,30 @@ class Moves:
         return (self.unshaped, *self.shaped, self.ours)
 
 
+@activity_step("shortest moves")
 def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence[str]) -> Moves:
     """Return the shortest moves of a problem for which ``why_not_shaped`` returns nothing."""
     monotone = not obstacles(lambda _: problem, 1, problem.horizon, same_data=True)
     free = replace(problem, control_spectrum=None)
     profiles = remember_zero(free)
 
+    @cache
+    def solve_at(variant: OptimalControlProblem, T: int) -> Outcome:
+        with activity_step(f"{T} samples"):
+            return solve(problem_at_horizon(variant, T))
+
     def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:
-        return search_horizons(low, problem.horizon, bisect, lambda T: solve(problem_at_horizon(variant, T)))
+        return search_horizons(low, problem.horizon, bisect, partial(solve_at, variant))
 
     unshaped = search(free, 1, monotone)
     least = unshaped.horizon or problem.horizon  # of all searches: the other problems have more constraints
     ours = search(problem, least, monotone)
     shortest = least if profiles is free else search(profiles, least, True).horizon or problem.horizon
-    plan = cache(lambda T: solve(problem_at_horizon(profiles, T)).trajectory)
     infeasible = {0, *unshaped.proven, *ours.proven}
     return Moves(
         problem,
         _move_of_search(UNSHAPED, "without the bound on the vibration", unshaped, problem),
-        tuple(_shaped_move(name, problem, plan, shortest) for name in names),
+        tuple(_shaped_move(name, problem, partial(solve_at, profiles), shortest) for name in names),
         _move_of_search(OURS, "with the bound in the problem", ours, problem),
         ours.horizon is not None and ours.horizon - 1 in infeasible,
     )
@@ -129,14 +135,13 @@ def remember_zero(problem: OptimalControlProblem) -> OptimalControlProblem:
     """
     linear = problem.linear
     memory = ~(linear.A.reshape(-1, *linear.A.shape[-2:]).any(axis=(0, 2)) | np.atleast_2d(linear.offset).any(axis=0))
-    if not memory.any():
-        return problem
     ends = dict[str, SetOrSets]()
     for name, box in (("initial_state", problem.initial_box), ("terminal_state", problem.terminal_box)):
         zero = memory & (box.lower <= 0) & (box.upper >= 0)
-        fixed = Box(np.where(zero, 0.0, box.lower), np.where(zero, 0.0, box.upper))
-        ends[name] = replace_bounds(getattr(problem, name), fixed)
-    return replace(problem, **ends)
+        if (box.lower[zero] < box.upper[zero]).any():
+            fixed = Box(np.where(zero, 0.0, box.lower), np.where(zero, 0.0, box.upper))
+            ends[name] = replace_bounds(getattr(problem, name), fixed)
+    return replace(problem, **ends) if ends else problem
 
 
 def _move_of_search(name: str, description: str, search: Search, problem: OptimalControlProblem) -> Move:
@@ -155,16 +160,14 @@ def _measured_move(name: str, description: str, measured: MeasuredTrajectory) ->
     return Move(name, description, measured, len(u), boxes[0].sampling_time, peaks)
 
 
-def _shaped_move(
-    name: str, problem: OptimalControlProblem, plan: Callable[[int], Trajectory | None], shortest: int
-) -> Move:
+def _shaped_move(name: str, problem: OptimalControlProblem, solve_at: Callable[[int], Outcome], shortest: int) -> Move:
     boxes = boxes_of(problem)
     weights = impulses(name, boxes)
     longer, description = len(weights) - 1, impulse_text(weights)
     step = -(-(LONGEST_PROFILE - 1) * shortest // TRIED)
     description += "" if step == 1 else f"; profiles tried are {step} samples apart"
     for T in range(shortest, LONGEST_PROFILE * shortest, step):
-        profile = plan(T)
+        profile = solve_at(T).trajectory
         if profile is None:
             continue
         at = problem_at_horizon(problem, T + longer)

@@ -10,10 +10,12 @@ of bins that are passed at its edges.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity, tell
 from lin_freq_ocp.base.arrays import Array, positive_number
 from lin_freq_ocp.base.clock import LEAST_SECONDS, now, processor_now
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -45,6 +47,7 @@ Feasible = Callable[[OptimalControlProblem], bool | None]  # whether a problem h
 
 # Relative margins on the least amount, tried in turn until rounding no longer decides.
 MARGINS = (1e-6, 1e-4, 1e-2)
+ACCURATE = 1e-8  # residuals of the least amount: below its first margin, and reached where all digits are not
 FIRST_AMOUNT, GROWTH, PRECISION = 1e-3, 8.0, 1e-4  # relative to a limit: first rise tried, its growth, final precision
 UNMOVED = 1e-6  # fraction of the changes of an end below which a component stays, or is zero afterwards
 # Cost of controls of their stated sizes, relative to that of a delta as large: keeps the problem well-posed.
@@ -56,6 +59,7 @@ LARGEST = 1e6  # an amount above this multiple of the sizes in the data is no cu
 BUSY = 20.0  # seconds that a solve may last for each processor second that is left: solves watch the other clock
 
 
+@activity("looking for the constraints in conflict")
 @one_blas_thread
 def explain(
     problem: OptimalControlProblem, time_limit: float | None = None, processor_time: float | None = None
@@ -151,6 +155,7 @@ class _VariantSolver:
         of_ray = [block for block in self.blocks if block.name in shares]
         family = of_ray if len(of_ray) < len(self.blocks) and self._infeasible(of_ray) else list(self.blocks)
         for block in sorted(family, key=lambda block: shares.get(block.name, 0.0)):
+            tell(f"{len(family)} constraints in conflict at most; without the {block.name}")
             rest = [member for member in family if member is not block]
             if self._infeasible(rest):
                 family = rest
@@ -167,6 +172,7 @@ class _VariantSolver:
 
     def cure(self, block: Limit) -> Cure | None:
         """Return the smallest relaxation of a block that restores feasibility; None if there is none, or no time."""
+        tell(f"smallest change of the {block.name}")
         return None if self._time_is_over() else least_cure(self.problem, block, self.feasible, self._seconds_left())
 
 
@@ -204,8 +210,12 @@ def _least_by_delta(
 ) -> tuple[float, Array] | None:
     """Return the least amount by which rows must be relaxed, the optimum of a problem, and the end that it reaches."""
     elastic = _elastic_problem(problem, limit, rows)
-    for method in ("auto", "convex"):  # the second is slower, and more accurate where an amount is tiny
-        found = solve_judged(elastic, Options(method, time_limit=time_limit), proof=False).trajectory
+    for method in ("structured", "convex"):  # the second is slower, and takes what the first one does not
+        found = None
+        with suppress(UnsupportedError):
+            found = solve_judged(
+                elastic, Options(method, time_limit=time_limit, tolerance=ACCURATE), proof=False
+            ).trajectory
         relaxation = None if found is None else _try_relaxation(problem, limit, found, feasible)
         if relaxation is not None:
             return relaxation

@@ -8,6 +8,7 @@ and its parameters, and `lin-freq-ocp list` the first line.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
 
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
@@ -70,6 +71,31 @@ FIELDS = {
     "Impact and friction": "pendulum_with_wall cart_between_walls cart_pole_with_walls ball_and_paddle",
     "Theory": "absolute_value max_min_network switched_rotation norm_dynamics",
 }
+SKETCHES = {  # of the plants, as SVG in the folder sketches
+    "cart": "double_integrator",
+    "cart_pendulum": "pendulum cart_pole",
+    "two_masses": "two_mass_spring",
+    "mass_chain": "mass_chain",
+    "quarter_car": "quarter_car",
+    "scanner": "scanner",
+    "drive": "two_mass_drive",
+    "printer": "printer_move",
+    "gradient_coil": "mri_gradient",
+    "inverter": "pulse_pattern",
+    "buck_converter": "buck_affine buck_converter",
+    "satellite": "flexible_satellite",
+    "rendezvous": "elliptic_rendezvous",
+    "point_absorber": "wave_energy",
+    "wall": "pendulum_with_wall",
+    "swing_up": "pendulum_swing_up",
+}
+
+
+def sketch_of(name: str) -> str:
+    """Return the sketch of a problem's plant as SVG, in the colours of its page; empty if there is none."""
+    sketch = next((sketch for sketch, names in SKETCHES.items() if name in names.split()), None)
+    folder = files("lin_freq_ocp.library") / "sketches"
+    return "" if sketch is None else (folder / f"{sketch}.svg").read_text(encoding="utf-8")
 
 
 def by_name(name: str) -> Benchmark:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import tell
 from lin_freq_ocp.base.arrays import Array, Mask, brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
@@ -206,6 +207,7 @@ def certify_log(
         applied = np.vstack([np.zeros((delay, stated.control_dim)), log.controls])[: len(starts)]
         windows = LoopRecord(problem, (), acted=applied).spectra()
     for first in range(0, len(steps), STEPS_AT_ONCE):
+        tell(f"{first} of {len(steps)} steps certified")
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
             references, plan = None, None

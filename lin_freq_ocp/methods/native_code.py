@@ -20,6 +20,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import lock_file, write_bytes
 from lin_freq_ocp.base.clock import seconds_since
 from lin_freq_ocp.base.errors import ProblemError, missing_extra, warn_user
@@ -63,13 +64,11 @@ def processor() -> str:
 
 @contextmanager
 def compile_once(subject: str, lock: Path) -> Generator[None]:
-    """Say in the terminal that something is compiled, and wait while another process compiles it.
+    """Say that something is compiled, and wait while another process compiles it.
 
     If the file cannot be locked, both compile.
     """
-    if sys.stderr.isatty():
-        print(f"lin_freq_ocp: compiling {subject}, once ...", file=sys.stderr, flush=True)
-    with ExitStack() as stack:
+    with activity(f"compiling {subject}, once"), ExitStack() as stack:
         with suppress(OSError):  # it may be another user's
             stack.enter_context(lock_file(stack.enter_context(lock.open("w"))))
         yield

@@ -13,7 +13,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "figures.modes": "adjoint_figure shade_modes strip_rows strips_figure",
     "figures.plot_data": "PlotData Span joint_rows spans view",
     "report.findings": "faults finding_of stop_band_meaning",
-    "report.page": "Drawing PIXELS_PER_INCH draw_figures drawing_of render_page save_report tiles",
+    "report.page": "Drawing PIXELS_PER_INCH draw_figures drawing_of render_page save_problem_page save_report tiles",
     "report.proof": "adjoint_caption modes_caption parts_of_the_gap search_sentences switching_sentences verdict",
     "report.tables": "NOT_MEANINGFUL certificate_table comparison_rows comparison_table moves_rows moves_sentence "
     "sweep_table worst_location",

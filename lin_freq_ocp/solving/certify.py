@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
@@ -33,6 +34,7 @@ NEAR_LIMIT = 0.99  # of its limit: a peak of a spectrum above this may have a mu
 ROUNDED_TO = (1e-5, 1e-4, 1e-3, 1e-2)  # tolerances tried if a trajectory of few decimals fails the default one
 
 
+@activity("certifying")
 @one_blas_thread
 def certify(
     problem: OptimalControlProblem,

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -33,6 +34,7 @@ def allowed_residual(tolerance: float | None) -> float:
     return min(max(CONDITION_TOLERANCE, tolerance or 0.0), LARGEST_TOLERANCE)
 
 
+@activity_step("certifying")
 def judge_candidate(
     problem: OptimalControlProblem, candidate: Candidate, method: str, backend: str | None, tolerance: float | None
 ) -> Outcome:

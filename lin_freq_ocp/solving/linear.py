@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, takewhile
 from typing import ClassVar
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
@@ -119,7 +120,8 @@ class _Linear(ABC):
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Solve the problem, and judge the answer."""
         trial = _Trial(problem, self.shorthand, self.tolerance, now() + request.time_limit, proof=request.proof)
-        return take_best(chain(trial.reject_ends(), self._answers(trial, request)), ANSWERS)
+        with activity_step(f"method {self.shorthand}"):
+            return take_best(chain(trial.reject_ends(), self._answers(trial, request)), ANSWERS)
 
     @abstractmethod
     def _answers(self, trial: _Trial, request: Request) -> Iterator[Outcome | Attempt]: ...

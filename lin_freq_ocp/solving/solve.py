@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lin_freq_ocp.base.activity import activity_step
 from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
@@ -165,7 +166,9 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
 
     for _ in range(ROUNDS):
         reduced = sampled_masks(problem, frequencies)
-        outcome = method.solve(reduced.problem, of_round.with_end(end))
+        beyond = f", limits exceeded by {violation:.0e}" if rounds else ""
+        with activity_step(f"round {len(rounds) + 1}{beyond}"):
+            outcome = method.solve(reduced.problem, of_round.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
 
+from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.archives import FileValue
 from lin_freq_ocp.base.arrays import assign, brief
 from lin_freq_ocp.base.errors import ProblemError
@@ -71,6 +72,7 @@ class RobustProblem(OptimalControlProblem):
         return all(getattr(self, name) is value for name, value in self.limits.items())
 
 
+@activity("computing margins")
 @one_blas_thread
 def robust(
     problem: OptimalControlProblem, uncertainty: Uncertainty, end: Literal["invariant"] | None = None
@@ -125,6 +127,7 @@ def robust(
     return RobustProblem(problem, uncertainty, end, None, **{**given, **changes})
 
 
+@activity("looking for the worst case")
 @one_blas_thread
 def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: Trajectory | Outcome) -> WorstCase:
     """Return what the worst load or plant does to a plan, limit by limit, with a proof and a simulation.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -165,7 +167,39 @@ def test_what_is_no_problem_is_refused(call):
 
 def test_an_unknown_keyword_of_solve_is_refused_with_the_right_one():
     problem = lfo.library.double_integrator()
-    with pytest.raises(lfo.errors.ProblemError, match=r"solver: got 'OSQP'; .* backend='osqp' chooses the solver"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"solver: got 'OSQP'; .* backend= chooses the solver"):
         lfo.solve(problem, solver="OSQP")
     with pytest.raises(lfo.errors.ProblemError, match=r"timelimit: got 3; .* Did you mean 'time_limit'\?"):
         lfo.solve(problem, timelimit=3)
+
+
+MISSPELT = {
+    "amplitud": (lambda: lfo.MagnitudeBound(amplitud=1), "amplitude"),
+    "lowr": (lambda: lfo.Box(lowr=1), "lower"),
+    "radus": (lambda: lfo.sets.Ball(radus=1), "radius"),
+    "control_sets": (lambda: lfo.OptimalControlProblem(control_sets=1), "control_set"),
+    "samplingtime": (lambda: lfo.LinearDynamics.from_continuous([[0]], [[1]], samplingtime=1), "sampling_time"),
+    "filter": (lambda: lfo.compare(None, filter=[]), "filters"),
+    "initial_state": (lambda: lfo.solve_many(None, initial_state=[0]), "initial_states"),
+    "dely": (lambda: lfo.RecedingHorizon(None, dely=1), "delay"),
+    "stag": (lambda: lfo.costs.SmoothCost(stag=1), "stage"),
+}
+
+
+@pytest.mark.parametrize("name", MISSPELT)
+def test_a_misspelt_keyword_is_answered_by_the_nearest(name):
+    call, nearest = MISSPELT[name]
+    with pytest.raises(lfo.errors.ProblemError, match=f"Did you mean '{nearest}'"):
+        call()
+
+
+def test_other_errors_of_a_call_stay_what_they_are():
+    with pytest.raises(TypeError, match="positional"):
+        lfo.Box(1, 2, 3)
+    with pytest.raises(TypeError, match="missing"):
+        lfo.compare()
+
+
+def test_public_functions_can_be_sent_to_other_processes():
+    for public in (lfo.solve, lfo.simulate, lfo.sweep, lfo.low_pass, lfo.Box, lfo.OptimalControlProblem):
+        assert pickle.loads(pickle.dumps(public)) is public

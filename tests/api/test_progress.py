@@ -5,15 +5,18 @@ IPython and the terminal are stand-ins that record what they are told to show.
 
 import multiprocessing
 import sys
+import threading
 from io import BytesIO, TextIOWrapper
 from types import ModuleType, SimpleNamespace
 
+import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.patience import PATIENCE
 from helpers.replacing import substitute
 from helpers.seeds import seeds
-from lin_freq_ocp.api import progress_line, report_progress
+from lin_freq_ocp.base import activity_line, report_progress
 
 SHORT = {"horizon": [60, 80]}
 STARTS = [[0.0, 0.0], [0.1, 0.0]]
@@ -60,7 +63,8 @@ def displayed(monkeypatch):
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", display)
     for name in ("FIRST_SECONDS", "TERMINAL_SECONDS", "BETWEEN_SECONDS"):
-        substitute(monkeypatch, f"api.{name}", 0.0)
+        substitute(monkeypatch, f"base.{name}", 0.0)
+    substitute(monkeypatch, "base.TICK_SECONDS", None)  # seconds are not counted: the line changes with its levels only
     return found
 
 
@@ -85,7 +89,7 @@ def test_a_notebook_shows_a_line_that_is_gone_in_the_end(displayed, name, capsys
     call, words = CALLS[name]
     call()
     *shown, last = displayed.bundles
-    assert words in shown[0]["text/plain"]
+    assert any(words in one["text/plain"] for one in shown)
     assert all(one["text/html"].startswith("<progress></progress> ") for one in shown)
     assert last == {}
     assert capsys.readouterr() == ("", "")
@@ -97,20 +101,20 @@ def test_a_terminal_shows_a_line_that_is_gone_in_the_end(displayed, name, monkey
     call()
     before, *shown, last, after = stream.buffer.getvalue().decode().split("\r")
     assert (before, last, after) == ("", " " * 39, "")
-    assert shown[0] == f"{words:39}"
-    assert shown[-1] == f"{words.replace('0', '2'):39}"
+    assert f"{words} (0 s)".ljust(39) in shown
+    assert shown[-1] == f"{words.replace('0', '2')} (0 s)".ljust(39)
 
 
 def test_a_line_is_not_longer_than_the_terminal(displayed, monkeypatch):
     stream = open_terminal(monkeypatch)
-    with report_progress(None, str) as report:
+    with report_progress(None, "b", str) as report:
         report("a" * 50)
-        assert stream.buffer.getvalue().decode() == "\r" + "a" * 39
+        assert stream.buffer.getvalue().decode() == "\rb (0 s)".ljust(40) + "\r" + "a" * 39
 
 
 def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
     stream = open_terminal(monkeypatch)
-    substitute(monkeypatch, "api.TERMINAL_SECONDS", 1e3)
+    substitute(monkeypatch, "base.TERMINAL_SECONDS", 1e3)
     CALLS["solve_many"][0]()
     assert stream.buffer.getvalue() == b""
 
@@ -118,7 +122,7 @@ def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
 def test_a_stream_that_another_library_has_put_for_a_terminal_is_left_alone(displayed, monkeypatch):
     open_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
-    assert progress_line() is None
+    assert activity_line() is None
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -140,38 +144,87 @@ def test_nothing_is_shown_where_there_is_no_kernel(displayed, name, shell, monke
 
 def test_without_ipython_nothing_is_imported(monkeypatch):
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
-    assert progress_line() is None
+    assert activity_line() is None
     CALLS["sweep"][0]()
     assert "IPython" not in sys.modules
 
 
 def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
-    assert progress_line() is not None
+    assert activity_line() is not None
     monkeypatch.setattr(multiprocessing.process, "_parent_process", "the kernel")
-    assert progress_line() is None
+    assert activity_line() is None
 
 
 def test_quick_calls_show_nothing(displayed, monkeypatch):
-    substitute(monkeypatch, "api.FIRST_SECONDS", 1e3)
+    substitute(monkeypatch, "base.FIRST_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert displayed.bundles == []
 
 
 def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
-    substitute(monkeypatch, "api.BETWEEN_SECONDS", 1e3)
+    substitute(monkeypatch, "base.BETWEEN_SECONDS", 1e3)
     CALLS["sweep"][0]()
-    assert [one.get("text/plain") for one in displayed.bundles] == ["0 of 2 solved", None]
+    assert [one.get("text/plain") for one in displayed.bundles] == ["sweeping (0 s)", None]
 
 
 def test_an_error_leaves_nothing_of_the_line(displayed):
     def failing():
-        with report_progress(None, lambda reached: f"<b>{reached}</b>") as report:
+        with report_progress(None, "waiting", lambda reached: f"<b>{reached}</b>") as report:
             report(3)
             raise RuntimeError
 
     with pytest.raises(RuntimeError):
         failing()
-    assert displayed.bundles == [
-        {"text/plain": "<b>3</b>", "text/html": "<progress></progress> &lt;b&gt;3&lt;/b&gt;"},
+    waiting, *others = displayed.bundles
+    assert waiting["text/plain"] == "waiting (0 s)"
+    assert others == [
+        {"text/plain": "<b>3</b> (0 s)", "text/html": "<progress></progress> &lt;b&gt;3&lt;/b&gt; (0 s)"},
         {},
     ]
+
+
+LONG = {
+    "linear solve": (lambda: lfo.solve(lfo.library.pendulum()), ["solving", "solving; method spectral; certifying"]),
+    "explain": (
+        lambda: lfo.explain(lfo.library.double_integrator(horizon=20, cutoff_hz=0.3)),
+        ["looking for the constraints in conflict", "smallest change of the initial state"],
+    ),
+    "certify": (lambda: lfo.certify(lfo.library.pendulum(), np.zeros((240, 1))), ["certifying"]),
+    "shaper": (lambda: lfo.shaper((35, 60), damping=0.0), ["looking for the shortest shaper; horizon"]),
+    "compare": (
+        lambda: lfo.compare(lfo.library.double_integrator(), []),
+        ["comparing; without frequency constraints; solving", "comparing; with frequency constraints; solving"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_calls_that_may_be_long_say_what_they_do(displayed, name):
+    call, words = LONG[name]
+    call()
+    *shown, last = displayed.bundles
+    assert last == {}
+    for expected in words:
+        assert any(one["text/plain"].startswith(expected) for one in shown)
+
+
+def test_the_seconds_of_a_call_that_reports_nothing_are_counted(displayed, monkeypatch):
+    counted, update = threading.Event(), displayed.update
+
+    def write(bundle, *, raw):
+        update(bundle, raw=raw)
+        counted.set()
+
+    displayed.update = write
+    substitute(monkeypatch, "base.TICK_SECONDS", 1e-3)
+    with report_progress(None, "waiting", str):
+        assert counted.wait(PATIENCE)
+    assert {one.get("text/plain") for one in displayed.bundles} == {"waiting (0 s)", None}
+
+
+def test_another_thread_changes_no_line(displayed):
+    with report_progress(None, "waiting", str):
+        thread = threading.Thread(target=CALLS["sweep"][0])
+        thread.start()
+        thread.join()
+    assert [one.get("text/plain") for one in displayed.bundles] == ["waiting (0 s)", None]

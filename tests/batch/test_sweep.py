@@ -300,7 +300,7 @@ def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
     code = text.split("```python\n")[1].split("```")[0].replace("ProcessPoolExecutor", "ThreadPoolExecutor")
     monkeypatch.chdir(tmp_path)
     exec(code, {"__name__": "__main__"})
-    assert {file.name for file in tmp_path.iterdir()} == {"sweep.jsonl", "sweep.csv", "sweep.png"}
+    assert {file.name for file in tmp_path.iterdir()} == {"sweep", "sweep.jsonl", "sweep.csv", "sweep.png"}
     assert set(lfo.load_sweep("sweep.jsonl").column("status")) == {"optimal", "infeasible"}
 
 

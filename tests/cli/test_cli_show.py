@@ -124,4 +124,21 @@ def test_the_problem_file_of_a_library_problem_is_printed(tmp_path):
 def test_only_one_form_is_printed():
     status, out, err = run("show", "pendulum", "--toml", "--json")
     assert (status, out) == (2, "")
-    assert "--json and --toml exclude each other" in err
+    assert "--json, --toml and --out exclude each other" in err
+
+
+def test_a_page_has_the_sketch_of_the_library(tmp_path):
+    status, out, err = run("show", "pendulum", "--out", str(tmp_path / "page"), "--set", "horizon=100")
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert (status, err, out.strip()) == (0, "", f"page: {tmp_path / 'page' / 'index.html'}")
+    assert 'aria-label="A cart on rails, pushed by a force, carries an inverted pendulum"' in page
+    assert "horizon = 240 (set: 100)" in page
+    assert "within ±0.34907; starts at 0.1; ends at -0.1" in page
+
+
+def test_every_sketch_belongs_to_problems_of_the_library():
+    named = [name for names in lfo.library.SKETCHES.values() for name in names.split()]
+    assert set(named) <= set(lfo.library.PROBLEMS)
+    assert len(named) == len(set(named))
+    assert all(lfo.library.sketch_of(name).startswith("<svg") for name in named)
+    assert lfo.library.sketch_of("absolute_value") == ""

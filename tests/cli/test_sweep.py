@@ -26,7 +26,13 @@ def test_the_command_prints_one_object_and_writes_the_folder(serial, tmp_path):
     summary = parsed(out)
     assert (status, err) == (0, "")
     assert faults(SWEEP, summary) == []
-    assert {file.name for file in (tmp_path / "out").iterdir()} == {"sweep.jsonl", "sweep.csv", "sweep.png"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "index.html",
+        "sweep.jsonl",
+        "sweep.csv",
+        "sweep.png",
+        "sweep.svg",
+    }
     assert_same(lfo.load_sweep(tmp_path / "out" / "sweep.jsonl"), serial)
     status, out, _ = run("sweep", *WORDS, *grids, "--out", str(tmp_path / "out"))
     assert status == 0

@@ -14,7 +14,6 @@ import re
 import secrets
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -22,6 +21,7 @@ from itertools import product
 from socket import socket
 from typing import NoReturn
 
+from lin_freq_ocp.base.activity import activity, tell
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line
 from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.pages.explorer.session import FOLDED, GROUPS, Data, Session
@@ -67,13 +67,14 @@ def page(session: Session, solved: list[Data] | None = None) -> str:
     )
 
 
-def static_page(session: Session, progress: Callable[[int, int], object] = lambda done, count: None) -> str:
-    """Return the page with a solved sweep; ``progress`` gets the numbers of solved and of all points."""
+@activity("solving the points")
+def static_page(session: Session) -> str:
+    """Return the page with a solved sweep."""
     grid = points(session.sliders)
     solved = list[Data]()
     for values in grid:
         solved.append({"values": values, "answer": session.answer(values), "compared": session.compare(values)})
-        progress(len(solved), len(grid))
+        tell(f"{len(solved)} of {len(grid)} points")
     return page(session, solved)
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -20,8 +21,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from lin_freq_ocp import library
 from lin_freq_ocp.base.atomic import report_write_errors, write_each
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import number, plural
+from lin_freq_ocp.batch.sweep import SweepOutcome
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import can_be_filtered, filter_limits, has_frequency_constraint
@@ -33,6 +37,7 @@ from lin_freq_ocp.pages.figures.look import THEMED, THEMED_TINTS
 from lin_freq_ocp.pages.figures.loop import loop_figure
 from lin_freq_ocp.pages.figures.modes import adjoint_figure, smallest_adjoint, strip_rows, strips_figure
 from lin_freq_ocp.pages.figures.plot_data import PlotData
+from lin_freq_ocp.pages.figures.sweep import sweep_figure
 from lin_freq_ocp.pages.report import proof, tables
 from lin_freq_ocp.pages.report.findings import FILTERING, finding_of, stop_band_meaning
 from lin_freq_ocp.pages.templates import render_template
@@ -42,6 +47,10 @@ from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 from lin_freq_ocp.solving.outcome import Outcome
 
 PIXELS_PER_INCH = 150
+
+Facts = Sequence[tuple[str, str]]
+Rows = Sequence[Sequence[object]]
+WINDOW_COLUMNS = ("signal", "band", "level", "worst window", "at", "which begins at", "windows above", "bins above")
 
 MOST_NAMED_BINS = 8  # of a level that was exceeded, that a table names
 
@@ -201,28 +210,86 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
             median = number(float(np.median(loop.changes)), 3)
             headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))
     statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
-    counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
+    counts = Counter(
+        (status.replace("_", " "), str(step.source), step.method)
+        for status, step in zip(statuses, loop.steps, strict=True)
+    )
     # The largest violation of each softened constraint, and the number of steps with one
     violations = list[tuple[str, str, int]]()
     for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
         amounts = [step.excess.get(name, 0.0) for step in loop.steps]
         violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     windows = [_window_row(loop, spectra) for spectra in loop.spectra()]
-    page = render_template(
-        "report",
-        "loop.html.jinja",
+    note = "Each window of applied controls or measured states against the level of its Spectrogram."
+    return _save_tables(
+        folder,
+        [drawing],
+        kind="control loop",
         title=loop.problem.name or "Control loop",
+        kicker="Receding-horizon control with constraints in time and in frequency",
         finding=sentence,
         caution=limits_of_plans(loop.problem),
         tiles=headline,
-        drawing=drawing,
-        counts=[(*key, count) for key, count in counts.most_common()],
-        violations=violations,
-        windows=windows,
-        facts=problem_facts(loop.problem, loop.problem.gap),
-        problem=loop.problem,
+        tables=[
+            PageTable("Windows of the applied signals", WINDOW_COLUMNS, windows, {0, 1, 7}, note),
+            PageTable(
+                "Outcomes of the steps",
+                ("problem", "control from", "method", "steps"),
+                [(*key, count) for key, count in counts.most_common()],
+                {0, 1, 2},
+            ),
+            PageTable("Relaxed constraints", ("constraint", "largest violation of a plan", "steps"), violations, {0}),
+        ],
+        facts={"The problem of each step": problem_facts(loop.problem, loop.problem.gap)},
     )
-    return save_page(folder, page, [drawing])
+
+
+def save_sweep_report(sweep: SweepOutcome, sentence: str, folder: Path) -> Path:
+    """Write index.html and its figure, as .svg and .png, into a folder; return the page's path."""
+    drawings, caution = list[Drawing](), ""
+    try:
+        title = "Cost over a parameter; marks are points without a solution"
+        drawings.append(drawing_of("sweep", title, "", sweep_figure(sweep)))
+    except ProblemError as error:
+        caution = f"No figure: {error}"
+    table, words = tables.sweep_table(sweep), {len(sweep.names) + i for i in (0, 3, 5)}
+    rows = list(
+        zip(*([getattr(cell, "plain", cell) for cell in column.cells] for column in table.columns), strict=True)
+    )
+    statuses = Counter(row["status"] for row in sweep.rows).most_common()
+    return _save_tables(
+        folder,
+        drawings,
+        kind="sweep",
+        title=sweep.problem,
+        finding=sentence,
+        caution=caution,
+        tiles=[(status, str(count), "") for status, count in statuses],
+        tables=[PageTable("Every point", tuple(str(column.header) for column in table.columns), rows, words)],
+        facts={"The grid": [(name, ", ".join(map(str, values))) for name, values in sweep.grid.items()]},
+    )
+
+
+def save_problem_page(title: str, about: str, parameters: Facts, facts: Facts, folder: Path) -> Path:
+    """Write index.html with a problem, its sketch if the library has one, and its parameters into a folder."""
+    lists = {"The problem": facts, "Parameters with their defaults, changed by --set": parameters}
+    sketch = Markup(library.sketch_of(title))
+    return _save_tables(folder, [], kind="problem", title=title, finding=about, facts=lists, sketch=sketch)
+
+
+class PageTable(NamedTuple):
+    """A table of a page; ``words`` are the numbers of the columns that are no figures."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: Rows
+    words: Set[int]
+    note: str = ""
+
+
+def _save_tables(folder: Path, drawings: Sequence[Drawing], **values: object) -> Path:
+    """Write a page of figures, tables, and then facts under their headings."""
+    return save_page(folder, render_template("report", "tables.html.jinja", drawings=drawings, **values), drawings)
 
 
 def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:

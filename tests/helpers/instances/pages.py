@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.pages import Session, page
+from lin_freq_ocp.pages import Session, page, save_problem_page
+from lin_freq_ocp.problem import problem_facts
 
 NAMES = ["position <p> [m]", "speed & co [m/s]"], ["force $a$ [N]"]
 
@@ -38,6 +39,11 @@ def save_explorer(folder: Path) -> Path:
     return folder / "index.html"
 
 
+def save_problem(folder: Path) -> Path:
+    problem, parameters = move(**FROM_REST), [("horizon = 20", "T")]
+    return save_problem_page(problem.name, str(problem), parameters, problem_facts(problem), folder)
+
+
 REPORTS: dict[str, Callable[[], lfo.results.Comparison]] = {
     "linear": lambda: lfo.compare(move(**FROM_REST, **slow(1.5)), ["brickwall"]),
     "infeasible": lambda: lfo.compare(move(**FROM_REST, **slow(0.3)), []),
@@ -51,6 +57,8 @@ REPORTS: dict[str, Callable[[], lfo.results.Comparison]] = {
 }
 PAGES: dict[str, tuple[str, Callable[[Path], Path]]] = {  # the template, and what saves the page
     **{name: ("page", lambda folder, make=make: make().save(folder)) for name, make in REPORTS.items()},
-    "loop": ("loop", save_loop),
+    "loop": ("tables", save_loop),
+    "sweep": ("tables", lambda folder: lfo.sweep(move(**FROM_REST), {"horizon": [10, 20]}).save(folder)),
+    "problem": ("tables", save_problem),
     "explorer": ("explore", save_explorer),
 }
