@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_236,
-    "code lines": 46_759,
+    "shipped lines": 50_171,
+    "code lines": 46_758,
     "code lines, linear part": 21_996,
     "code lines, hybrid": 8_874,
     SHARE_SAID: 19.5,  # at least

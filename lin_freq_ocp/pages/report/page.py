@@ -116,8 +116,8 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
+    filters = comparison.filtered if can_be_filtered(problem) else ()
     return render_template(
-        "report",
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding_of(comparison),
@@ -141,7 +141,8 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
         facts=problem_facts(problem, problem.gap),
         filter_limits=filter_limits(problem),
         constrained=constrained,
-        filters=comparison.filtered if can_be_filtered(problem) else (),
+        filters=filters,
+        of_filters=[(one.replay.label, one.description) for one in filters],
         solves=[
             *([_solve_row("without the frequency constraint", comparison.classical)] if constrained else []),
             _solve_row("with the constraint" if constrained else "the problem", result),
@@ -200,7 +201,7 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         if loop.changes.any():
             median = number(float(np.median(loop.changes)), 3)
             headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))
-    statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
+    statuses = [NOT_JUDGED if status is None else status.replace("_", " ") for status in loop.statuses]
     counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
     # The largest violation of each softened constraint, and the number of steps with one
     violations = list[tuple[str, str, int]]()
@@ -209,7 +210,6 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         violations.append((name, number(max(amounts), 3), sum(amount > 0 for amount in amounts)))
     windows = [_window_row(loop, spectra) for spectra in loop.spectra()]
     page = render_template(
-        "report",
         "loop.html.jinja",
         title=loop.problem.name or "Control loop",
         finding=sentence,
