@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_171,
-    "code lines": 46_758,
-    "code lines, linear part": 21_996,
-    "code lines, hybrid": 8_874,
+    "shipped lines": 50_141,
+    "code lines": 46_728,
+    "code lines, linear part": 21_978,
+    "code lines, hybrid": 8_868,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
     "folders": 44,

@@ -102,9 +102,6 @@ class ResidualVibration(FrequencyConstraint):
         for term in self.semi_infinite_terms("residual vibration of", signal, boxes, source):
             yield replace(term, band=f"{_range(self.frequency)} Hz")
 
-    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
-        return self.on_components(n)
-
     @property
     def levels(self) -> Array:
         return np.asarray(self.limit)
