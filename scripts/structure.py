@@ -51,7 +51,7 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_141,
+    "shipped lines": 50_121,
     "code lines": 46_728,
     "code lines, linear part": 21_978,
     "code lines, hybrid": 8_868,
