@@ -148,6 +148,12 @@ def inequalities(rows: Array, limits: Array, names: Sequence[str], symbols: str)
     return f"{plural(len(limits), 'row')} {symbols}"
 
 
+def low_to_high(low: float, high: float) -> str:
+    """Return "0.9 to 1.1", or one number if both are written alike."""
+    first, last = number(low), number(high)
+    return first if first == last else f"{first} to {last}"
+
+
 def interval(low: float, high: float) -> str:
     """Return "within ±1", "from 0 to 1", "at most 1", or "no bound"."""
     has_low, has_high = low > -NO_BOUND, high < NO_BOUND
@@ -170,8 +176,7 @@ def intervals(lower: Array, upper: Array) -> str:
     parts = list[str]()
     for side, values in zip(("lower", "upper"), known, strict=True):
         if len(values):
-            low, high = float(values.min()), float(values.max())
-            parts.append(f"{side} {number(low) if low == high else f'{number(low)} to {number(high)}'}")
+            parts.append(f"{side} {low_to_high(float(values.min()), float(values.max()))}")
     if not parts:
         return "no bound"
     missing = any(0 < len(values) < len(lower) for values in known)

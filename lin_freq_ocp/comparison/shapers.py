@@ -34,7 +34,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import join_words, number, runs_of
+from lin_freq_ocp.base.phrases import join_words, low_to_high, runs_of
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 
@@ -116,12 +116,8 @@ class Modes:
     damping: tuple[float, float]
 
     def __str__(self) -> str:
-        bands = join_words(
-            [number(low) if low == high else f"{number(low)} to {number(high)}" for low, high in self.bands]
-        )
-        low, high = self.damping
-        ratios = number(low) if low == high else f"{number(low)} to {number(high)}"
-        return f"every mode of {bands} Hz with a damping ratio of {ratios}"
+        bands = join_words([low_to_high(*band) for band in self.bands])
+        return f"every mode of {bands} Hz with a damping ratio of {low_to_high(*self.damping)}"
 
     @property
     def highest(self) -> float:

@@ -37,6 +37,11 @@ def add(a: Interval, b: Interval) -> Interval:
     return outward(a[0] + b[0], a[1] + b[1])
 
 
+def shift(by: float, a: Interval) -> Interval:
+    """Return by + a for a real number."""
+    return outward(by + a[0], by + a[1])
+
+
 def scale(factor: float | Array, a: Interval) -> Interval:
     """Return factor * a for real numbers."""
     first, second = _times(factor, a[0]), _times(factor, a[1])
@@ -133,8 +138,7 @@ def arc_tangent(a: Interval) -> WithDerivatives:
     value = meet(outward(np.arctan(a[0]), np.arctan(a[1])), scale(np.pi / 2, _one_around(a)))
 
     def slope(b: Interval) -> Interval:
-        one = np.ones_like(b[0])
-        return inverse(add((one, one), power(b, 2)))
+        return inverse(shift(1.0, power(b, 2)))
 
     second = _with_extrema(lambda b: scale(-2.0, multiply(multiply(b, slope(b)), slope(b))), a, np.sqrt(27.0) / 8)
     return value, slope(a), second
@@ -146,8 +150,7 @@ def tangent(a: Interval) -> WithDerivatives:
     branch = [np.floor(bound / np.pi + 0.5 + side) for bound, side in zip(a, (-TURN, TURN), strict=True)]
     within = (branch[0] == branch[1]) & (lower <= upper)
     value = np.where(within, lower, -np.inf), np.where(within, upper, np.inf)
-    one = np.ones_like(lower)
-    first = add((one, one), power(value, 2))
+    first = shift(1.0, power(value, 2))
     return value, first, scale(2.0, multiply(value, first))
 
 
@@ -168,8 +171,7 @@ def hyperbolic_cosine(a: Interval) -> WithDerivatives:
 def arc_sine(a: Interval) -> WithDerivatives:
     """Return arcsin of the part of a in [-1, 1], and its derivatives (1 - a^2)^(-1/2) and a (1 - a^2)^(-3/2)."""
     inside = np.clip(a[0], -1.0, 1.0), np.clip(a[1], -1.0, 1.0)
-    one = np.ones_like(a[0])
-    left = add((one, one), scale(-1.0, power(a, 2)))  # 1 - a^2
+    left = shift(1.0, scale(-1.0, power(a, 2)))  # 1 - a^2
     first = _where_positive(left, inverse(root(left)))
     cube = _where_positive(left, multiply(first, inverse(left)))
     return outward(np.arcsin(inside[0]), np.arcsin(inside[1])), first, _where_positive(left, multiply(a, cube))
@@ -178,14 +180,12 @@ def arc_sine(a: Interval) -> WithDerivatives:
 def arc_cosine(a: Interval) -> WithDerivatives:
     """Return arccos(a) = pi/2 - arcsin(a)."""
     value, first, second = arc_sine(a)
-    right = np.full_like(a[0], np.pi / 2)
-    return add((right, right), scale(-1.0, value)), scale(-1.0, first), scale(-1.0, second)
+    return shift(np.pi / 2, scale(-1.0, value)), scale(-1.0, first), scale(-1.0, second)
 
 
 def area_sine(a: Interval) -> WithDerivatives:
     """Return arcsinh(a), and its derivatives (1 + a^2)^(-1/2) and -a (1 + a^2)^(-3/2)."""
-    one = np.ones_like(a[0])
-    total = add((one, one), power(a, 2))
+    total = shift(1.0, power(a, 2))
     first = inverse(root(total))
     second = scale(-1.0, multiply(a, multiply(first, inverse(total))))
     return outward(np.arcsinh(a[0]), np.arcsinh(a[1])), first, second
@@ -193,8 +193,7 @@ def area_sine(a: Interval) -> WithDerivatives:
 
 def area_tangent(a: Interval) -> WithDerivatives:
     """Return arctanh of the part of a in (-1, 1), and its derivatives 1/(1 - a^2) and 2 a/(1 - a^2)^2."""
-    one = np.ones_like(a[0])
-    left = add((one, one), scale(-1.0, power(a, 2)))
+    left = shift(1.0, scale(-1.0, power(a, 2)))
     ends = (np.where(np.abs(end) < 1, np.arctanh(np.clip(end, -1.0, 1.0)), np.sign(end) * np.inf) for end in a)
     first = _where_positive(left, inverse(left))
     return outward(*ends), first, _where_positive(left, scale(2.0, multiply(a, multiply(first, first))))

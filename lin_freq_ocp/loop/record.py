@@ -18,8 +18,8 @@ from lin_freq_ocp.loop.windows import WindowedPlan
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, WindowSpectra, named_entries
-from lin_freq_ocp.problem.terms.term import TermKind
+from lin_freq_ocp.problem.problem_data import limited_signals
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, WindowSpectra, named_entries
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, ProvenPlan
@@ -193,17 +193,15 @@ class LoopRecord:
             If another constraint is given, or one that does not fit the signal.
         """
         problem, x, u = self.problem, self.states, self.controls if self.acted is None else self.acted
-        own = control_spectrum is None and state_spectrum is None and output_spectrum is None
+        given = {"state_spectrum": state_spectrum, "control_spectrum": control_spectrum}
+        own = output_spectrum is None and not any(one is not None for one in given.values())
         if own:
-            control_spectrum, state_spectrum = problem.control_spectrum, problem.state_spectrum
-            output_spectrum = problem.output_spectrum
-        n, m, step, samples = problem.state_dim, problem.control_dim, problem.sampling_time, (len(x), len(u))
-        states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, len(x), step)
-        controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, len(u), step)
-        entries = [(where, one, states) for where, one in named_entries("state_spectrum", state_spectrum)]
-        entries += [(where, one, controls) for where, one in named_entries("control_spectrum", control_spectrum)]
+            given, output_spectrum = {name: getattr(problem, name) for name in given}, problem.output_spectrum
+        n, m, samples = problem.state_dim, problem.control_dim, (len(x), len(u))
+        signals = limited_signals(problem, *samples)
+        entries = [(where, one, signals[name]) for name in given for where, one in named_entries(name, given[name])]
         for where, outputs in named_entries("output_spectrum", output_spectrum):
-            signal = outputs.signal(n, m, samples, step, where)
+            signal = outputs.signal(n, m, samples, problem.sampling_time, where)
             entries += [(where, one, signal) for one in outputs.constraints]
         found = list[WindowSpectra]()
         for where, one, signal in entries:

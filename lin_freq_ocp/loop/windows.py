@@ -25,7 +25,8 @@ from lin_freq_ocp.methods.spectral.model import LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, entries_of, named_entries
+from lin_freq_ocp.problem.problem_data import limited_signals
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of, named_entries
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -55,8 +56,7 @@ def maps_of_windows(
     if entries is None:  # no control acts before the first plan
         none = np.zeros((problem.horizon, problem.control_dim))
         entries = [one.with_past(none[:delay], 0).hold_last(none) for one in entries_of(problem.control_spectrum)]
-    m, names, step = problem.control_dim, problem.control_names, problem.sampling_time
-    signal = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), names, problem.horizon, step)
+    signal = limited_signals(problem, problem.state_samples, problem.horizon)["control_spectrum"]
     for where, one in named_entries("control_spectrum", entries):
         for _, windows, levels, sums in one.windows(signal, where):
             yield one, windows, np.broadcast_to(levels * sums, len(windows.bins))

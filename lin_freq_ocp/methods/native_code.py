@@ -87,13 +87,13 @@ def name_extra() -> None:
 
 @cache
 def compiled_library(module: str, *names: str) -> ctypes.CDLL | None:
-    """Return the library of files next to a module, the first of which is compiled.
+    """Return the library of files, named as seen from a module, the first of which is compiled.
 
     Without a compiler, or if the compilation fails, it is that of the wheel; None if there is none. Then a failure is a
     warning that says what to do. It is remembered for a day, or until compiler, source or processor change: others get
     no warning.
     """
-    source, *_ = sources = [Path(module).with_name(name) for name in names]
+    source, *_ = sources = [Path(module).parent / name for name in names]
     shipped, command = source.with_name(f"{source.stem}-{SYSTEM}.so"), compile_command()
     if not command:
         return load_library(shipped) or name_extra()

@@ -7,10 +7,10 @@ from importlib.metadata import version
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
-def render_template(folder: str, template: str, **values: object) -> str:
-    """Return a page from a template in a folder of ``pages``; every template gets the version of the package."""
+def render_template(template: str, **values: object) -> str:
+    """Return a page from a template in ``pages/templates``; every template gets the version of the package."""
     environment = Environment(
-        loader=PackageLoader(f"lin_freq_ocp.pages.{folder}"),
+        loader=PackageLoader("lin_freq_ocp.pages"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

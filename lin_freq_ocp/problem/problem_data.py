@@ -228,12 +228,19 @@ def replace_fields(problem: Data, **fields: object) -> Data:
     return copy
 
 
+def limited_signals(problem: ProblemData, states: int, controls: int) -> dict[str, Signal]:
+    """Return the signals, with so many samples, of which these two fields limit the spectra."""
+    x, u, step = np.eye(problem.state_dim), np.eye(problem.control_dim), problem.sampling_time
+    return {
+        "state_spectrum": Signal(TermKind.STATE_SPECTRUM, x, None, problem.state_names, states, step),
+        "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, u, problem.control_names, controls, step),
+    }
+
+
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     """Return everything beyond the quadratic cost, boxes and stop bands; see ``OptimalControlProblem.terms``."""
     n, m, T, step = problem.state_dim, problem.control_dim, problem.horizon, problem.sampling_time
     fixed = problem.fixed_ends
-    states = Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, problem.state_samples, step)
-    controls = Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, T, step)
     boxes, identity = problem.state_boxes, np.eye(n)
     unmet_bounds = [  # bounds of the state set that no point of an end satisfies, a term for each end and component
         Term(
@@ -260,7 +267,7 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
         *(
             term
-            for field, signal in (("state_spectrum", states), ("control_spectrum", controls))
+            for field, signal in limited_signals(problem, problem.state_samples, T).items()
             for i, (where, one) in enumerate(named_entries(field, getattr(problem, field)))
             for term in one.terms(signal, where, (field, i))
         ),

@@ -16,9 +16,9 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import limited_signals
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, named_entries
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
-from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
@@ -47,11 +47,7 @@ def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray) -> tu
 def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:
     """Return the fields of spectra, with masks at bins less the worst leakage of each bin."""
     n, m, step = problem.state_dim, problem.control_dim, problem.sampling_time
-    samples = problem.state_samples, problem.horizon
-    signals = {
-        "state_spectrum": Signal(TermKind.STATE_SPECTRUM, np.eye(n), None, problem.state_names, samples[0], step),
-        "control_spectrum": Signal(TermKind.CONTROL_SPECTRUM, None, np.eye(m), problem.control_names, samples[1], step),
-    }
+    signals = limited_signals(problem, problem.state_samples, problem.horizon)
 
     def tighten(one: FrequencyConstraint, signal: Signal, field: str) -> list[FrequencyConstraint]:
         def leak(spectrum: SpectrumMap) -> Array:

@@ -44,16 +44,16 @@ class Loads(ABC):
         """Return the margins (T+1, rows) from the totals, which may have more axes in front."""
         return total
 
-    @abstractmethod
     def worst(self, S: Array, count: int) -> Array | None:
         """Return loads (count, k) that attain the margin of a row with the effects S (t, k); None if none does."""
+        return None
 
-    @abstractmethod
     def modulus(self, M: ComplexArray, centre: ComplexArray) -> tuple[Array, Array] | None:
         """Return bounds of |centre_b + sum_j M_bj w_j|, (bins,), for M (bins, T, k), and loads (bins, T, k) near them.
 
         None if the loads have no bounds.
         """
+        return None
 
 
 class LoadSet(Loads):
@@ -197,12 +197,6 @@ class Gaussian(Loads):
 
     def margin(self, total: Array) -> Array:
         return NormalDist().inv_cdf(self.probability) * np.sqrt(total)
-
-    def worst(self, S: Array, count: int) -> None:
-        return None
-
-    def modulus(self, M: ComplexArray, centre: ComplexArray) -> None:
-        return None
 
 
 def loads_of(given: object, dimension: int) -> Loads:

@@ -137,7 +137,7 @@ BAD_MODES = {
     "h of other rows": ("modes[0].h", [1.0, 1.0], "modes[0].G: got shape (1, 2); expected shape (2, 2)"),
     "h of other times": ("modes[0].h", [[1.0]] * 7, "modes[0].h: got limits for 7 times"),
     "h without a number": ("modes[0].h", [NAN], "modes[0].h[0]: got nan"),
-    "h below all": ("modes[0].h", [-INF], "modes[0].h[0]: got -inf; expected a number, or inf for no limit"),
+    "h below all": ("modes[0].h", [-INF], "modes[0].h[0]: got -inf; expected a number, or inf for no bound"),
     "h without rows": ("modes[0].h", [], "modes[0].h: got shape (0,)"),
     "row that cannot hold": (
         "modes[0]",

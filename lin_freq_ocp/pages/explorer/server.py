@@ -55,7 +55,6 @@ def page(session: Session, solved: list[Data] | None = None) -> str:
     """Return the live page, or the page that contains these solved points."""
     data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
     return render_template(
-        "explorer",
         "explore.html.jinja",
         title=session.problem.name or "Optimal control problem",
         facts=problem_facts(session.problem),

@@ -125,8 +125,8 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
     """Return the page."""
     problem, certificate = comparison.problem, comparison.constrained.certificate
     constrained, result = has_frequency_constraint(problem), comparison.constrained
+    filters = comparison.filtered if can_be_filtered(problem) else ()
     return render_template(
-        "report",
         "page.html.jinja",
         title=problem.name or "Optimal control problem",
         finding=finding_of(comparison),
@@ -150,7 +150,8 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
         facts=problem_facts(problem, problem.gap),
         filter_limits=filter_limits(problem),
         constrained=constrained,
-        filters=comparison.filtered if can_be_filtered(problem) else (),
+        filters=filters,
+        of_filters=[(one.replay.label, one.description) for one in filters],
         solves=[
             *([_solve_row("without the frequency constraint", comparison.classical)] if constrained else []),
             _solve_row("with the constraint" if constrained else "the problem", result),
@@ -209,11 +210,8 @@ def save_loop_report(loop: LoopRecord, folder: Path) -> Path:
         if loop.changes.any():
             median = number(float(np.median(loop.changes)), 3)
             headline.append(("changes of the working set", median, f"at most {loop.changes.max()}"))
-    statuses = [NOT_JUDGED if status is None else str(status) for status in loop.statuses]
-    counts = Counter(
-        (status.replace("_", " "), str(step.source), step.method)
-        for status, step in zip(statuses, loop.steps, strict=True)
-    )
+    statuses = [NOT_JUDGED if status is None else status.replace("_", " ") for status in loop.statuses]
+    counts = Counter((status, str(step.source), step.method) for status, step in zip(statuses, loop.steps, strict=True))
     # The largest violation of each softened constraint, and the number of steps with one
     violations = list[tuple[str, str, int]]()
     for name in dict.fromkeys(name for step in loop.steps for name in step.excess):
@@ -289,7 +287,7 @@ class PageTable(NamedTuple):
 
 def _save_tables(folder: Path, drawings: Sequence[Drawing], **values: object) -> Path:
     """Write a page of figures, tables, and then facts under their headings."""
-    return save_page(folder, render_template("report", "tables.html.jinja", drawings=drawings, **values), drawings)
+    return save_page(folder, render_template("tables.html.jinja", drawings=drawings, **values), drawings)
 
 
 def _window_row(loop: LoopRecord, spectra: WindowSpectra) -> list[str]:

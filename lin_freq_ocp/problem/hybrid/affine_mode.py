@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, real_array
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, real_array, upper_limits
 from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem
@@ -185,20 +185,14 @@ class AffineMode:
         with located_at(MODE, "dynamics"):
             linear = LinearDynamics(A, B, offset)
         n, m = linear.state_dim, linear.control_dim
-        if h is None:
-            if G is not None or H is not None:
-                raise ProblemError(f"{MODE}.h", "None", "one limit per row of the region G x + H u <= h")
-            region = StageRows(np.zeros((1, n)), np.zeros((1, m)), [np.inf], REGION)
-            assign(self, linear=linear, region=region, name=name)
-            return
-        limits = real_array(f"{MODE}.h", h, allow_infinite=True)
+        without_rows = G is None and H is None
+        if h is None and not without_rows:
+            raise ProblemError(f"{MODE}.h", "None", "one limit per row of the region G x + H u <= h")
+        limits = upper_limits(f"{MODE}.h", [np.inf] if h is None else h)
         if limits.ndim not in (1, 2) or limits.shape[-1] == 0:
             expected = "shape (rows,), one limit per row of the region, or (T, rows) with one per time"
             raise ProblemError(f"{MODE}.h", f"shape {limits.shape}", expected)
-        if (limits == -np.inf).any():
-            where = "".join(f"[{i}]" for i in np.argwhere(limits == -np.inf)[0])
-            raise ProblemError(f"{MODE}.h{where}", "-inf", "a number, or inf for no limit")
-        if G is None and H is None:
+        if h is not None and without_rows:
             raise ProblemError(f"{MODE}.G", "neither G nor H", "at least one of them, for the rows of h")
         rows = limits.shape[-1]
         region = StageRows(_coefficients("G", G, rows, n), _coefficients("H", H, rows, m), limits, REGION)

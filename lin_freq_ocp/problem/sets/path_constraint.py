@@ -27,8 +27,6 @@ from lin_freq_ocp.base.arrays import (
     require_rows_hold,
     times_vectors,
     upper_limits,
-    with_columns,
-    with_products,
 )
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_TEXT, number, plural, price
@@ -294,14 +292,6 @@ class TangentRows(StageRows):
     def with_limits(self, e: Array) -> TangentRows:
         """Return the rows with other limits."""
         return TangentRows(self.C, self.D, e, self.name, self.penalty)
-
-    def translated(self, origin: Array) -> TangentRows:
-        """Return the rows of x - origin, origin (n,)."""
-        return self.with_limits(with_products(self.e, (-self.C, origin)))
-
-    def augmented(self, n: int, k: int) -> TangentRows:
-        """Return the rows on (x, w), w in R^k."""
-        return TangentRows(with_columns(self.C, k), self.D, self.e, self.name, self.penalty)
 
     def values(self, x: Array, u: Array) -> Array:
         """Return C_t x_t + D_t u_t of every time that has rows."""

@@ -121,7 +121,7 @@ class StageRows:
 
     def augmented(self, n: int, k: int) -> StageRows:
         """Return the rows on (x, w), w in R^k, for x in R^n."""
-        return StageRows(with_columns(self.C, k), self.D, self.e, self.name, self.penalty)
+        return type(self)(with_columns(self.C, k), self.D, self.e, self.name, self.penalty)
 
     def linearised(self, x: Array, u: Array) -> StageRows:
         """Return the rows, which are linear; a path constraint to first order along a trajectory."""

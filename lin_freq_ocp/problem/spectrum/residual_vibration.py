@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, assign, brief, freeze, positive_number, real_array, require_bool
 from lin_freq_ocp.base.errors import ProblemError
-from lin_freq_ocp.base.phrases import AT_MOST, number
+from lin_freq_ocp.base.phrases import AT_MOST, low_to_high, number
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, component_words
 from lin_freq_ocp.problem.terms.semi_infinite import VibrationLimit, VibrationMap
 from lin_freq_ocp.problem.terms.term import Term
@@ -100,10 +100,7 @@ class ResidualVibration(FrequencyConstraint):
         maps = (VibrationMap(C, D, *samples, h, self.relative) for _, C, D in signal.rows(field, self.component))
         boxes = (VibrationLimit(values, low, high, self.limit, h) for values in maps)
         for term in self.semi_infinite_terms("residual vibration of", signal, boxes, source):
-            yield replace(term, band=f"{_range(self.frequency)} Hz")
-
-    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
-        return self.on_components(n)
+            yield replace(term, band=f"{low_to_high(*self.frequency)} Hz")
 
     @property
     def levels(self) -> Array:
@@ -115,7 +112,7 @@ class ResidualVibration(FrequencyConstraint):
     def describe(self, names: Sequence[str]) -> str:
         of = component_words(self.component, names)
         relative = ", relative to a single sample," if self.relative else ""
-        modes = f"every mode of {_range(self.frequency)} Hz with a damping ratio of {_range(self.damping)}"
+        modes = f"every mode of {low_to_high(*self.frequency)} Hz with a damping ratio of {low_to_high(*self.damping)}"
         return f"residual vibration of {of}{relative} {AT_MOST} {number(self.limit)} for {modes}"
 
 
@@ -126,9 +123,3 @@ def _pair(name: str, ends: ArrayLike, single: bool = False) -> Array:
     if low_high.shape != (2,) or low_high[0] > low_high[1]:
         raise ProblemError(f"ResidualVibration.{name}", brief(ends), "two numbers, the lowest and the highest")
     return low_high
-
-
-def _range(ends: Array) -> str:
-    """Return "0.9 to 1.1", or a single number if both ends are equal."""
-    low, high = (number(float(end)) for end in ends)
-    return low if low == high else f"{low} to {high}"

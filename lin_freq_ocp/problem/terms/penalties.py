@@ -28,7 +28,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, to_long_double
-from lin_freq_ocp.problem.terms.penalty import HARD, Block, ConicForm, Penalty, block_rows, selected_rows
+from lin_freq_ocp.problem.terms.penalty import Block, ConicForm, Penalty, block_rows, selected_rows
 
 DUAL_ORDER = {1: np.inf, 2: 2, np.inf: 1}  # of a norm, the order of its dual norm
 
@@ -87,9 +87,6 @@ class HalfSpaces(Penalty):
         blocks: list[Block] = [(entries, -np.inf, upper, -identity), (-1, 0.0, np.inf, identity)]
         return block_rows(blocks, np.broadcast_to(self.weight, (groups, dim)).ravel()[entries], entries[:, None])
 
-    def softened(self, weight: Array) -> Penalty:
-        return replace(self, weight=weight)
-
     def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)
 
@@ -109,10 +106,6 @@ class Within(Penalty):
     """|v| <= reach in every entry, always hard; with a reach of 0, the equation v = 0."""
 
     reach: float
-
-    @property
-    def weights(self) -> Array:
-        return HARD
 
     def excess(self, v: Array) -> Array:
         return np.abs(v) - self.reach
@@ -218,9 +211,6 @@ class NormBall(Penalty):
         blocks: list[Block] = [(flat, -np.inf, reach, -spread), (flat, -reach, np.inf, spread)]
         return block_rows([*blocks, (-1, 0.0, np.inf, identity)], weight, entries)
 
-    def softened(self, weight: Array) -> Penalty:
-        return replace(self, weight=weight)
-
     def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, radius=self.radius + np.reshape(amount, np.shape(amount)[:1]))
 
@@ -246,10 +236,6 @@ class StandardCone(Penalty):
     """The second-order cone v_0 >= |(v_1, v_2, ...)| in every group, always hard: h is its indicator."""
 
     stackable: ClassVar[bool] = True  # they have no limits
-
-    @property
-    def weights(self) -> Array:
-        return HARD
 
     def excess(self, v: Array) -> Array:
         return (norm_of(v[:, 1:], 2) - v[:, 0])[:, None]
@@ -351,9 +337,6 @@ class LargestExcess(Penalty):
         price, paid = np.array([float(self.weight) / self._unit]), entries.reshape(1, -1)
         blocks: list[Block] = [(rows, lower, np.inf, radii), (-1, 0.0, np.inf, sp.csr_array([[1.0]]))]
         return block_rows(blocks, price, paid, cones)
-
-    def softened(self, weight: Array) -> Penalty:
-        return replace(self, weight=weight)
 
     def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         return c, replace(self, limit=self.limit + amount)

@@ -9,10 +9,10 @@ or below (a hard constraint). The subgradients lambda of h are the multipliers. 
 where h* is the conjugate; for the indicator of a set, h* is the support function of the set and the gap that of the
 normal cone. In a problem with eta_C = 0, finite weights count as zero.
 
-A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``weights``, ``excess``,
-``excess_slope``, ``recession``, ``subgradient``, ``gap`` and ``conic``; if it is not weight * max(excess, 0), also
-``cost`` and ``slope``; and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the certificate call these
-methods and never ask for the class. ``tests/helpers/own_kinds.py`` has a complete example.
+A new convex function is a subclass of ``Penalty`` in a file of its own. It implements ``excess``, ``excess_slope``,
+``recession``, ``subgradient``, ``gap`` and ``conic``; if it can be soft, ``weights``; if it is not weight *
+max(excess, 0), also ``cost`` and ``slope``; and if it has slacks, ``least_slacks``. Solvers, the CVXPY export and the
+certificate call these methods and never ask for the class. ``tests/helpers/own_kinds.py`` has a complete example.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, with_fields
 from lin_freq_ocp.base.errors import UnsupportedError
 
 HARD = np.asarray(np.inf)  # the weight of a constraint that must hold
@@ -56,9 +56,9 @@ class Penalty(ABC):
     stackable: ClassVar[bool] = False  # whether ``stacked`` joins penalties with different limits
 
     @property
-    @abstractmethod
     def weights(self) -> Array:
-        """Return the prices per unit of excess, infinite for hard limits; broadcasts to the excess."""
+        """Return the prices per unit of excess, infinite for hard limits, which are the default; broadcasts to it."""
+        return HARD
 
     @property
     def hard(self) -> bool:
@@ -152,7 +152,9 @@ class Penalty(ABC):
 
     def softened(self, weight: Array) -> Penalty:
         """Return the penalty with another weight."""
-        raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
+        if "weight" not in vars(self):
+            raise UnsupportedError(f"{type(self).__name__} cannot be soft.")
+        return with_fields(self, weight=weight)
 
     def relaxed(self, c: Array, amount: float | Array) -> tuple[Array, Penalty]:
         """Return the constant of the affine map and the penalty if the limits are higher by an amount."""

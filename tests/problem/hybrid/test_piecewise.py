@@ -315,7 +315,7 @@ A, B = np.eye(2), np.ones((2, 1))
         ({"G": [[1.0, 0.0]], "h": [1.0, 2.0]}, "mode.G", "expected shape (2, 2)"),
         ({"G": [[1.0, np.inf]], "h": [1.0]}, "mode.G[0][1]", "inf"),
         ({"G": [[1.0, 0.0]], "h": ["much"]}, "mode.h", "numbers"),
-        ({"G": [[1.0, 0.0]], "h": [-np.inf]}, "mode.h[0]", "inf for no limit"),
+        ({"G": [[1.0, 0.0]], "h": [-np.inf]}, "mode.h[0]", "inf for no bound"),
         ({"name": 3}, "mode.name", "printable"),
         ({"name": "a\nb"}, "mode.name", "printable"),
         ({"name": "  "}, "mode.name", "printable"),

@@ -12,10 +12,11 @@
    time, bordered by the rows over all times. The cone of an edge is an orthant of linear rows, the first 2k of which are
    the box |v| <= delta, and a second-order cone whose first two rows are -(delta + epsilon) and delta - epsilon; no row
    but these has epsilon. Its algebra is that of base/cones.py. */
-#include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "../../dense.h"
 
 #define PIVOT 1e-14          /* least pivot relative to the diagonal entry before elimination: below is rounding */
 #define LEAST_SQUARE 1e-300  /* of s'Js: rounding may make it zero at the boundary of a cone */
@@ -59,23 +60,11 @@ typedef struct { /* what steps share; sizes as in begin */
 static double larger(double a, double b) { return a > b ? a : b; }
 static double smaller(double a, double b) { return a < b ? a : b; }
 
-static double dot(const double *a, const double *b, int count) {
-  double sum = 0;
-#pragma omp simd reduction(+ : sum)
-  for (int i = 0; i < count; i++) sum += a[i] * b[i];
-  return sum;
-}
-
 static double size_of(const double *v, int count) {
   double most = 0;
 #pragma omp simd reduction(max : most)
   for (int i = 0; i < count; i++) most = larger(most, fabs(v[i]));
   return most;
-}
-
-static void add(double *restrict out, double factor, const double *restrict v, int count) {
-#pragma omp simd
-  for (int i = 0; i < count; i++) out[i] += factor * v[i];
 }
 
 /* out += sign a b, entry by entry */
@@ -342,19 +331,6 @@ static void factor_edges(const lfo_path *p, work *k) {
   }
 }
 
-/* The lower factor of a dense matrix; the largest diagonal entry sets the pivot of a zero row. */
-static void cholesky(double *M, int size) {
-  double most = 0;
-  for (int j = 0; j < size; j++) most = larger(most, M[j * size + j]);
-  for (int j = 0; j < size; j++) {
-    double own = M[j * size + j] > 0 ? M[j * size + j] : most == 0 ? 1.0 : most;
-    double pivot = M[j * size + j] - dot(M + j * size, M + j * size, j);
-    M[j * size + j] = sqrt(larger(pivot, PIVOT * own));
-    for (int i = j + 1; i < size; i++)
-      M[i * size + j] = (M[i * size + j] - dot(M + i * size, M + j * size, j)) / M[j * size + j];
-  }
-}
-
 /* The factors of the band, L' with row i from column i to last[i], and of the Schur complement of the border. */
 static void factor_path(const lfo_path *p, work *k) {
   int E = p->edges, q = p->coupled, a = p->signals, vertices = p->equations - q, band = k->band, all = p->times * a;
@@ -401,7 +377,7 @@ static void factor_path(const lfo_path *p, work *k) {
       for (int m = 0; m < vertices; m++) sum -= k->border[m * q + r] * k->border[m * q + c];
       k->rest[r * q + c] = sum;
     }
-  cholesky(k->rest, q);
+  cholesky(k->rest, q, PIVOT);
 }
 
 /* (w, v) with Phi w + C'v = of_w, C w = of_p, C with the rows over all times; w is of_w first. */

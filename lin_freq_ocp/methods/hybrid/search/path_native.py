@@ -28,7 +28,7 @@ class Path(ctypes.Structure):
 
 def path_library() -> ctypes.CDLL | None:
     """Return the compiled code; None, with a warning, if there is none."""
-    found = compiled_library(__file__, "path.c")
+    found = compiled_library(__file__, "path.c", "../../dense.h")
     if found is not None:
         found.lfo_path_run.argtypes = [ctypes.c_void_p] * 5 + [ctypes.c_double] * 4
     return found

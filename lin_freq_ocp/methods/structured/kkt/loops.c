@@ -7,14 +7,12 @@
        v = p_{t+1} + P_{t+1} c,   p_t = r_x + K'r_w + A_c'v,   w_t = K x_t - S^-1 (r_w + B'v),   eta_t = -(P x + p)_{t+1}.
 
    Matrices are stored by rows. Each file of arrays has one entry a stage as its first index. */
-#include <math.h>
-#include <stddef.h>
 #include <string.h>
+
+#include "../../dense.h"
 
 #define COPY(to, from, count) memcpy(to, from, sizeof(double) * (size_t)(count))
 #define CLEAR(array, count) memset(array, 0, sizeof(double) * (size_t)(count))
-
-typedef ptrdiff_t integer;
 
 typedef struct { /* the stages and their factors; L and P_{T+1} are zero before, and P0 is the factor of a block of P_0 */
   integer stages, n, k, count; /* T + 1, the sizes of x and w, and how many entries of x_0 are free */
@@ -22,18 +20,6 @@ typedef struct { /* the stages and their factors; L and P_{T+1} are zero before,
   const double *A, *B;
   double *K, *L, *Ac, *P, *P0;
 } lfo_regulator;
-
-static double dot(const double *a, const double *b, integer count) {
-  double sum = 0;
-#pragma omp simd reduction(+ : sum)
-  for (integer i = 0; i < count; i++) sum += a[i] * b[i];
-  return sum;
-}
-
-static void add(double *restrict out, double factor, const double *restrict v, integer count) {
-#pragma omp simd
-  for (integer i = 0; i < count; i++) out[i] += factor * v[i];
-}
 
 /* out += M v. */
 static void add_times(double *out, const double *M, const double *v, integer rows, integer columns) {
@@ -65,19 +51,6 @@ static void add_product(double *restrict out, view a, const double *restrict b, 
       for (integer j = 0; j < width; j++) row[j] += (f0 * b0[j] + f1 * b1[j]) + (f2 * b2[j] + f3 * b3[j]);
     }
     for (; m < inner; m++) add(row, factor[m * a.along], b + m * columns, width);
-  }
-}
-
-/* Replace the lower triangle by its factor; the largest diagonal entry sets the pivot of a zero row. */
-static void cholesky(double *M, integer size, double least) {
-  double largest = 0;
-  for (integer j = 0; j < size; j++) largest = M[j * size + j] > largest ? M[j * size + j] : largest;
-  if (largest == 0) largest = 1;
-  for (integer j = 0; j < size; j++) {
-    double *row = M + j * size, pivot = row[j] - dot(row, row, j);
-    double floor = least * (row[j] > 0 ? row[j] : largest);
-    row[j] = sqrt(floor > pivot ? floor : pivot); /* an undefined pivot stays */
-    for (integer i = j + 1; i < size; i++) M[i * size + j] = (M[i * size + j] - dot(M + i * size, row, j)) / row[j];
   }
 }
 

@@ -51,7 +51,7 @@ KINDS = {"p": ctypes.POINTER(FactoredStages), "s": ctypes.c_ssize_t, "R": Reals,
 
 def loops_library() -> ctypes.CDLL | None:
     """Return the compiled loops; None, with a warning, if there are none."""
-    return compiled_library(__file__, "loops.c")
+    return compiled_library(__file__, "loops.c", "../../dense.h")
 
 
 class CompiledRegulator(Regulator):
