@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_264,
-    "code lines": 46_787,
-    "code lines, linear part": 22_009,
-    "code lines, hybrid": 8_874,
+    "shipped lines": 50_329,
+    "code lines": 46_937,
+    "code lines, linear part": 22_136,
+    "code lines, hybrid": 8_868,
     SHARE_SAID: 19.5,  # at least
-    "files": 342,
+    "files": 343,
     "folders": 44,
     "folders at the root": 20,
     "modules at the root": 11,
@@ -64,9 +64,9 @@ LIMITS: dict[str, float] = {
     "lines of a file": 535,
     "lines of a function": 63,
     "functions used once [%]": 12.3,
-    "files entered by a solve": 47,
-    "functions entered by a solve": 378,
-    "calls of a solve": 726,
+    "files entered by a solve": 49,
+    "functions entered by a solve": 381,
+    "calls of a solve": 742,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
