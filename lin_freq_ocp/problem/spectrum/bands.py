@@ -143,6 +143,9 @@ class Band(FrequencyConstraint):
                 stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, joint=True)
                 yield Term(f"stop band on {name}", signal.kind, stopped, NormBall(2, np.zeros(()), HARD), source)
 
+    def augmented(self, n: int, k: int) -> Sequence[Band]:
+        return self.on_components(n)
+
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
         """Return which bins k = 0 .. length//2 of ``length`` samples are removed; warn if none or all are."""
         stopped = self.at(length, sampling_time, field)

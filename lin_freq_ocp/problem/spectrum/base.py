@@ -1,7 +1,7 @@
 """The protocol of frequency constraints on signals: states, controls, or linear outputs of both.
 
-A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe`` and
-``terms``. Its record in problem files is an entry of a table in ``files/problem_tables.py``.
+A new frequency constraint is a subclass of ``FrequencyConstraint`` in a file of its own, with ``describe``, ``terms``
+and ``augmented``. Its record in problem files is an entry of a table in ``files/problem_tables.py``.
 ``lin_freq_ocp.testing.check_terms`` checks it. ``OutputSpectrum`` puts such constraints on linear outputs.
 """
 
@@ -59,9 +59,9 @@ class FrequencyConstraint(ABC):
         ``field`` is the name in error messages, ``source`` the field of the problem and the index there.
         """
 
+    @abstractmethod
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         """Return the same constraints on x in R^n if the signal becomes (x, w), w in R^k."""
-        return self.on_components(n)
 
     def translated(self, mean: Array) -> FrequencyConstraint:
         """Return the constraint on the signal less a constant (components,); itself if it does not limit the mean."""

@@ -102,6 +102,9 @@ class ResidualVibration(FrequencyConstraint):
         for term in self.semi_infinite_terms("residual vibration of", signal, boxes, source):
             yield replace(term, band=f"{low_to_high(*self.frequency)} Hz")
 
+    def augmented(self, n: int, k: int) -> Sequence[ResidualVibration]:
+        return self.on_components(n)
+
     @property
     def levels(self) -> Array:
         return np.asarray(self.limit)

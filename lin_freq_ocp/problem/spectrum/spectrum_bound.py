@@ -186,6 +186,9 @@ class SpectrumBound(FrequencyConstraint, ABC):
             title, band = f"{self.label} on {name}", label.removesuffix(f" of {short_name(name)}")
             yield Term(title, signal.kind, sums, StandardCone(), source, band=band, statement=shown)
 
+    def augmented(self, n: int, k: int) -> Sequence[SpectrumBound]:
+        return self.on_components(n)
+
     def softened(self, penalty: float) -> Self:
         fixed = self.penalty is not None or self.quantity.of_fundamental
         return self if fixed else self.changed(penalty=penalty)
