@@ -246,6 +246,28 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
     assert explanation.cures == ()
 
 
+def test_a_repair_needs_no_more_digits_than_its_margin(monkeypatch):
+    """The least change of an end ends as optimal, where the usual tolerance would end seconds later as not proven."""
+    cart = [[0, 0, 1, 0], [0, 0, 0, 1], [0, -0.9645933, 0, 0], [0, 19.934928, 0, 0]]
+    force = [[0], [0], [0.38277512], [-0.65618592]]
+    problem = replace(
+        lfo.library.pendulum(),
+        dynamics=lfo.LinearDynamics.from_continuous(cart, force, sampling_time=0.01),
+        control_spectrum=lfo.low_pass(cutoff_hz=5.6),
+    )
+    end = next(one for one in constraints(problem) if one.name.startswith("initial state"))
+    endings = []
+
+    def recorded(*given, **options):
+        result = solve_judged(*given, **options)
+        endings.append((given[1].method, result.status))
+        return result
+
+    substitute(monkeypatch, "solving.solve_judged", recorded)
+    assert least_cure(problem, end, lambda cured: True).amount > 0
+    assert endings == [("structured", "optimal")]
+
+
 def test_the_error_names_the_least_change():
     with (
         pytest.raises(
