@@ -46,7 +46,7 @@ uncontrollable  problems whose controls hardly move some states, by every method
 robust       margins of random systems with loads, constant and varying in time, against all extreme points
 suite        the tests with all their random seeds
 
-A run of the tests takes a third of their seeded samples, of long tables of cases, and of expensive tests. N is by
+A run of the tests takes a twelfth of their seeded samples, of long tables of cases, and of expensive tests. N is by
 default the number beside each part below; "frequencies" checks five times as many signals; "loop" and "embedded" count
 steps.
 """

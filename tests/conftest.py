@@ -19,7 +19,7 @@ from helpers.drawings import blank as blank
 from helpers.drawings import images as images
 from helpers.explanations import explain_once
 from helpers.replacing import substitute
-from helpers.seeds import VARIABLE, choose_seeds
+from helpers.seeds import ALL, PARTS, VARIABLE, choose_seeds, has_its_turn
 from helpers.sparse_arrays import spmatrix_refused
 from helpers.stage_rows import two_families as two_families
 from helpers.sweeps import file as file
@@ -49,7 +49,7 @@ def pytest_configure(config):
     A suite that a script starts in the background ignores Ctrl-C, as do the commands that it starts; the tests of
     Ctrl-C need the handler of Python.
     """
-    choose_seeds()
+    choose_seeds(named=any(".py" in one for one in config.args))
     gc.disable()
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -58,6 +58,7 @@ def pytest_configure(config):
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     config.addinivalue_line("markers", "at_tolerance(reason): verdicts of the test may be close to their tolerance")
+    config.addinivalue_line("markers", "expensive: one run of twelve takes the test")
     settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("any machine")
 
@@ -66,7 +67,8 @@ def pytest_sessionstart(session):
     """Print the choice of seeds; workers have no reporter."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is not None:
-        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: a third of seeds, tables and expensive tests, or all")
+        share = "all" if os.environ[VARIABLE] == ALL else f"one of {PARTS} parts of the"
+        reporter.write_line(f"{VARIABLE}={os.environ[VARIABLE]}: {share} expensive tests, random seeds and long tables")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -81,6 +83,14 @@ def _sparse_arrays():
     """Refuse the older type of sparse matrices on every version of SciPy."""
     with spmatrix_refused():
         yield
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave expensive tests to the run that takes them."""
+    later = [item for item in items if item.get_closest_marker("expensive") and not has_its_turn(item.nodeid)]
+    if later:
+        config.hook.pytest_deselected(items=later)
+        items[:] = [item for item in items if item not in set(later)]
 
 
 def pytest_collection_finish():

@@ -8,6 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
+from helpers.seeds import expensive
 
 SPACES = [name for name in lfo.NAMESPACES if name != "library"]
 TOP = [name for name in lfo.__all__ if name not in lfo.NAMESPACES]
@@ -51,6 +52,7 @@ def test_what_rests_on_literature_cites_it(name):
     assert "References" in sections(PUBLIC[name])
 
 
+@expensive
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=needs_kernel) if name in COMPILED else name for name in PUBLIC]
 )

@@ -13,6 +13,7 @@ from matplotlib import pyplot
 from matplotlib.image import imread
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.base import number
 
 
@@ -135,6 +136,7 @@ def test_a_long_sweep_prints_its_first_points_and_counts_the_others():
     assert (len(lines), lines[-1]) == (26, "... 6 more")
 
 
+@expensive
 def test_a_notebook_shows_a_figure_without_pyplot(result):
     figure = result.plot()
     image = imread(BytesIO(figure._repr_png_()))
@@ -144,6 +146,7 @@ def test_a_notebook_shows_a_figure_without_pyplot(result):
     assert not pyplot.get_fignums()
 
 
+@expensive
 def test_a_script_saves_and_shows_a_figure(result, tmp_path: Path, monkeypatch):
     figure = result.plot()
     figure.savefig(tmp_path / "picture.png")

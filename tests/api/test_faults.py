@@ -16,7 +16,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.batch import process_pool
 from lin_freq_ocp.methods.spectral import Violations
 
@@ -54,6 +54,7 @@ def test_every_error_survives_pickling_with_all_it_holds(kind):
         assert (type(again), str(again), vars(again)) == (kind, str(error), vars(error))
 
 
+@expensive
 def test_the_result_of_an_error_survives_pickling():
     with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(SHORT(control_bound=1e-3))
@@ -108,6 +109,7 @@ def test_a_solver_can_be_sent_to_another_process():
 # --- what nobody foresaw --------------------------------------------------------------------------------------------
 
 
+@expensive
 @pytest.mark.parametrize(
     ("error", "status", "words"),
     [
@@ -217,6 +219,7 @@ def test_new_files_have_the_mode_that_the_system_gives(result, tmp_path):
     assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
+@expensive
 @pytest.mark.parametrize("writer", ["save_report", "init"])
 def test_what_else_is_written_fails_with_words(writer, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", failing(errno.ENOSPC))
@@ -260,7 +263,7 @@ def test_a_sweep_is_printed_even_if_its_table_cannot_be_saved(tmp_path, monkeypa
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no pipes of this kind")
-@turn(0)
+@expensive
 def test_a_reader_of_json_who_leaves_changes_no_status():
     command = [sys.executable, "-m", "lin_freq_ocp", "solve", *WORDS, "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.errors import InfeasibleError, ProblemError, UnsupportedError
 
@@ -23,6 +23,7 @@ def padded():
     return lfo.OptimalControlProblem(dynamics, 20, cost, lfo.Box(-0.4, 0.4))
 
 
+@expensive
 def test_a_comparison_replays_by_the_response(wave, blank, tmp_path):
     comparison = lfo.compare(wave)
     assert comparison.constrained.cost == pytest.approx(lfo.solve(wave).cost)
@@ -31,7 +32,7 @@ def test_a_comparison_replays_by_the_response(wave, blank, tmp_path):
     assert "-fold" not in page
 
 
-@turn(2)
+@expensive
 def test_what_cannot_hold_is_explained_with_the_least_change(wave):
     problem = replace(wave, state_set=lfo.Box(-0.01, 0.01), control_set=lfo.Box(-500.0, 500.0))
     with pytest.raises(InfeasibleError, match="proven by a rigorous ray"):

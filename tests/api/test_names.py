@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 
 SLOW = (
     *(f"scipy.{part}" for part in "special optimize interpolate integrate io ndimage signal stats".split()),
@@ -30,6 +31,7 @@ STAGES = {
 """What is not loaded after each statement; one process runs all of them. Those without modes load none of theirs."""
 
 
+@expensive
 def test_nothing_is_imported_before_it_is_used(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     check = "import sys\n" + "".join(

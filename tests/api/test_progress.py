@@ -15,7 +15,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.patience import PATIENCE
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import activity_line, report_progress
 
 SHORT = {"horizon": [60, 80]}
@@ -84,6 +84,7 @@ def open_terminal(monkeypatch):
     return stream
 
 
+@expensive
 @pytest.mark.parametrize("name", CALLS)
 def test_a_notebook_shows_a_line_that_is_gone_in_the_end(displayed, name, capsys):
     call, words = CALLS[name]
@@ -95,6 +96,7 @@ def test_a_notebook_shows_a_line_that_is_gone_in_the_end(displayed, name, capsys
     assert capsys.readouterr() == ("", "")
 
 
+@expensive
 @pytest.mark.parametrize("name", ["solve_many", "loop"])
 def test_a_terminal_shows_a_line_that_is_gone_in_the_end(displayed, name, monkeypatch):
     stream, (call, words) = open_terminal(monkeypatch), CALLS[name]
@@ -112,6 +114,7 @@ def test_a_line_is_not_longer_than_the_terminal(displayed, monkeypatch):
         assert stream.buffer.getvalue().decode() == "\rb (0 s)".ljust(40) + "\r" + "a" * 39
 
 
+@expensive
 def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
     stream = open_terminal(monkeypatch)
     substitute(monkeypatch, "base.TERMINAL_SECONDS", 1e3)
@@ -119,12 +122,14 @@ def test_quick_calls_show_nothing_on_a_terminal(displayed, monkeypatch):
     assert stream.buffer.getvalue() == b""
 
 
+@expensive
 def test_a_stream_that_another_library_has_put_for_a_terminal_is_left_alone(displayed, monkeypatch):
     open_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
     assert activity_line() is None
 
 
+@expensive
 @pytest.mark.parametrize("name", CALLS)
 def test_a_report_of_the_users_own_takes_its_place(displayed, name):
     told = []
@@ -155,18 +160,21 @@ def test_a_worker_of_a_pool_shows_nothing(displayed, monkeypatch):
     assert activity_line() is None
 
 
+@expensive
 def test_quick_calls_show_nothing(displayed, monkeypatch):
     substitute(monkeypatch, "base.FIRST_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert displayed.bundles == []
 
 
+@expensive
 def test_changes_in_quick_succession_are_left_out(displayed, monkeypatch):
     substitute(monkeypatch, "base.BETWEEN_SECONDS", 1e3)
     CALLS["sweep"][0]()
     assert [one.get("text/plain") for one in displayed.bundles] == ["sweeping (0 s)", None]
 
 
+@expensive
 def test_an_error_leaves_nothing_of_the_line(displayed):
     def failing():
         with report_progress(None, "waiting", lambda reached: f"<b>{reached}</b>") as report:
@@ -198,6 +206,7 @@ LONG = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", LONG)
 def test_calls_that_may_be_long_say_what_they_do(displayed, name):
     call, words = LONG[name]
@@ -208,6 +217,7 @@ def test_calls_that_may_be_long_say_what_they_do(displayed, name):
         assert any(one["text/plain"].startswith(expected) for one in shown)
 
 
+@expensive
 def test_the_seconds_of_a_call_that_reports_nothing_are_counted(displayed, monkeypatch):
     counted, update = threading.Event(), displayed.update
 
@@ -222,6 +232,7 @@ def test_the_seconds_of_a_call_that_reports_nothing_are_counted(displayed, monke
     assert {one.get("text/plain") for one in displayed.bundles} == {"waiting (0 s)", None}
 
 
+@expensive
 def test_another_thread_changes_no_line(displayed):
     with report_progress(None, "waiting", str):
         thread = threading.Thread(target=CALLS["sweep"][0])

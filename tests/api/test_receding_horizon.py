@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.compilers import needs_kernel
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import ProblemError
 
@@ -32,6 +32,7 @@ def by_hand(base: lfo.OptimalControlProblem, x: np.ndarray, steps: int) -> np.nd
     return np.array(controls)
 
 
+@expensive
 @pytest.mark.parametrize("method", ["auto", "spectral", "structured", "convex", lfo.solvers.Convex(backend="osqp")])
 def test_the_loop_is_a_solve_from_every_state(method):
     loop = lfo.RecedingHorizon(problem(), method).run([0.2, 0.1], 5)
@@ -60,6 +61,7 @@ def test_without_disturbance_a_plan_that_ends_at_rest_is_followed():
     assert spent < plan.cost
 
 
+@expensive
 def test_a_measured_state_may_lie_outside_the_state_set():
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]), control_set=lfo.Box(-50, 50))
     with pytest.raises(lfo.errors.InfeasibleError):
@@ -69,7 +71,7 @@ def test_a_measured_state_may_lie_outside_the_state_set():
     assert (np.abs(loop.states[1:, 0]) <= 0.5 + 1e-7).all()
 
 
-@turn(1)
+@expensive
 def test_every_window_of_the_loop_keeps_its_mask():
     mask = lfo.MagnitudeBound(0.3, band=lfo.low_pass(1.2))
     base = problem(control_spectrum=lfo.spectrum.Spectrogram(mask, length=8, hop=2))
@@ -96,6 +98,7 @@ def test_a_delay_is_predicted():
         x, acting = next_state, loop.controls[k]
 
 
+@expensive
 def test_a_delayed_loop_remembers_what_acts_now():
     mask = lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.3, band=lfo.low_pass(1.2)), length=8, hop=2)
     loop = lfo.RecedingHorizon(problem(control_spectrum=mask), delay=1).run([1.0, 0.0], 20)
@@ -117,6 +120,7 @@ def test_what_was_applied_counts_in_place_of_what_was_planned():
     assert controller.log.steps[-1].raised
 
 
+@expensive
 def test_steps_without_a_solution_are_softened_and_say_so():
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]), terminal_state=[0.0, 0.0])
     with pytest.raises(lfo.errors.InfeasibleError, match="conflict"):
@@ -294,7 +298,7 @@ def test_dynamics_with_modes_run_in_a_loop():
     assert set(loop.statuses) == {"optimal"}
 
 
-@turn(0)
+@expensive
 def test_a_loop_is_shown_saved_and_tabulated(images, tmp_path):
     base = problem(state_set=lfo.Box([-0.5, -2.0], [0.5, 2.0]))
     loop = lfo.RecedingHorizon(base, soft={"state_set": 1e3}).run([0.8, 0.0], 12)
@@ -312,6 +316,7 @@ def test_a_loop_is_shown_saved_and_tabulated(images, tmp_path):
     assert repr(loop) == "ClosedLoop(12 steps of a problem)"
 
 
+@expensive
 def test_a_loop_that_stops_at_its_first_step_has_a_report(tmp_path):
     loop = lfo.RecedingHorizon(lfo.library.double_integrator(horizon=40)).run([0.0, 0.0], 3)
     assert len(loop.steps) == 0

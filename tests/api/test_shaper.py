@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.comparison import SHAPERS, Modes, bands_of, eigenvalues_of, known_shaper, shorten
 
 COARSE = 1e-3  # seconds: a search of a tenth of a second
@@ -43,7 +43,8 @@ def found():
     return lfo.shaper((35, 60), damping=(0.0, 0.1), step=COARSE)
 
 
-@pytest.mark.parametrize("name", seeds(CASES))
+@expensive
+@pytest.mark.parametrize("name", CASES)
 def test_the_shortest_shaper_and_its_bound_have_known_durations(name):
     bands, damping, grid, four, none = CASES[name]
     shaper = lfo.shaper(bands, damping)
@@ -58,6 +59,7 @@ def test_the_shortest_shaper_and_its_bound_have_known_durations(name):
     assert min(known.values()) > shaper.duration
 
 
+@expensive
 def test_the_vibration_is_what_impulses_leave(found):
     for frequency, damping in np.random.default_rng(0).uniform((20, 0), (90, 0.3), (50, 2)):
         expected = ringing(found.amplitudes, found.times, frequency, damping)
@@ -83,7 +85,7 @@ def test_no_shorter_impulses_at_any_times_keep_the_limit(found, seed):
     assert best.duration > found.shortest or np.abs(best.response(modes)).max() > found.limit
 
 
-@turn(0)
+@expensive
 def test_too_few_impulses_are_refused():
     with pytest.raises(
         lfo.errors.ProblemError, match=r"shaper.impulses: got 2, and no shaper of so few.*larger vibration. . do"
@@ -91,7 +93,7 @@ def test_too_few_impulses_are_refused():
         lfo.shaper((35, 60), impulses=2, step=2e-3)
 
 
-@turn(0)
+@expensive
 def test_a_cluster_that_one_impulse_cannot_replace_is_split():
     shaper = lfo.shaper((0.8, 1.2), damping=0.0, step=0.02)
     assert len(shaper.times) > 3  # three impulses leave 5.01 % at any times
@@ -99,7 +101,7 @@ def test_a_cluster_that_one_impulse_cannot_replace_is_split():
     assert shaper.shortest <= shaper.duration <= 1.01
 
 
-@turn(2)
+@expensive
 def test_a_longer_search_follows_where_the_first_durations_are_too_short(monkeypatch):
     substitute(monkeypatch, "api.FIRST_PERIODS", 0.5)
     shaper = lfo.shaper((35, 60), step=2e-3)
@@ -108,7 +110,8 @@ def test_a_longer_search_follows_where_the_first_durations_are_too_short(monkeyp
     assert shaper.on_grid.proven
 
 
-@pytest.mark.parametrize("factor", seeds([1e-6, 1e6]))
+@expensive
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_the_unit_of_time_changes_nothing(found, factor):
     other = lfo.shaper((35 * factor, 60 * factor), (0.0, 0.1), step=COARSE / factor)
     assert other.duration * factor == pytest.approx(found.duration, rel=1e-6)
@@ -222,6 +225,7 @@ def test_other_files_are_refused(tmp_path, text, words):
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
+@expensive
 def test_the_command_prints_what_firmware_takes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, out, _ = run(
@@ -241,7 +245,7 @@ def test_the_command_prints_what_firmware_takes(tmp_path, monkeypatch):
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-@turn(2)
+@expensive
 def test_a_calibration_gives_two_choices_of_bands(tmp_path):
     path = tmp_path / "calibration.csv"
     path.write_text(table(resonance(41) + 0.15 * resonance(57)))

@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.compared_pages import blanks
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from helpers.sweeps import SHORT
 
 FULL = Path("/dev/full")  # a disk without room: it can be opened, and refuses every byte
@@ -28,6 +29,7 @@ def full(folder, *names):
     return folder
 
 
+@expensive
 @needs_full
 @pytest.mark.parametrize(("lost", "written"), [("sweep.csv", "sweep.png"), ("sweep.png", "sweep.csv")])
 def test_a_sweep_tries_all_files(lost, written, tmp_path):
@@ -39,6 +41,7 @@ def test_a_sweep_tries_all_files(lost, written, tmp_path):
     assert (folder / written).stat().st_size > 0
 
 
+@expensive
 @needs_full
 @pytest.mark.parametrize("lost", [["comparison.svg", "index.html"], ["states.png"]], ids=len)
 def test_a_comparison_tries_all_files_and_names_those_that_fail(lost, tmp_path, monkeypatch):

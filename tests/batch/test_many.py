@@ -15,6 +15,7 @@ from distributed import Client, LocalCluster
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.batch import solve_part, tour
 from lin_freq_ocp.solving import Resolver
 
@@ -140,6 +141,7 @@ def test_the_examples_of_the_docs_run(tmp_path, monkeypatch, capsys):
 # --- executors, files and Ctrl-C ------------------------------------------------------------------------------------
 
 
+@expensive
 def test_executors_find_the_same(serial, monkeypatch):
     substitute(monkeypatch, "batch.PART", 5)
     with ThreadPoolExecutor(2) as pool:
@@ -258,6 +260,7 @@ def test_a_tour_goes_from_each_to_one_near_it():
     assert tour(np.ones((3, 2))).tolist() == [0, 1, 2]
 
 
+@expensive
 def test_a_numerical_ray_proves_nothing_of_an_item():
     """Nothing bounds the control: the ray of a stop band excludes trajectories up to a size alone."""
     h = 0.1

@@ -14,7 +14,7 @@ from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.batch import Verdict, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.solving import Options, solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
@@ -66,6 +66,7 @@ def test_least_horizons_are_those_of_brute_force(seed):
         assert found.ray is found.rays[found.horizon - 1]
 
 
+@expensive
 def test_the_random_problems_have_all_kinds_of_answers():
     least = [next((T for T in range(1, LAST + 1) if feasible(random_problem(seed), T)), None) for seed in range(12)]
     for parity in (0, 1):
@@ -172,6 +173,7 @@ def rate_limited_move(horizon, **neighbours):
     return lfo.rate_limited(integrator(horizon, initial_state=[6.0, 0.0]), 0.4, **neighbours)
 
 
+@expensive
 def test_a_rate_limited_move_that_ends_at_rest_is_found_by_bisection():
     move = rate_limited_move(16, previous=0, following=0)
     found = lfo.minimum_time(move, horizons=(1, 16))
@@ -237,6 +239,7 @@ def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
     assert 4 in search.of(Verdict.INFEASIBLE)
 
 
+@expensive
 def test_a_range_of_undecided_horizons_is_no_infeasible_one(monkeypatch):
     def stopped(problem, *options, **more):
         outcome = solve_judged(problem, Options("convex"))
@@ -327,6 +330,7 @@ def decay(horizon):
     return lfo.OptimalControlProblem(dynamics, horizon, lfo.QuadraticCost(R=1.0), bounds, None, [-2.0], [0.2])
 
 
+@expensive
 def test_proofs_by_search_trees_count(tmp_path):
     path = tmp_path / "horizons.jsonl"
     found = lfo.minimum_time(decay, horizons=(2, 12), path=path)
@@ -348,6 +352,7 @@ def narrow(horizon):
         )
 
 
+@expensive
 @pytest.mark.parametrize("longest", [9, 10, 11])
 def test_a_mask_without_bins_holds_and_horizons_are_then_solved_one_by_one(longest):
     with_bins = [T for T in range(1, longest + 1) if narrow(T).terms]
@@ -382,6 +387,7 @@ def test_bins_at_a_horizon_before_the_longest_are_an_obstacle(name):
 # --- recorded, resumed, and on other processes
 
 
+@expensive
 @pytest.mark.parametrize("source", [integrator, random_problem(1)], ids=["monotone", "from below"])
 def test_a_recorded_search_is_resumed_without_solving_again(source, tmp_path, monkeypatch):
     path, solved = tmp_path / "horizons.jsonl", []
@@ -403,6 +409,7 @@ def test_a_recorded_search_is_resumed_without_solving_again(source, tmp_path, mo
         lfo.minimum_time(source, horizons=(1, LAST), path=path, time_limit=9.0)
 
 
+@expensive
 def test_a_search_goes_on_after_ctrl_c(tmp_path):
     def stop(horizon, verdict):
         raise KeyboardInterrupt
@@ -415,6 +422,7 @@ def test_a_search_goes_on_after_ctrl_c(tmp_path):
     assert (whole.horizon, whole.proven, whole.proof) == (4, True, lfo.minimum_time(integrator, (1, 100)).proof)
 
 
+@expensive
 @pytest.mark.parametrize("seed", [0, 1])
 def test_an_executor_finds_the_same(seed):
     problem = random_problem(seed)
@@ -485,7 +493,8 @@ def largest_after_a_step(problem, C):
     return -found.fun
 
 
-@pytest.mark.parametrize("seed", seeds(range(4)))
+@expensive
+@pytest.mark.parametrize("seed", range(4))
 def test_rows_that_the_step_before_implies_are_those_of_linear_programs(seed):
     random, answers = np.random.default_rng(seed), set()
     for _ in range(15):

@@ -16,7 +16,7 @@ from distributed import Client, LocalCluster
 import lin_freq_ocp as lfo
 from helpers.patience import wait_until
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from helpers.sweeps import GRID, SHORT, assert_same, broken_builder
 from lin_freq_ocp.batch import MEASURED, RESUBMISSIONS, fingerprint, process_pool
 from lin_freq_ocp.solving import solve_judged
@@ -36,6 +36,7 @@ def client(tmp_path_factory):
 # --- points and rows ------------------------------------------------------------------------------------------------
 
 
+@expensive
 def test_rows_are_those_of_solve_in_the_order_of_the_grid(serial):
     points = [(cutoff, bound) for cutoff in GRID["cutoff_hz"] for bound in GRID["control_bound"]]
     assert [tuple(row["parameters"].values()) for row in serial.rows] == points
@@ -156,6 +157,7 @@ def test_threads_give_the_same(serial):
         assert_same(lfo.sweep(SHORT, GRID, pool), serial)
 
 
+@expensive
 def test_a_dask_cluster_gives_the_same(serial, client):
     assert_same(lfo.sweep(SHORT, GRID, client.get_executor()), serial)
     assert_same(
@@ -163,7 +165,7 @@ def test_a_dask_cluster_gives_the_same(serial, client):
     )
 
 
-@turn(0)
+@expensive
 def test_a_worker_killed_on_the_way_loses_nothing(client, tmp_path):
     """Twenty points on two worker processes of a cluster; one is killed once six points are finished."""
     path, workers, killed = tmp_path / "twenty.jsonl", client.run(os.getpid), []
@@ -191,6 +193,7 @@ def held(folder: str, cutoff_hz: float | None, control_bound: float) -> lfo.Opti
     return SHORT(cutoff_hz=cutoff_hz, control_bound=control_bound)
 
 
+@expensive
 def test_two_processes_give_the_same_and_so_does_what_is_left_if_one_is_killed(serial, tmp_path):
     """When two points are done the processes wait, each at one of the others."""
     pool, killed = process_pool(2), []
@@ -222,6 +225,7 @@ class Closed(Executor):
         raise RuntimeError("cannot schedule new futures after shutdown")
 
 
+@expensive
 def test_a_point_that_kills_its_process_is_the_only_one_lost(monkeypatch):
     substitute(monkeypatch, "batch.RESUBMISSIONS", 0)
     with pytest.warns(RuntimeWarning, match="takes no more work: 3 points"):
@@ -295,6 +299,7 @@ def test_ctrl_c_within_a_solve_ends_the_sweep_without_that_point(monkeypatch):
 # --- pictures -------------------------------------------------------------------------------------------------------
 
 
+@expensive
 def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
     text = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
     code = text.split("```python\n")[1].split("```")[0].replace("ProcessPoolExecutor", "ThreadPoolExecutor")
@@ -304,7 +309,7 @@ def test_the_example_of_the_docs_runs(tmp_path, monkeypatch):
     assert set(lfo.load_sweep("sweep.jsonl").column("status")) == {"optimal", "infeasible"}
 
 
-@turn(0)
+@expensive
 def test_numbers_of_limits_are_swept_by_their_keys():
     mask = lfo.MagnitudeBound(0.2, bins=[3])
     problem = replace(lfo.library.double_integrator(), control_set=lfo.Box(-2, 2), control_spectrum=mask)

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.schemas import RESULT, faults, printed
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import LARGEST_REACH, REACH, bounds_between_samples
 from lin_freq_ocp.dynamics import ContinuousPlant
 from lin_freq_ocp.files import certificate_summary, result_summary
@@ -302,6 +302,7 @@ def single_bound(A, B, step, x, u, lower=None, upper=None):
     return next(bound for bound in bounds if bound.side == "upper")
 
 
+@expensive
 @pytest.mark.parametrize("cells", [1, 8])
 def test_the_proven_value_covers_the_rest_of_the_series(monkeypatch, cells):
     """x' = x from 1: with four terms a cell, the polynomials are below the exponential, and their errors grow."""

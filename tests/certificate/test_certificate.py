@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import examples
+from helpers.seeds import examples, expensive
 from lin_freq_ocp.base import RISES, first_largest, is_semidefinite
 from lin_freq_ocp.certificate import (
     DATA_ROUNDING,
@@ -182,6 +182,7 @@ class TestEachConditionFails:
         with pytest.raises(lfo.errors.ProblemError, match=r"rho_u\[3, 0\].*Bin 3 is free"):
             self.judge(result, rho_u=rho)
 
+    @expensive
     def test_rows_shifted_by_one_bin(self, solved, name, monkeypatch):
         problem = solved(name).problem
         honest = stop_band_rows
@@ -280,6 +281,7 @@ def test_residuals_that_no_multiplier_prices_prove_nothing(below, proven):
 matrices = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
+@expensive
 @settings(derandomize=True, max_examples=examples(60), deadline=None)
 @given(rng=matrices, size=st.integers(1, 5), rank=st.integers(0, 5))
 def test_curvature_is_below_the_hessian(rng, size, rank):
@@ -362,6 +364,7 @@ def test_bound_over_implied_sets_is_rigorous_where_nothing_is_bounded():
     assert certificate.gap < 1e-6
 
 
+@expensive
 def test_bound_is_called_numerical_where_no_set_bounds_the_states():
     problem = lfo.library.pendulum(sampling_time=0.1, state_bounds=(None,) * 4)
     certificate = lfo.solve(problem).certificate
@@ -569,6 +572,7 @@ def test_an_infeasible_problem_has_a_verified_ray(bound):
     assert prove_infeasible(problem, wrong) is None
 
 
+@expensive
 def test_a_stop_band_in_conflict_is_named():
     """A constant force must move the cart, but its stop band removes everything except bin 30."""
     problem = lfo.OptimalControlProblem(

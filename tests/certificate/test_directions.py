@@ -15,7 +15,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.convex import random_problem
 from helpers.random.mixed import Model, problem_of, random_model
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import CONDITION_TOLERANCE, descent_direction
 
 ALONE = (5, 11)
@@ -55,6 +55,7 @@ def violation(problem: lfo.OptimalControlProblem, point: lfo.Trajectory) -> floa
     )
 
 
+@expensive
 @SEEDS
 def test_an_optimum_is_proven_without_its_multipliers(seed):
     _, problem, result = mixed(seed)
@@ -163,6 +164,7 @@ class TestOthersSolutions:
         )
         return problem, answer.inputs[:, :T].T  # its last input, at T, acts on nothing
 
+    @expensive
     def test_a_solution_of_python_control(self):
         """Its SLSQP with central differences reaches 3e-9, relative to the terms of D_u H."""
         accurate = {"minimize_options": {"ftol": 1e-14, "maxiter": 500}, "minimize_kwargs": {"jac": "3-point"}}

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import batch_judge_takes, infeasibility_certificate, judge, judge_batch, prove_infeasible
 from lin_freq_ocp.problem import Extremals
 from lin_freq_ocp.results import Certificate
@@ -71,6 +71,7 @@ def solved(request) -> tuple[lfo.OptimalControlProblem, np.ndarray, Extremals]:
     return problem, starts, extremals_from(problem, starts)
 
 
+@expensive
 def test_figures_are_those_of_the_judge(solved):
     problem, starts, given = solved
     assert batch_judge_takes(problem)
@@ -170,6 +171,7 @@ def test_multipliers_of_free_bins_prove_nothing():
     assert not judge_batch(replace(problem, control_spectrum=None), starts, given).proven.any()
 
 
+@expensive
 def test_what_a_ray_proves_of_other_initial_states_is_what_its_bound_says_there():
     problem = lfo.library.pendulum(horizon=60, sampling_time=0.04).with_ends([-0.15, 0.1, -1.5, 0.0])
     ray = lfo.solve(problem, throw=False).ray

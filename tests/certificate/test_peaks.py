@@ -9,7 +9,7 @@ import pytest
 from scipy.signal.windows import chebwin
 
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import TERMS, Cells, certified_peak
 from lin_freq_ocp.problem import limits_on
 
@@ -41,6 +41,7 @@ def test_no_sampled_value_is_above_it_and_it_is_attained(seed):
     assert peak.found == pytest.approx(exact, rel=1e-8)
 
 
+@expensive
 def test_the_peak_of_a_long_record_100_db_below_its_largest_value():
     N = 20_000
     samples = chebwin(N, 100) * np.cos(0.3 * np.arange(N))
@@ -65,7 +66,8 @@ def test_values_that_are_known():
     assert second.ratio == pytest.approx(dirichlet, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", seeds(range(9)))
+@expensive
+@pytest.mark.parametrize("seed", range(9))
 def test_the_peak_at_the_end_of_a_band_is_within_it(seed):
     """Where the limit is known: cells that end with a band, up to rounding, reach beyond it by rounding."""
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp import Trajectory
 from lin_freq_ocp.certificate import extremal_at, farkas_bound, judge
 from lin_freq_ocp.transform import BinCurvature, bin_curvature
@@ -132,6 +133,7 @@ def test_atoms_far_from_the_peak_of_a_soft_mask_prove_nothing():
     assert not certificate.globally_optimal
 
 
+@expensive
 def test_what_bands_remove_is_no_part_of_the_bound():
     """Bin 3, where the cost is not convex, is stopped; controls that have it, and a multiplier that hides it."""
     G = np.ones(9)

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from helpers.sweeps import SHORT
 from lin_freq_ocp import PiecewiseSmoothDynamics, certify
 from lin_freq_ocp.base import use_clock
@@ -98,6 +98,7 @@ def test_a_search_that_loses_trajectories_proves_nothing(monkeypatch, given, by)
     assert result.tree_bound.value <= given["cost"] * (1 + 1e-6)
 
 
+@expensive
 def test_that_search_would_have_been_wrong(monkeypatch):
     """The mutation above makes the search lose the optimum: without a judge of its own, this would be 'infeasible'."""
     monkeypatch.setattr(ModeReach, "images", shrunk(ModeReach.images, 0.0))
@@ -105,6 +106,7 @@ def test_that_search_would_have_been_wrong(monkeypatch):
     assert any(not result.tree_bound.covers for result in results)
 
 
+@expensive
 @pytest.mark.parametrize("given", [WALL, ROTATION])
 def test_boxes_of_the_judge_that_are_too_small_are_seen_by_trajectories(given):
     """The judge's boxes hold every replayed trajectory, those on the border of the sets too."""
@@ -124,6 +126,7 @@ def test_boxes_of_the_judge_that_are_too_small_are_seen_by_trajectories(given):
     assert inside > 20
 
 
+@expensive
 def test_a_search_that_ends_too_early_is_not_called_optimal(monkeypatch):
     right = branch_and_bound.search_scale
     monkeypatch.setattr(branch_and_bound, "search_scale", lambda *given: 1e6 * right(*given))
@@ -161,7 +164,7 @@ def test_modes_that_the_search_takes_for_meeting_are_not_believed(monkeypatch):
         assert judged.pmp == "violated"
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("factor", [0.0, 1e-9])
 def test_distances_from_regions_that_are_too_small_are_not_believed(monkeypatch, factor):
     """Every mode seems to hold everywhere, to the search and to what it shares: the judge measures by itself."""
@@ -216,7 +219,7 @@ def test_wrong_signals_of_frequency_multipliers_fail(monkeypatch, factor):
     assert not judged.globally_optimal
 
 
-@turn(0)
+@expensive
 def test_a_wrong_linearisation_proves_no_global_optimum(monkeypatch):
     """Its stationary points are others; the bound by intervals does not use it."""
     problem = library.norm_dynamics()
@@ -245,6 +248,7 @@ def test_a_missed_step_is_seen_without_the_measures_of_reports(monkeypatch):
     assert not judged.globally_optimal
 
 
+@expensive
 @pytest.mark.parametrize("name", ["pendulum", "two_mass_spring", "crane", "flexible_satellite", "elliptic_rendezvous"])
 def test_certify_says_what_solve_says_of_linear_problems(name):
     result = lfo.solve(library.by_name(name)())
@@ -259,7 +263,7 @@ def test_certify_says_what_solve_says_of_modes(given):
     _same(result, certify(result.problem, result))
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize("given", [{"name": "norm_dynamics"}, {"name": "buck_converter", "horizon": 3}])
 def test_certify_says_what_solve_says_of_smooth_pieces(given):
     """The bound by dynamic programming takes seconds and is not repeated: certify never says more."""

@@ -5,9 +5,11 @@ import doctest
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp import testing
 
 
+@expensive
 def test_the_examples_run(monkeypatch):
     for slow in ("chain8_m2_diffbands", "dint200_soft"):  # tests of solve have them
         monkeypatch.delitem(testing.INSTANCES, slow)
@@ -29,6 +31,7 @@ def test_wrong_answers_fail():
     assert not testing.check(with_answer, lambda problem: result.trajectory).passed
 
 
+@expensive
 @pytest.mark.parametrize(("kind", "name"), [("piecewise affine", "buck, T = 6"), ("piecewise smooth", "buck, T = 3")])
 def test_cases_with_modes(kind, name):
     case = next(case for case in testing.conformance_cases(kind) if case.name == name)

@@ -7,7 +7,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import pytest
 
-from helpers.seeds import seeds
+from helpers.seeds import expensive
 from lin_freq_ocp.methods.structured import can_compile
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*/*.py"))
@@ -53,36 +53,6 @@ SAYS = {
     "wall": "cost      95.820020, no trajectory below 95.82001",
 }
 
-LONG = (
-    "measured_buoy",
-    "which_hull",
-    "learned_cost",
-    "gusts",
-    "gantry",
-    "oscillating_mass",
-    "switching_angles",
-    "minimum_time",
-    "stimulation",
-    "infeasible",
-    "printer_move",
-    "input_shaper",
-    "inverter",
-    "receding_horizon",
-    "two_mass_drive",
-    "obstacles",
-    "torque_map",
-    "kinks",
-    "oscillating_mass_in_c",
-    "wave_energy",
-    "masked_pendulum",
-    "certify_another_tool",
-    "long_horizons",
-    "rendezvous",
-    "both_sides_of_a_kink",
-    "co_design",
-)
-"""They take nine tenths of the time, and take turns; the site runs all examples."""
-
 
 SHORTER = {
     "gantry": {"(12.3, 31.0)": "(12.3,)", "0.001,": "0.005,", "horizon=450": "horizon=90", "jerk = 2.0": "jerk = 10.0"},
@@ -116,13 +86,8 @@ def written(tmp_path):
     return write
 
 
-@pytest.mark.parametrize(
-    "example",
-    seeds(
-        (path for path in EXAMPLES if path.stem in LONG), always=(path for path in EXAMPLES if path.stem not in LONG)
-    ),
-    ids=lambda path: path.stem,
-)
+@expensive
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)  # the site runs all
 def test_example(example, written, tmp_path, monkeypatch, capsys):
     (tmp_path / "run").mkdir()
     monkeypatch.chdir(tmp_path / "run")

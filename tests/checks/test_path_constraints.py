@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks.path_constraints import STATIONARY, check, random_path, slope_left
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 
 @pytest.mark.parametrize("seed", seeds(range(9)))
@@ -18,6 +18,7 @@ def test_an_accepted_answer_satisfies_its_conditions_by_differences(seed):
     assert checked.passed, checked
 
 
+@expensive
 def test_the_check_notices_other_multipliers():
     random = random_path(1)
     result = lfo.solve(random.problem, "nonsmooth")

@@ -9,6 +9,8 @@ import numpy as np
 import published
 import pytest
 
+from helpers.seeds import expensive
+
 ROWS = {row.name: row for row in published.ROWS}
 
 
@@ -56,6 +58,7 @@ def test_a_printed_bound_has_to_hold_for_all_of_the_interval(side, printed):
     assert [published.verdict(row, found) for row in rows] == ["confirmed", "confirmed", "unexplained"]
 
 
+@expensive
 @pytest.mark.parametrize(("T", "excluded"), [(1.999, True), (2.001, False)])
 def test_a_multiplier_excludes_the_times_below_the_least_one(T, excluded):
     A, B = published.DOUBLE  # from 0 to 1 at rest with |u| <= 1: 2 s

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.checks import cancellation, cost_units, jumps, small_ends, weights
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.loop import ControlLimits
 
 
@@ -33,6 +33,7 @@ def test_large_weights_make_nothing_optimal_that_balls_refute(seed):
     assert weights.check(seed).passed, weights.check(seed)
 
 
+@expensive
 @pytest.mark.parametrize("seed", [28, 83])
 def test_rest_at_a_saddle_is_no_answer_where_a_start_leads_to_less(seed):
     assert weights.check(seed).statuses == ("locally_optimal",)
@@ -43,6 +44,7 @@ def test_controls_keep_hard_limits_exactly_where_the_state_jumps(seed):
     assert jumps.check(seed).passed, jumps.check(seed)
 
 
+@expensive
 @pytest.mark.parametrize("seed", [2, 3])
 def test_bounds_and_infeasibility_that_balls_refute_are_found_out(seed, monkeypatch):
     honest = cancellation.lfo.solve
@@ -67,6 +69,7 @@ def test_a_point_that_descent_leaves_and_a_saddle_are_found_out():
     assert weights.descent(exact, weights.keep_heavy(saddle, rest + 0.1)) > 1e-4
 
 
+@expensive
 def test_a_control_outside_its_limits_is_found_out(monkeypatch):
     monkeypatch.setattr(ControlLimits, "clip", lambda limits, x, u: 2 * u)
     assert any("Python" in words for words in jumps.check(0).wrong)

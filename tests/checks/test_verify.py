@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import alone, convex, explain, flips, frequencies, mixed, modes, rays, sequences, smooth, structured
 from helpers.random.convex import random_problem
 from helpers.random.mixed import random_model
-from helpers.seeds import seeds, turn, whole_sample
+from helpers.seeds import expensive, seeds, whole_sample
 from lin_freq_ocp.certificate.hybrid import Flip
 
 
@@ -21,6 +21,7 @@ def test_a_random_problem_is_solved_and_proven(seed):
     assert outcome.passed, outcome
 
 
+@expensive
 def test_the_sample_has_every_kind_and_both_endings():
     assert {random_problem(seed)[0] for seed in range(16)} == {"stable", "marginal", "unstable", "time-varying"}
     assert convex.check(10).status == "infeasible"
@@ -65,13 +66,15 @@ def test_wrong_answers_of_a_method_are_found_out():
     assert structured.compared(0, {"structured": right, "plain": local}).verdicts["plain"] == Verdict.LOCAL
 
 
-@pytest.mark.parametrize("seed", seeds(range(3)))
+@expensive
+@pytest.mark.parametrize("seed", range(3))
 def test_an_infeasible_problem_is_explained(seed):
     outcome = explain.check(seed)
     assert outcome.passed, outcome
     assert outcome.family
 
 
+@expensive
 @pytest.mark.parametrize("seed", [2, 7, 12, 15])
 def test_infeasible_and_unbounded_are_proven_or_not_said(seed):
     assert rays.check(seed).passed, rays.check(seed)
@@ -162,13 +165,14 @@ WRONG_ONCE = 70002, 70005, 70007, 70021, 70057, 70100
 """Feasible trajectories were missed, and sequences without one were called the best."""
 
 
+@expensive
 @pytest.mark.parametrize("seed", WRONG_ONCE)
 def test_small_random_problems_have_the_optimum_of_all_mode_sequences(seed):
     outcome = sequences.check(seed)
     assert outcome.passed, outcome
 
 
-@turn(0)
+@expensive
 def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypatch):
     honest = cache(sequences.enumerated)
     for change, words in ((-0.1, "called optimal, above"), (0.1, "below"), (np.inf, "not infeasible")):
@@ -176,7 +180,8 @@ def test_an_optimum_of_sequences_that_is_missed_or_refuted_is_found_out(monkeypa
         assert any(words in one for one in sequences.check(70021).wrong)
 
 
-@pytest.mark.parametrize("seed", seeds([0, 1, 2, 3, 4, 7, 17]))
+@expensive
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 7, 17])
 def test_a_mask_at_every_frequency_is_between_the_bounds_of_grids(seed):
     found = frequencies.check(seed)
     assert found.passed, found

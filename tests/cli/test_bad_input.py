@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.cli import BAD_INPUT, NO_SOLUTION, NOT_PROVEN
 
 CART = """
@@ -378,6 +378,7 @@ def test_init_replaces_nothing(files, monkeypatch):
     assert (files / "precious.toml").read_text() == "precious"
 
 
+@expensive
 @pytest.mark.parametrize("case", UNWRITABLE)
 def test_where_nothing_can_be_written_nothing_is_solved(case, files, monkeypatch):
     """A solve may take an hour; its answer must not be lost to a slip in a path."""
@@ -422,6 +423,7 @@ def test_what_no_memory_can_hold_is_not_called_infeasible(monkeypatch):
 # --- exit status 1: no solution; 3: no proof ------------------------------------------------------------------------
 
 
+@expensive
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
@@ -453,7 +455,7 @@ def test_no_solution_and_no_proof(arguments, status, words, files, monkeypatch):
     assert words in " ".join((out + err).split())  # lines break where the terminal ends
 
 
-@turn(2)
+@expensive
 def test_a_band_without_which_there_is_a_solution_is_part_of_the_conflict():
     """With 5.5 N the pendulum arrives without its low pass and not with it, so the low pass is to be named."""
     assert lfo.solve(lfo.library.pendulum(100, control_bound=5.5, cutoff=None)).status == "optimal"

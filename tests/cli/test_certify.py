@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.command_json import CERTIFY, SOLVE, require, require_words
 from helpers.command_line import parsed, run
+from helpers.seeds import expensive
 
 # --- solutions: saved, certified, tampered with ---------------------------------------------------------------------
 
@@ -55,6 +56,7 @@ def test_arrays_of_a_saved_solution(saved):
     assert lfo.library.pendulum().cost.value(solution.trajectory.x, solution.trajectory.u) == summary["cost"]
 
 
+@expensive
 def test_a_saved_solution_is_certified(saved):
     status, out, err = run("certify", "pendulum", str(saved), "--json")
     summary = parsed(out)
@@ -109,6 +111,7 @@ def test_a_point_without_proof_is_saved_and_stays_without(tmp_path):
     assert run("certify", "pendulum", path)[0] == 3
 
 
+@expensive
 def test_without_a_trajectory_nothing_is_saved(tmp_path):
     path = tmp_path / "none.npz"
     assert run("solve", "pendulum", "--set", "horizon=60", "--set", "control_bound=1", "--save", str(path))[0] == 1

@@ -19,7 +19,7 @@ from helpers.command_json import FILTERS, SOLVE, TOO_WEAK, UNCLOCKED, compared, 
 from helpers.command_line import COMMAND, once, parsed, run
 from helpers.compared_pages import blanks
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import cli
 from lin_freq_ocp.cli import BAD_INPUT, COMMANDS
 
@@ -268,6 +268,7 @@ def test_the_whole_process(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+@expensive
 def test_a_reader_that_goes_away_is_no_obstacle():
     with subprocess.Popen([COMMAND, "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         process.stdout.close()

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.compilers import needs_kernel
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -93,6 +93,7 @@ def test_two_cut_offs_are_no_grid(cart):
 PNG = b"\x89PNG"
 
 
+@expensive
 def test_the_end_of_the_name_says_how_a_trajectory_is_saved(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     problem = lfo.library.pendulum()
@@ -138,7 +139,7 @@ def test_what_cannot_be_written_is_refused_before_solving(arguments, words, tmp_
         assert word in " ".join(err.split())
 
 
-@turn(1)
+@expensive
 def test_picture_and_table_of_an_answer(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     status, _, err = run("solve", "pendulum", "--plot", "a.png", "--csv", "a.txt", "--save", "a.npz", "--json")
@@ -188,6 +189,7 @@ def test_the_trajectory_as_json():
 # --- the pages a reader begins with ----------------------------------------------------------------------------------
 
 
+@expensive
 @needs_kernel
 def test_the_commands_of_the_first_pages_run(tmp_path, monkeypatch):
     """All but the slow ones and the one that runs until Ctrl-C, in their order: each ends with its proof."""

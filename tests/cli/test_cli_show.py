@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.schemas import SHOW, faults
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.cli import SCHEMAS, as_toml
 from lin_freq_ocp.files import problem_text
 
@@ -65,6 +65,7 @@ def test_words_say_horizon_cost_bounds_ends_and_bands():
         assert part in words
 
 
+@expensive
 def test_keys_of_a_file_are_those_that_can_be_set(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("init", "cart.toml")[0] == 0
@@ -100,6 +101,7 @@ def test_what_is_no_problem_is_not_shown():
         assert word in err
 
 
+@expensive
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_schemas_are_printed(name):
     status, out, err = run("schema", name)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from helpers.patience import PATIENCE, wait_until
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.base import leave, leave_silently, let_commands_decide
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes as Linux shows them")
@@ -55,6 +55,7 @@ def working(process):
     wait_until(lambda: len(children(process)) > 1)
 
 
+@expensive
 @pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.base.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
@@ -81,7 +82,7 @@ def test_while_a_class_is_made_from_a_text(tmp_path):
     assert subprocess.run(command, cwd=tmp_path, check=False, timeout=PATIENCE).returncode == 130
 
 
-@turn(0)
+@expensive
 def test_while_workers_start():
     status, _, words = interrupted(SWEEP, working)
     assert (status, words) == (130, [])

@@ -12,10 +12,10 @@ import pytest
 
 from helpers.command_line import run
 from helpers.patience import PATIENCE
-from helpers.seeds import turn
+from helpers.seeds import expensive
 
 
-@turn(1)
+@expensive
 def test_ctrl_c_ends_the_server_with_its_status():
     command = [sys.executable, "-m", "lin_freq_ocp", "explore", "double_integrator", "--no-browser"]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -32,7 +32,7 @@ def test_ctrl_c_ends_the_server_with_its_status():
     assert (process.returncode, err) == (130, "")
 
 
-@turn(0)
+@expensive
 def test_a_page_with_a_sweep_inside_is_written(tmp_path):
     path = tmp_path / "page.html"
     status, out, _ = run(
@@ -46,7 +46,7 @@ def test_a_page_with_a_sweep_inside_is_written(tmp_path):
     assert not re.search(r'(src|href)="(?!data:)', page)
 
 
-@turn(1)
+@expensive
 def test_a_problem_file_can_be_explored(tmp_path):
     path, page = tmp_path / "problem.toml", tmp_path / "page.html"
     assert run("init", str(path))[0] == 0

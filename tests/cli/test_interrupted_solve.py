@@ -15,6 +15,7 @@ from helpers.command_json import SOLVE, require, require_words
 from helpers.command_line import COMMAND, parsed, run
 from helpers.patience import PATIENCE, wait_until
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.methods.spectral import deadline, recover
 from lin_freq_ocp.program import Claim, Solution, solve
 
@@ -30,6 +31,7 @@ def test_ctrl_c_while_nothing_is_known_yet(monkeypatch):
     assert (status, out, err.strip()) == (130, "", "")
 
 
+@expensive
 @pytest.mark.parametrize("passes", [0, 1])
 def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     """A program may be solved twice, in natural and then in revised units: the interrupt may come in either."""
@@ -52,6 +54,7 @@ def test_ctrl_c_keeps_the_best_point(monkeypatch, passes):
     assert status == 130
 
 
+@expensive
 @pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="Ctrl-C is the main thread's")
 @pytest.mark.parametrize("method", ["auto", "spectral"])
 def test_ctrl_c_acts_between_the_rounds_of_the_spectral_method(monkeypatch, method):
@@ -138,6 +141,7 @@ def work_on(process, seconds):
     assert process.poll() is None
 
 
+@expensive
 @pytest.mark.skipif(os.name == "nt", reason="no SIGINT for one process")
 @pytest.mark.parametrize(("backend", "horizon"), [("clarabel", 2000), ("osqp", 1000)])
 def test_ctrl_c_in_the_middle_of_a_long_solve(backend, horizon, tmp_path):

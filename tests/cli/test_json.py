@@ -10,6 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.command_json import FILTERS, HARMLESS, SOLVE, TOO_WEAK, UNCLOCKED, compared, require, require_words
 from helpers.command_line import once, parsed, run
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.methods.structured import can_compile
 
 UNBOUNDED = UNCLOCKED.replace("R = 1.0\nP = 1.0", "r = [1.0]")
@@ -25,6 +26,7 @@ def files(tmp_path_factory):
     return folder
 
 
+@expensive
 @pytest.mark.parametrize(
     ("arguments", "status", "word", "used"),
     [
@@ -80,6 +82,7 @@ def test_a_method_that_cannot_take_the_problem_says_why(files, monkeypatch):
     assert "Use method 'convex'" in err
 
 
+@expensive
 def test_an_answer_that_the_judge_rejects_is_not_proven(monkeypatch):
     """The default goes on to the sparse program; who asks for this method alone is told."""
     honest = lfo.SpectralSolver.solve

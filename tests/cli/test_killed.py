@@ -8,13 +8,13 @@ import psutil
 import pytest
 
 from helpers.patience import wait_until
-from helpers.seeds import turn
+from helpers.seeds import expensive
 
 SWEEP = ("sweep", "double_integrator", "--grid", "horizon=60:400:300", "--workers", "2")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="children are counted as forkserver starts them")
-@turn(2)
+@expensive
 def test_workers_of_a_killed_sweep_end():
     command = [sys.executable, "-m", "lin_freq_ocp", *SWEEP]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

@@ -11,6 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.replacing import substitute
 from helpers.schemas import MINIMUM_TIME, RESULT, faults
+from helpers.seeds import expensive
 from lin_freq_ocp.proof import lfo_check
 from lin_freq_ocp.solving import solve_judged
 
@@ -89,6 +90,7 @@ def test_a_search_on_two_processes_is_recorded_and_resumed(tmp_path):
     assert parsed(again[1])["proof"] == parsed(out)["proof"]
 
 
+@expensive
 def test_the_files_of_solve_hold_the_answer_at_the_least_horizon(tmp_path, monkeypatch):
     names = {"save": "run.npz", "csv": "run.csv", "plot": "run.png", "proof": "run.proof", "dump": "run.zip"}
     options = [word for option, name in names.items() for word in (f"--{option}", str(tmp_path / name))]

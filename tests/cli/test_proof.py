@@ -10,6 +10,7 @@ import pytest
 
 from helpers.command_line import run
 from helpers.patience import PATIENCE
+from helpers.seeds import expensive
 from lin_freq_ocp.proof import lfo_check
 
 
@@ -24,6 +25,7 @@ def test_a_proof_is_written_and_confirmed(tmp_path, monkeypatch, capsys):
     assert 6.3857623 < float(lower) <= float(upper) < 6.3857624
 
 
+@expensive
 def test_an_infeasible_problem_has_a_proof_too(tmp_path, monkeypatch, capsys):
     file = tmp_path / "run.proof"
     status, _, err = run(
@@ -35,6 +37,7 @@ def test_an_infeasible_problem_has_a_proof_too(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == "INFEASIBLE"
 
 
+@expensive
 def test_what_cannot_be_proven_is_said(tmp_path):
     file = tmp_path / "run.proof"
     status, _, err = run("solve", "printer_move", "--proof", str(file))

@@ -13,6 +13,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.replacing import substitute
 from helpers.schemas import SWEEP, faults
+from helpers.seeds import expensive
 from helpers.sweeps import SHORT, assert_same, broken_builder
 from lin_freq_ocp.files import sweep_summary
 from lin_freq_ocp.solving import solve_judged
@@ -20,6 +21,7 @@ from lin_freq_ocp.solving import solve_judged
 WORDS = ("double_integrator", "--set", "horizon=60", "--set", "sampling_time=0.1")
 
 
+@expensive
 def test_the_command_prints_one_object_and_writes_the_folder(serial, tmp_path):
     grids = ("--grid", 'cutoff_hz=["none", 0.2, 1.0, 3.0]', "--grid", "control_bound=[0.2, 1.0]")
     status, out, err = run("sweep", *WORDS, *grids, "--workers", "2", "--out", str(tmp_path / "out"), "--json")
@@ -66,6 +68,7 @@ def test_exit_status_of_the_command(arguments, status, words):
     assert (ended, words in out + err) == (status, True)
 
 
+@expensive
 def test_the_command_says_which_points_are_not_proven(monkeypatch):
     substitute(monkeypatch, "methods.repair_trajectory", lambda *given: None)
     substitute(monkeypatch, "methods.corrections", lambda *given: ())
@@ -76,6 +79,7 @@ def test_the_command_says_which_points_are_not_proven(monkeypatch):
     assert "breaks" in out
 
 
+@expensive
 def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
     honest, pressed = solve_judged, threading.Event()
 
@@ -95,6 +99,7 @@ def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch):
     assert (status, len(parsed(out)["points"])) == (0, 3)
 
 
+@expensive
 def test_a_problem_file_is_swept_by_its_keys(tmp_path):
     lfo.write_problem(replace(SHORT(), name=""), tmp_path / "cart.toml")
     arguments = ("sweep", str(tmp_path / "cart.toml"), "--set", "horizon=70")

@@ -7,6 +7,7 @@ import pytest
 from scipy import signal
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.comparison import FILTERS, apply_filter, filter_stop
 
 
@@ -91,6 +92,7 @@ def test_a_comparison_in_a_few_lines(pendulum):
     assert len(repr(pendulum)) < 400
 
 
+@expensive
 def test_what_has_no_trajectory_or_replay_says_so():
     comparison = lfo.compare(lfo.library.pendulum(control_bound=4.5), filters=["brickwall"])
     assert str(comparison).splitlines()[-1] == "constrained  infeasible"

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
 from helpers.compared_pages import blanks, moved
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.comparison import boxes_of, remember_zero, shortest_moves, vibration, why_not_shaped
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.pages import draw_figures, moves_rows, moves_sentence, render_page, ringing_of
@@ -24,7 +24,7 @@ def comparison():
     return moved()
 
 
-@turn(1)
+@expensive
 def test_no_shaper_is_shorter_and_every_move_is_calm(comparison):
     moves = comparison.moves
     assert [(move.name, move.samples) for move in moves.all] == [
@@ -44,6 +44,7 @@ def test_no_shaper_is_shorter_and_every_move_is_calm(comparison):
         assert np.abs(move.measured.trajectory.u).max() <= 10 + 1e-9
 
 
+@expensive
 def test_a_move_that_breaks_a_bound_is_none_of_a_shaper(comparison):
     move = comparison.moves.shaped[1]
     at = move.measured.problem
@@ -53,7 +54,7 @@ def test_a_move_that_breaks_a_bound_is_none_of_a_shaper(comparison):
     assert not loud.keeps_everything
 
 
-@turn(1)
+@expensive
 def test_words_table_and_page(comparison):
     words = moves_sentence(comparison.moves)
     assert "ZV 45, ZVD 28 and EI 28" in words
@@ -72,7 +73,7 @@ def test_words_table_and_page(comparison):
     assert "ZV " in str(comparison)
 
 
-@turn(2)
+@expensive
 def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
     substitute(monkeypatch, "comparison.LONGEST_PROFILE", 2)
     problem = lfo.library.printer_move(30, vibration_bound=0.002)
@@ -83,7 +84,7 @@ def test_a_shaper_without_a_move_is_said_to_have_none(monkeypatch):
     assert "> 40" in [cell.text for cell in moves_rows(moves).groups[0].rows[0].cells]
 
 
-@turn(0)
+@expensive
 def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
     substitute(monkeypatch, "comparison.TRIED", 6)
     (move,) = lfo.compare(lfo.library.printer_move(24, vibration_bound=0.3), ["EI"]).moves.shaped
@@ -92,6 +93,7 @@ def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
     assert "tried" not in comparison.moves.shaped[0].description
 
 
+@expensive
 def test_a_numerical_ray_is_no_proof():
     """Rounding may decide whether a ray is rigorous: here all rays of the solver are numerical."""
 
@@ -120,7 +122,7 @@ def test_where_shapers_do_not_apply():
         lfo.compare(free, ["ZVDD"])
 
 
-@turn(0)
+@expensive
 def test_shapers_for_two_modes_of_a_rate_limited_move():
     """They are convolved, and shape profiles that start after a control of zero and end with one."""
     fast = lfo.ResidualVibration(frequency=(33.0, 35.0), damping=(0.02, 0.05), limit=0.5)
@@ -153,6 +155,7 @@ def test_only_states_that_remember_controls_are_zero_at_the_ends():
     assert np.array_equal(zeroed.terminal_box.lower[:2], limited.terminal_box.lower[:2])
 
 
+@expensive
 def test_one_line_says_why_no_shaper_applies():
     swing = lfo.library.two_mass_spring(horizon=40, notch_width_hz=None, initial_state=(0.0, 0.5, 0.0, 0.0))
     ringing = lfo.compare(replace(swing, control_spectrum=CALM, terminal_state=None))
@@ -175,7 +178,7 @@ def test_the_command_says_why_no_shaper_applies(tmp_path):
     assert "Input shapers do not apply: with a control of zero" in " ".join(out.split())
 
 
-@turn(2)
+@expensive
 def test_the_command_prints_both_tables(monkeypatch):
     made = lfo.compare(lfo.library.printer_move(uncertainty=0.05), ["ZVD"])
     substitute(monkeypatch, "compare", lambda *given: made)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.seeds import expensive
 from lin_freq_ocp.comparison import INSENSITIVITY, SHAPERS, impulse_text, impulses, shape_controls
 from lin_freq_ocp.problem import VibrationLimit, VibrationMap
 
@@ -40,6 +41,7 @@ def test_zero_vibration_and_zero_derivative(damping):
     assert left("ZVD", damping, 1.001) < 1e-4
 
 
+@expensive
 def test_extra_insensitive_leaves_its_share_and_is_zero_on_both_sides():
     assert left("EI", 0.0) == pytest.approx(INSENSITIVITY)
     ratios = np.linspace(0.8, 1.2, 4001)

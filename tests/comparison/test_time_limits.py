@@ -9,6 +9,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.command_line import run
+from helpers.seeds import expensive
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.comparison import SEARCH_SECONDS, compare_methods
 from lin_freq_ocp.files import comparison_summary
@@ -67,6 +68,7 @@ def test_without_any_point_the_error_says_how_one_is_given():
         compare_methods(wall(), solving([]), ["brickwall"], "auto", None)
 
 
+@expensive
 @pytest.mark.parametrize(("given", "total"), [(None, SEARCH_SECONDS), (8.0, 8.0), (120.0, 120.0)])
 def test_the_limit_is_one_for_both_solves(given, total, plan):
     asked = []

@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.instances.methods import FAMILY_OF, METHODS, OWN_FAMILY, PROBLEMS, TOO_LONG
 from helpers.own_kinds import Bilinear
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.solving import FAMILIES
 
@@ -36,6 +36,7 @@ def answer(kind: str, method: str) -> lfo.results.Result:
     return lfo.solve(PROBLEMS[kind][0], method)
 
 
+@expensive
 @each_method
 def test_an_answer_is_that_of_the_judge_and_of_the_other_methods(kind, method):
     problem, result = PROBLEMS[kind][0], answer(kind, method)

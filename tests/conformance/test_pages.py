@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
 from helpers.instances.pages import NAMES, PAGES
 from helpers.pages import parsed
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 NAMESPACE = "http://www.w3.org/2000/svg"  # in a script; nothing is loaded from there
 PAPER = 720  # px: what is left of A4 between its margins
@@ -36,7 +36,8 @@ def test_every_page_of_the_package_is_here():
     assert {one.name.removesuffix(".html.jinja") for one in templates} == {template for template, _ in PAGES.values()}
 
 
-@pytest.mark.parametrize("name", seeds(PAGES))
+@expensive
+@pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_one_file_that_loads_nothing_and_names_all_signals(saved, name):
     html = saved(name).read_text(encoding="utf-8").replace(NAMESPACE, "")
     found = parsed(html)
@@ -89,6 +90,7 @@ def test_a_page_is_silent_offline_described_narrow_and_printed_on_white(browser,
     assert asked(browser, "getComputedStyle(document.body).backgroundColor") == "rgb(20, 24, 29)"
 
 
+@expensive
 def test_a_figure_is_enlarged_by_the_keyboard_and_back(browser, saved):
     from selenium.webdriver import Keys
 

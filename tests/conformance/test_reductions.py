@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.instances import classes_of
 from helpers.reductions import INFEASIBLE, REDUCTIONS, UNBOUNDED, Entry, random_problem
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.methods import Candidate
 from lin_freq_ocp.results import Status
 from lin_freq_ocp.solving import candidate_of, judge_candidate, solve_judged
@@ -60,6 +60,7 @@ def test_recovered_answers_satisfy_the_judge_on_the_given_problem(name, case):
             assert outcome.certificate.globally_optimal
 
 
+@expensive
 def test_every_way_back_of_the_package_has_its_cases():
     assert all(entry.problems for entry in REDUCTIONS.values())
     tested = {type(entry.reduction(next(iter(entry.problems.values()))())) for entry in REDUCTIONS.values()}

@@ -22,7 +22,7 @@ from helpers.checks.derivatives import (
     weights_of,
 )
 from helpers.compilers import needs_kernel
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.derivatives import SolutionDerivatives, data_of, with_data
 
 T = 24
@@ -148,6 +148,7 @@ def limited(name: str, level: float) -> lfo.OptimalControlProblem:
     return tracking(**made[name])
 
 
+@expensive
 @pytest.mark.parametrize(
     ("name", "level"),
     [("mask on u_0", 1.0), ("energy bound on u_0", 1.4), ("mask on x_1", 2.0), ("control set", 0.5), ("sum", 0.3)],
@@ -167,6 +168,7 @@ def test_limits_by_differences(name, level):
     assert found.jvp(**{name: np.ones(gradient[name].shape)}).cost == pytest.approx(wanted[1], rel=1e-6)
 
 
+@expensive
 @pytest.mark.parametrize("k", [0, 3, 12])
 @pytest.mark.parametrize("part", [1.0, 1.0j])
 def test_the_derivative_by_a_bin_of_a_response(k, part):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 
 T = 10
 PROBLEM = lfo.OptimalControlProblem(
@@ -32,6 +33,7 @@ def test_an_absent_package_is_named(monkeypatch, make, package):
         make(PROBLEM, ["A"])
 
 
+@expensive
 def test_no_package_is_imported_unasked():
     code = "import sys, lin_freq_ocp as lfo; lfo.solve(lfo.library.double_integrator()).derivatives.vjp()"
     code += "; assert not {'torch', 'jax'} & set(sys.modules)"

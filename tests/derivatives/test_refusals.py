@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 
 PROBLEM = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[0.9, 0.3], [-0.2, 0.85]], [[0.1], [1.0]]),
@@ -92,6 +93,7 @@ def test_modes():
     assert lfo.solve(problem.with_modes(result.sequence)).derivatives.vjp(u=np.ones((2, 1))).exists
 
 
+@expensive
 def test_a_mask_at_every_frequency_has_prices_alone():
     mask = lfo.MagnitudeBound(0.5, band=lfo.low_pass(cutoff=1.2), every_frequency=True)
     result = lfo.solve(replace(PROBLEM, control_spectrum=mask))

@@ -13,6 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.explanation import least_cure
 from lin_freq_ocp.solving import solve_judged
@@ -98,6 +99,7 @@ def case(request) -> tuple[lfo.OptimalControlProblem, lfo.results.Explanation, l
     return *explained(request.param), *INFEASIBLE[request.param][1:]
 
 
+@expensive
 def test_the_family_clashes_and_can_spare_no_block(case):
     problem, explanation, family, _ = case
     assert sorted(explanation.family) == sorted(family)
@@ -126,6 +128,7 @@ def test_a_cure_helps_and_less_does_not(case):
         assert cures[name].amount == pytest.approx(amount, rel=1e-3)
 
 
+@expensive
 def test_a_nearest_end_can_be_reached_and_a_nearer_one_cannot():
     problem = carriage()
     cures = {cure.block: cure for cure in lfo.explain(problem).cures}
@@ -137,6 +140,7 @@ def test_a_nearest_end_can_be_reached_and_a_nearer_one_cannot():
     assert not feasible(replace(problem, terminal_state=problem.terminal_state.lower + 0.9 * away))
 
 
+@expensive
 def test_components_of_an_end_that_need_not_move_stay():
     """The initial speed breaks its bound; at 0.1, the end is reached from any position."""
     speeds, ends = lfo.Box([None, -0.1], [None, 0.1]), {"initial_state": [0.4, 0.55], "terminal_state": [0.5, 0.0]}
@@ -146,6 +150,7 @@ def test_components_of_an_end_that_need_not_move_stay():
     assert cure.amount == pytest.approx(0.45 / stated_sizes(problem)[0][1], rel=1e-5)
 
 
+@expensive
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_cures_of_ends_do_not_depend_on_the_unit_of_the_state(unit):
     """x_{t+1} = a x_t + u_t: with a = 0.5, the start and the end move as far as 0.1 a step takes them in 5 steps."""
@@ -158,6 +163,7 @@ def test_cures_of_ends_do_not_depend_on_the_unit_of_the_state(unit):
     assert reached["terminal"] == pytest.approx((0.5**5 + steps) * unit, rel=1e-5)
 
 
+@expensive
 def test_an_end_that_has_to_be_zero_is_told_as_zero():
     """A state that doubles in each of 60 steps ends at zero only if it begins there, up to 1e-9 of control."""
     fields = {"initial_state": [1.0], "terminal_state": [0.0], "control_set": lfo.Box(-1e-9, 1e-9)}
@@ -166,6 +172,7 @@ def test_an_end_that_has_to_be_zero_is_told_as_zero():
     assert cure.words.startswith("[1.] -> [0.] ")
 
 
+@expensive
 def test_cures_are_told_in_the_units_of_the_problem():
     said = str(explained("a control bound")[1])
     assert f"control bound on acceleration [m/s^2]: [-0.7, 0.7] -> [-{NEEDED:g}" in said
@@ -176,6 +183,7 @@ def test_cures_are_told_in_the_units_of_the_problem():
     assert any("bounds wider by" in cure.words for cure in varying.cures)
 
 
+@expensive
 @pytest.mark.parametrize("sampling_time", [H, None])
 def test_a_low_pass_is_cured_by_another_cut_off(sampling_time):
     problem = carriage(control_set=lfo.Box(-1.05 * NEEDED, 1.05 * NEEDED), control_spectrum=lfo.low_pass(cutoff=0.4))
@@ -191,6 +199,7 @@ def test_a_low_pass_is_cured_by_another_cut_off(sampling_time):
     assert not feasible(replace(problem, control_spectrum=lfo.low_pass(cutoff=float(after) * factor - 1e-3)))
 
 
+@expensive
 def test_time_varying_dynamics_and_state_bands_are_explained_too():
     A = np.broadcast_to(carriage().dynamics.A, (T, 2, 2)) * np.linspace(1.0, 0.99, T)[:, None, None]
     plant = lfo.LinearDynamics(A, carriage().dynamics.B)
@@ -226,6 +235,7 @@ def test_without_time_no_more_is_claimed_than_is_known():
     assert "perhaps fewer" in str(explanation)
 
 
+@expensive
 def test_a_cure_that_does_not_help_when_tried_is_none():
     problem = carriage()
     assert all(least_cure(problem, block, lambda cured: False) is None for block in constraints(problem))
@@ -246,6 +256,7 @@ def test_after_ctrl_c_nothing_more_is_tried(monkeypatch):
     assert explanation.cures == ()
 
 
+@expensive
 def test_a_repair_needs_no_more_digits_than_its_margin(monkeypatch):
     """The least change of an end ends as optimal, where the usual tolerance would end seconds later as not proven."""
     cart = [[0, 0, 1, 0], [0, 0, 0, 1], [0, -0.9645933, 0, 0], [0, 19.934928, 0, 0]]
@@ -268,6 +279,7 @@ def test_a_repair_needs_no_more_digits_than_its_margin(monkeypatch):
     assert endings == [("structured", "optimal")]
 
 
+@expensive
 def test_the_error_names_the_least_change():
     with (
         pytest.raises(
@@ -283,6 +295,7 @@ def test_without_throw_nothing_more_is_solved():
     assert lfo.solve(carriage(), throw=False).explanation is None
 
 
+@expensive
 def test_a_busy_machine_takes_no_cure_away():
     """Every look costs a second on the wall, and a thousandth of one of the processor: solve explains all the same."""
     problem = lfo.library.double_integrator(cutoff_hz=0.3, horizon=24, sampling_time=0.1)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.transform import constraints, drop_limits, stated_sizes
 
@@ -97,6 +97,7 @@ def explained(name: str) -> tuple[lfo.OptimalControlProblem, lfo.results.Result,
     return problem, lfo.solve(problem, throw=False), lfo.explain(problem)
 
 
+@expensive
 @pytest.mark.parametrize("name", EVERY_OTHER)
 def test_the_conflict_names_the_family_and_rests_on_a_proof(name):
     problem, result, explanation = explained(name)
@@ -106,6 +107,7 @@ def test_the_conflict_names_the_family_and_rests_on_a_proof(name):
     assert {one.block for one in result.conflict} >= set(explanation.family)
 
 
+@expensive
 @pytest.mark.parametrize("name", EVERY_OTHER)
 def test_the_family_clashes_and_can_spare_no_block(name):
     problem, _, explanation = explained(name)
@@ -144,7 +146,7 @@ def test_an_end_gives_way_by_the_least_that_cures(name):
         assert feasible(replace(problem, terminal_state=end)) is cures
 
 
-@turn(2)
+@expensive
 def test_limits_are_told_as_they_were_given():
     _, _, energy = explained("an energy bound")
     words = {cure.block: cure.words for cure in energy.cures}["energy bound on u_0"]
@@ -160,6 +162,7 @@ def test_limits_are_told_as_they_were_given():
     assert "control set: limit 0.7 -> 1.000" in str(ball)
 
 
+@expensive
 def test_known_amounts():
     """What bang, bang needs, and what keeps a speed limit for all but one step."""
     assert {cure.block: cure.amount for cure in explained("a ball")[2].cures}["control set"] == pytest.approx(
@@ -171,6 +174,7 @@ def test_known_amounts():
     )
 
 
+@expensive
 def test_prices_of_soft_constraints_are_no_part_of_a_cure():
     """Whatever they cost: a cure is the least change, not the cheapest point."""
     bounded = lfo.Box(-0.7 * NEEDED, 0.7 * NEEDED)

@@ -9,6 +9,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from helpers.seeds import expensive
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, low_pass, stop_band, to_cvxpy
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.library import pendulum
@@ -181,6 +182,7 @@ def test_a_cost_that_is_not_convex_is_refused(cost, where):
         to_cvxpy(problem)
 
 
+@expensive
 def test_cvxpy_is_imported_by_its_users_only():
     code = "import sys, lin_freq_ocp.files.conversions; sys.exit('cvxpy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -19,6 +19,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.every_table import GOOD, PIECEWISE
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.api import Rerun, outcome_fields, rerun_summary
 from lin_freq_ocp.base import LARGE, MOST_ENTRIES
 from lin_freq_ocp.files import BEGINNING, sweep_summary, to_json
@@ -100,6 +101,7 @@ def without_null(value):
     return [without_null(one) for one in value if one is not None] if isinstance(value, list) else value
 
 
+@expensive
 @pytest.mark.parametrize("tables", [GOOD, PIECEWISE, SMOOTH, MODES], ids=["every", "piecewise", "smooth", "modes"])
 def test_spoiled_problem_files(tables, tmp_path):
     rng, path, read = random.Random(15), tmp_path / "problem.toml", 0
@@ -221,6 +223,7 @@ def shown(path):
     str(seen)
 
 
+@expensive
 def test_spoiled_sweeps(tmp_path):
     """Rows that can be read can be shown, written as a table and drawn, or drawing says why not."""
     lfo.sweep(partial(lfo.library.double_integrator, horizon=20), {"cutoff_hz": [None, 0.5]}, path=tmp_path / "good")
@@ -259,6 +262,7 @@ def test_nesting_and_numbers_without_end(text, cart, tmp_path):
     assert not read_or_refused(lfo.load_run, tmp_path / "bad.zip")
 
 
+@expensive
 def test_keys_with_thousands_of_dots(tmp_path):
     """Each dot is a table within a table, which the parser makes without recursion."""
     text = "schema = 1\n" + ".".join(["a"] * 5000) + " = 1\n"
@@ -342,6 +346,7 @@ def unpacked(monkeypatch):
     return taken
 
 
+@expensive
 def test_bombs_are_not_unpacked(tmp_path, unpacked, monkeypatch):
     """The sizes that the archive itself declares are enough: here of a sixteenth of what is large otherwise."""
     substitute(monkeypatch, "base.LARGE", LARGE // 16)
@@ -352,6 +357,7 @@ def test_bombs_are_not_unpacked(tmp_path, unpacked, monkeypatch):
     assert sum(unpacked) == 0
 
 
+@expensive
 def test_an_archive_of_very_many_entries_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "many.npz", "w") as archive:
         for number in range(MOST_ENTRIES + 1):

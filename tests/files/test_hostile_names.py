@@ -8,12 +8,14 @@ from __future__ import annotations
 import pytest
 
 from helpers.checks import names
+from helpers.seeds import expensive
 from lin_freq_ocp.methods import compiler
 
 CHEAP = "TOML", "JSON", "CSV"  # with 200 names
 PROBLEMS = [names.hostile_problem(seed) for seed in range(25)]
 
 
+@expensive
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 def test_generated_code_compiles_and_shows_them(tmp_path):
     comments = [names.c_comment(problem, tmp_path / str(i)) for i, problem in enumerate(PROBLEMS[::5])]

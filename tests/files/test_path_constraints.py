@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass, way_around
+from helpers.seeds import expensive
 
 
 def family(problem):
@@ -36,6 +37,7 @@ def test_named_formulas_are_read():
     assert family(mass(rows.h, let=rows.let)) == family(mass("x_0**2 + x_1**2 - 4"))
 
 
+@expensive
 def test_a_solution_file_has_its_multipliers(tmp_path):
     result = way_around()
     result.save(tmp_path / "mass.npz")

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 import lin_freq_ocp as lfo
 from helpers.problem_files import assert_same, bands, everything_at_once
-from helpers.seeds import examples
+from helpers.seeds import examples, expensive
 from lin_freq_ocp import (
     Box,
     LinearDynamics,
@@ -152,6 +152,7 @@ def problems(draw) -> OptimalControlProblem:
     )
 
 
+@expensive
 @pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 @given(problem=problems())
 @settings(

@@ -14,7 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
 from helpers.random.mixed import FEATURES, problem_of, random_model
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.costs import L1Cost, LInfCost
 from lin_freq_ocp.files import INLINE_LIMIT
 from lin_freq_ocp.spectrum import EnergyBound, LinearConstraint, OutputSpectrum, Spectrogram, notch
@@ -270,7 +270,7 @@ def test_mixed_features_survive_the_round_trip(tmp_path, seed):
     round_trip(problem_of(random_model(seed)), tmp_path)
 
 
-@turn(2)
+@expensive
 def test_the_mixed_problems_have_every_feature():
     seen = {feature for seed in range(24) for feature in random_model(seed).features}
     assert seen == {feature.__name__.strip("_").replace("_", " ") for feature in FEATURES}

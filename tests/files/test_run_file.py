@@ -18,6 +18,7 @@ from helpers.clocks import Clock
 from helpers.command_line import parsed, run
 from helpers.problem_files import assert_same, everything_at_once
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp import cli
 from lin_freq_ocp.api import SAME_COST, Rerun
 from lin_freq_ocp.base import use_clock
@@ -99,6 +100,7 @@ def ticking():
         yield
 
 
+@expensive
 @pytest.mark.parametrize(
     ("problem", "options", "error", "status"),
     [
@@ -168,6 +170,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@expensive
 @pytest.mark.parametrize(
     ("arguments", "status", "word"),
     [
@@ -326,6 +329,7 @@ def test_a_bad_run_is_refused_with_its_key(dumped, keys, words):
     assert str(caught.value).startswith(f"run.zip: run.json: {words}")
 
 
+@expensive
 @pytest.mark.parametrize(
     "keys",
     [

@@ -19,7 +19,7 @@ from helpers.compared_pages import moved
 from helpers.every_table import GOOD, PIECEWISE, changed
 from helpers.random.mixed import problem_of, random_model
 from helpers.schemas import MINIMUM_TIME, PROBLEM, RESULT, SHOW, SWEEP, faults, is_valid, printed
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.api import ERRORS
 from lin_freq_ocp.certificate import Condition, Conflict
 from lin_freq_ocp.cli import cli
@@ -406,6 +406,7 @@ def test_the_result_of_mixed_features_is_valid(seed):
     assert faults(RESULT, printed(result_summary(lfo.solve(problem_of(random_model(seed)))))) == []
 
 
+@expensive
 def test_the_result_of_a_solve_without_solution_is_valid():
     with pytest.raises(lfo.errors.InfeasibleError) as caught:
         lfo.solve(lfo.library.double_integrator(horizon=20, sampling_time=0.25, cutoff_hz=0.3))

@@ -11,6 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from helpers.sweeps import GRID, SHORT, assert_same
 from lin_freq_ocp.solving import solve_judged
 
@@ -29,6 +30,7 @@ def written(serial, file, tmp_path):
     return Path(shutil.copy(file, tmp_path))
 
 
+@expensive
 @pytest.mark.parametrize("cut", [-1, -30, -600])
 def test_a_file_cut_anywhere_is_resumed(serial, written, counted, cut):
     whole = written.read_bytes()
@@ -40,6 +42,7 @@ def test_a_file_cut_anywhere_is_resumed(serial, written, counted, cut):
     assert_same(lfo.load_sweep(written), serial)
 
 
+@expensive
 @pytest.mark.parametrize("left", [0, 1, 20, 100])
 def test_a_file_cut_within_its_first_line_is_begun_anew(serial, written, left):
     written.write_bytes(written.read_bytes()[:left])

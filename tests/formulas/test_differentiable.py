@@ -13,7 +13,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text, random_formula
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.batch import fingerprint
 from lin_freq_ocp.certificate import judge
@@ -51,7 +51,7 @@ def buck(second, **arguments):
     return replace(problem, dynamics=lfo.PiecewiseSmoothDynamics(modes, 1, 1))
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize(("arguments", "cost"), [({"horizon": 3}, 17.345547997984184), (AT_START, 11.554464138730564)])
 def test_the_converter_with_a_mode_that_is_no_formula_has_the_same_optimum(arguments, cost):
     function = lfo.DifferentiableFunction(off, off_slopes, check_at=[([0.9], [2.7]), ([0.4], [5.1])])
@@ -70,6 +70,7 @@ def test_the_converter_with_a_mode_that_is_no_formula_has_the_same_optimum(argum
     assert result.lower_bound == 0  # as the cost is never negative
 
 
+@expensive
 def test_norms_within_and_around_are_kinks_as_in_formulas():
     product = lfo.DifferentiableFunction(
         lambda x, u: x[:, 0] * u[:, 0], lambda x, u: np.hstack([u, x]), vectorized=True, check_at=[([0.3], [0.4])]
@@ -272,7 +273,7 @@ def test_bad_functions_are_refused(make, words):
         make(lfo.DifferentiableFunction)
 
 
-@turn(1)
+@expensive
 def test_files_need_formulas_and_explanations_say_what_is_missing(tmp_path):
     function = lfo.DifferentiableFunction(off, off_slopes)
     problem = buck(function, horizon=1, terminal_state=None)
@@ -397,7 +398,7 @@ def test_a_table_of_casadi_is_a_function_and_its_maxima_are_modes(casadi):
         assert lfo.simulate(problem, [[b]], [a]).x[1, 0] == pytest.approx(expected, rel=1e-12)
 
 
-@turn(2)
+@expensive
 def test_the_converter_by_casadi_has_the_optimum_of_the_converter_by_formulas(casadi):
     def fraction(x, u):
         return KEPT * excess(x, u) / (u[0] - POLE)

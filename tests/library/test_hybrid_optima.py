@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.hybrid_equations import STEPS, random_points, single_step, successors
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import library
 from lin_freq_ocp.methods import solve_convex
 
@@ -66,6 +66,7 @@ def test_optima_are_the_known_ones(name, parameters, cost):
     assert optimum(problem, prune=name != "buck_affine") == pytest.approx(cost, rel=1e-6)
 
 
+@expensive
 def test_the_cart_meets_the_wall_once_as_published():
     problem, published = library.cart_between_walls(), 3.104370011916  # with 1/2
     costs = [lfo.solve(problem.with_modes(np.eye(60, dtype=int)[impact])).cost for impact in range(14, 18)]
@@ -272,6 +273,7 @@ def test_the_published_model_of_the_ball_has_the_cost_of_its_record():
     assert len(library.ball_and_paddle(friction="published", keep_over_paddle=False).dynamics.modes) == 7
 
 
+@expensive
 def test_solve_finds_multipliers_at_a_kink_where_the_sequences_own_do_not_fit():
     certificate = lfo.solve(library.max_min_network(horizon=2)).certificate
     assert certificate.globally_optimal

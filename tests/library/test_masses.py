@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.library_physics import bins_around, energy, frequencies, removed, solved
+from helpers.seeds import expensive
 from lin_freq_ocp import library, simulate, stop_band
 
 # --- two masses and a spring
@@ -87,6 +88,7 @@ def test_mass_chain_is_the_reference_instance():
     assert [np.flatnonzero(column)[[0, -1]].tolist() for column in stop.T] == [[80, 200], [120, 200]]
 
 
+@expensive
 def test_mass_chain_with_a_free_end_reaches_the_other_reference_optimum():
     chain = library.mass_chain(cutoffs_hz=None, terminal_state=None, force_bound=0.8, terminal_weight=1.0)
     notched = dataclasses.replace(chain, control_spectrum=stop_band(bins=range(18, 25)))

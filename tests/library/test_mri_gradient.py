@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.library import StimulatedAxis, mri_gradient
 
 BANDS = ((560, 620), (960, 1310), (1860, 1950))  # Hz
@@ -19,6 +19,7 @@ def moment(result, order):
     return 0.01 * np.sum(g * (0.01 * np.arange(len(g))) ** order)
 
 
+@expensive
 def test_the_bipolar_pulse_has_132_samples_as_published():
     found = lfo.minimum_time(mri_gradient, horizons=(128, 136))
     assert (found.horizon, found.monotone, found.proven) == (132, True, True)
@@ -31,6 +32,7 @@ def test_the_bipolar_pulse_has_132_samples_as_published():
     assert moment(found.result, 1) == pytest.approx(11.74, abs=1e-3 + 1e-8)
 
 
+@expensive
 def test_the_shortest_prephaser_is_a_trapezoid():
     """Its area is at most that of a trapezoid with the slew rate and the amplitude: a sum that is known."""
 
@@ -43,7 +45,7 @@ def test_the_shortest_prephaser_is_a_trapezoid():
     assert (found.horizon, found.proven) == (least, True)
 
 
-@turn(0)
+@expensive
 def test_bands_are_held_at_every_frequency_and_without_them_are_not():
     def largest(result):
         w = 2 * np.pi * 1e-5 * np.concatenate([np.linspace(*band, 41) for band in BANDS])
@@ -71,6 +73,7 @@ def stimulation(g, axis, after=1000):
     return largest
 
 
+@expensive
 @pytest.mark.parametrize(
     ("axis", "share", "least"),
     [
@@ -107,7 +110,7 @@ def test_bad_numbers_of_hardware_are_named(field):
             StimulatedAxis(**good | {field: bad})
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize("samples", [246, 250])
 def test_pulses_with_bands_are_proven_where_the_peak_is_at_the_end_of_a_band(samples):
     masked = lfo.solve(mri_gradient(samples, forbidden_bands_hz=BANDS))

@@ -4,10 +4,11 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import parsed, run
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.library import printer_move
 
 
+@expensive
 def test_the_default_is_the_shortest_calm_move():
     result = lfo.solve(printer_move())
     assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
@@ -25,7 +26,7 @@ def test_the_box_is_that_of_the_parameters():
     assert printer_move(vibration_bound=None).control_spectrum is None
 
 
-@turn(1)
+@expensive
 def test_minimum_time_from_the_command_line():
     status, out, _ = run("minimum-time", "printer_move", "--horizons", "20", "24", "--json")
     found = parsed(out)

@@ -15,7 +15,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.dense_kernel import WindowedDenseKernel
 from helpers.generated import SANITIZERS, CompiledController, compile_command
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.loop import control_windows, without_windows
 from lin_freq_ocp.methods import SOLVED, CondensedSolver, compiler, library
@@ -128,6 +128,7 @@ def test_several_controls_with_several_limits_and_soft_states(seed):
     assert seed % 2 == 0 or set(loop.certify().statuses) <= {"optimal", "infeasible_claimed"}
 
 
+@expensive
 def test_the_judge_proves_the_plans_of_a_log_for_the_discs():
     loop = lfo.RecedingHorizon(drive(), certify="later")
     log = loop.run([0.3, 0.0], 25, disturbance=[[0.0, 0.05]] * 25)
@@ -203,6 +204,7 @@ def loop_without_limit(x_0: np.ndarray) -> np.ndarray:
     return lfo.solve(drive(control_spectrum=None).with_ends(x_0)).control[:, 0]
 
 
+@expensive
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_past_that_broke_its_level_is_reported_and_over_after_a_window(delay):
     loop, rng = lfo.RecedingHorizon(drive(), certify="later", delay=delay), np.random.default_rng(1)
@@ -226,6 +228,7 @@ def test_a_past_that_broke_its_level_is_reported_and_over_after_a_window(delay):
     np.testing.assert_array_equal(log.acted[:, 0], acted[:60])
 
 
+@expensive
 def test_a_past_of_the_user_and_previews_count():
     past = 0.04 * np.cos(2 * np.pi * 4 * STEP * np.arange(LENGTH - 1))
     loop = lfo.RecedingHorizon(drive(control_spectrum=limit(past=past)), certify="later")
@@ -248,6 +251,7 @@ def test_a_given_past_above_its_level_is_a_warning():
     assert [step.raised for step in loop.log.steps] == [True, True]
 
 
+@expensive
 @pytest.mark.parametrize("certify", ["later", "each"])
 def test_previewed_bounds_that_widen_and_windows_hold_together(certify):
     """The rest of a plan keeps wider bounds, too: a plan exists at every step."""
@@ -285,7 +289,7 @@ def test_a_time_limit_ends_a_step_and_all_windows_keep_their_level():
     assert 0.9 * AMPLITUDE < amplitudes(after_rest(log.controls[:, 0])).max() <= AMPLITUDE * (1 + 1e-6)
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("seed", range(2))
 def test_a_loop_costs_no_more_than_with_exact_cones(seed):
     """The same loop by Clarabel, with discs in place of polygons and the same rows on windows of the past."""
@@ -327,6 +331,7 @@ def exact_control(x_0: np.ndarray, applied: np.ndarray, A: np.ndarray, B: np.nda
     return float(u.value[0])
 
 
+@expensive
 @pytest.mark.parametrize("kind", ["frequencies", "windows"])
 def test_between_points_and_windows_the_amplitude_is_within_what_is_printed(tmp_path, kind):
     """Signals that are as bad as possible: signs of the wave at a point between others, in a window between others."""
@@ -360,9 +365,8 @@ def generated(folder: Path, real: str, rate: bool, delay: int) -> CompiledContro
     return CompiledController(folder, real, problem.state_dim, 1, HORIZON)
 
 
-@pytest.mark.parametrize(
-    ("real", "rate", "delay"), seeds([("double", False, 1), ("float", True, 0), ("double", True, 0)])
-)
+@expensive
+@pytest.mark.parametrize(("real", "rate", "delay"), [("double", False, 1), ("float", True, 0), ("double", True, 0)])
 def test_generated_code_keeps_every_window_at_every_status(tmp_path, real, rate, delay):
     """States jump and are none; of what acts, all windows keep their level but those in which another control acted."""
     step = generated(tmp_path, real, rate, delay)
@@ -387,6 +391,7 @@ def test_generated_code_keeps_every_window_at_every_status(tmp_path, real, rate,
     assert {2, 4} <= statuses
 
 
+@expensive
 def test_the_log_of_a_generated_controller_has_proofs_and_windows(tmp_path):
     controller = lfo.RecedingHorizon(drive())
     lfo.generate(controller, tmp_path)
@@ -434,6 +439,7 @@ def test_bounds_without_a_first_plan_are_a_warning():
         lfo.RecedingHorizon(drive(control_set=lfo.Box(0.1, 0.8)))
 
 
+@expensive
 def test_without_a_compiler_programs_plan_with_the_same_windows(no_compiler):
     noise = np.random.default_rng(0).normal(scale=[0.01, 0.1], size=(12, 2))
     with no_compiler("kernel.c could not be compiled"):
@@ -444,6 +450,7 @@ def test_without_a_compiler_programs_plan_with_the_same_windows(no_compiler):
     np.testing.assert_allclose(log.controls, by_kernel.controls, atol=0.1)
 
 
+@expensive
 @pytest.mark.parametrize("deviation", [1e-6, 1e-12])
 def test_plans_near_a_set_point_far_from_zero_are_proven(deviation):
     controller = lfo.RecedingHorizon(drive().with_references({"x_ref": [0.6, 0.0]}), certify="each")

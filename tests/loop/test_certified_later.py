@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
 from helpers.loops import LOOPS, pendulum, states
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.solving import PlannedStart, proven_in_batch
 
 
@@ -107,6 +107,7 @@ def test_a_word_that_is_no_time_is_refused():
         lfo.RecedingHorizon(pendulum(10), certify="never")
 
 
+@expensive
 @needs_kernel
 @pytest.mark.parametrize("name", ["soft", "rows"])
 def test_plans_with_soft_and_joint_rows_are_judged_as_a_batch(name, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.generated import write_log
 from helpers.loops import LOOPS, states
+from helpers.seeds import expensive
 
 
 @pytest.fixture
@@ -116,6 +117,7 @@ def test_the_status_says_whether_soft_rows_are_satisfied(tmp_path):
             assert str(lfo.certify_log(controller, path).findings[0]) == finding
 
 
+@expensive
 @pytest.mark.parametrize("logged", [0.0, 1.0, np.nan])
 def test_without_a_state_the_control_returned_last_goes_on(tmp_path, logged):
     controller = lfo.RecedingHorizon(LOOPS["low pass"](), delay=1)

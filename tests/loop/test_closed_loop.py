@@ -12,7 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
 from helpers.loops import pendulum
-from helpers.seeds import turn
+from helpers.seeds import expensive
 
 
 def test_a_constraint_of_each_plan_is_named():
@@ -28,6 +28,7 @@ def test_windows_and_plain_loops_are_silent():
         lfo.RecedingHorizon(replace(pendulum(20, None), control_spectrum=quiet))
 
 
+@expensive
 @needs_kernel
 def test_the_page_says_it_and_what_is_not_judged(blank, tmp_path):
     loop = lfo.RecedingHorizon(pendulum(20), certify="later")
@@ -60,7 +61,7 @@ def largest_amplitude(control: np.ndarray, limit: lfo.spectrum.Spectrogram) -> f
     return float(2 * np.abs(waves @ (windows * taper).T).max() / taper.sum())
 
 
-@turn(0)
+@expensive
 def test_the_applied_control_keeps_its_amplitude_at_every_frequency_of_the_band():
     limit = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING, past=np.zeros(40))
     noise = np.random.default_rng(0).normal(scale=[1e-3, 1e-2], size=(45, 2))
@@ -130,7 +131,7 @@ def windows_of(signal: np.ndarray, limit: lfo.spectrum.Spectrogram) -> np.ndarra
 LIMIT = lfo.spectrum.closed_loop(NOTCH, AMPLITUDE, SAMPLING).changed(past=np.zeros((10, 1)))
 
 
-@turn(2)
+@expensive
 def test_the_record_has_the_spectra_of_the_applied_windows():
     log = noisy_and_soft()
     (found,) = log.spectra()
@@ -146,7 +147,7 @@ def test_the_record_has_the_spectra_of_the_applied_windows():
     assert "above it" in repr(found)
 
 
-@turn(1)
+@expensive
 def test_windows_count_what_has_acted():
     """With a delay the first control is zero; a control that acted in place of a planned one counts."""
     problem = oscillating_mass(control_spectrum=LIMIT)
@@ -182,7 +183,7 @@ def test_an_energy_has_one_limit_for_each_window():
     assert found.worst[0] == sums.argmax()
 
 
-@turn(1)
+@expensive
 def test_one_window_over_past_and_plan_slides_with_the_loop():
     bound = lfo.MagnitudeBound(0.5, band=NOTCH)
     whole = lfo.spectrum.Spectrogram(bound, past=np.zeros(10))
@@ -192,6 +193,7 @@ def test_one_window_over_past_and_plan_slides_with_the_loop():
     np.testing.assert_array_equal(found.begins, np.arange(-10, -4))  # the last ends with the last control
 
 
+@expensive
 def test_short_loops_have_no_windows_and_other_constraints_are_refused():
     problem = oscillating_mass(control_spectrum=LIMIT)
     assert noisy(problem, 20).spectra() == ()
@@ -204,7 +206,7 @@ def test_short_loops_have_no_windows_and_other_constraints_are_refused():
         noisy(oscillating_mass(), 3).spectra(control_spectrum=limit)
 
 
-@turn(1)
+@expensive
 def test_the_page_shows_the_worst_window_and_the_bins_above_the_level(blank, tmp_path):
     log = noisy_and_soft()
     (found,) = log.spectra()

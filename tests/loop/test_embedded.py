@@ -16,7 +16,7 @@ import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import LOOPS, pendulum, states
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.methods import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -64,6 +64,7 @@ def generated(tmp_path_factory) -> dict[tuple[str, str], tuple[lfo.RecedingHoriz
     return found
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize(("name", "real"), RECORDED)
 def test_recorded_steps_run_clean_and_their_log_is_proven(generated, name, real):
@@ -78,6 +79,7 @@ def test_recorded_steps_run_clean_and_their_log_is_proven(generated, name, real)
     assert certified.differences[certified.proven].max() <= APART[real]
 
 
+@expensive
 @needs_compiler
 def test_the_code_calls_nothing_but_square_root_and_copies(tmp_path):
     if shutil.which("nm") is None:
@@ -92,6 +94,7 @@ def test_the_code_calls_nothing_but_square_root_and_copies(tmp_path):
     assert undefined - own <= {"sqrt", "memcpy", "memset", "memmove"}
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize("real", APART)
 def test_plans_cost_what_the_sparse_program_costs(tmp_path, real):
@@ -107,6 +110,7 @@ def test_plans_cost_what_the_sparse_program_costs(tmp_path, real):
         assert np.abs(control - best.control[0]).max() <= 1e-3
 
 
+@expensive
 @needs_compiler
 def test_states_that_are_none_change_nothing(tmp_path):
     step = compiled(tmp_path, controller(LOOPS["low pass"]()), "float")
@@ -119,6 +123,7 @@ def test_states_that_are_none_change_nothing(tmp_path):
     assert step.step(np.array([0.0, 1e9, 0.0, 0.0]))[0] == 3  # a number, and no plan
 
 
+@expensive
 @needs_compiler
 def test_a_step_without_a_plan_keeps_box_and_rate_and_hinders_no_later_one(tmp_path):
     given = controller(LOOPS["rate limit"]())
@@ -165,6 +170,7 @@ def test_controls_keep_hard_limits_exactly_at_every_state_and_status(tmp_path, n
     assert {0, 2, 4} <= statuses
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize("real", APART)
 def test_far_from_its_set_the_control_drives_the_plant_back(tmp_path, real):
@@ -179,6 +185,7 @@ def test_far_from_its_set_the_control_drives_the_plant_back(tmp_path, real):
         assert step.step([0.1]) == near
 
 
+@expensive
 @needs_compiler
 def test_the_generated_test_passes_where_recorded_steps_have_retreated_or_none_is_planned(tmp_path):
     turning = lfo.OptimalControlProblem(
@@ -212,6 +219,7 @@ def test_the_generated_test_passes_where_recorded_steps_have_retreated_or_none_i
             assert lfo.certify_log(given, folder / "log.csv").proven.all()
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize("changes", [0, 5])
 def test_a_cap_is_met_and_its_controls_stay_in_their_box(free, tmp_path, changes):
@@ -230,6 +238,7 @@ def test_a_cap_is_met_and_its_controls_stay_in_their_box(free, tmp_path, changes
     assert step.step(1e-4 * rng.uniform(-1, 1, 4))[0] == 0
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize("real", APART)
 def test_a_plant_far_from_zero_that_grows_beyond_all_numbers(tmp_path, real):
@@ -353,6 +362,7 @@ def dead_time(steps: int) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 12, cost, lfo.Box(-0.7, 0.4), initial_state=start)
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize(("name", "real"), [("rate limit", "float"), ("dead time", "double")])
@@ -382,6 +392,7 @@ def compiles(folder: Path, text: str, *options: str) -> bool:
     return not subprocess.run(command, cwd=folder, capture_output=True).returncode
 
 
+@expensive
 @needs_compiler
 @pytest.mark.parametrize(("name", "real"), [("rate limit", "float"), ("two controls", "double")])
 def test_sizes_are_those_of_the_compiler(tmp_path, name, real):
@@ -409,6 +420,7 @@ def test_an_array_that_is_too_short_for_x_is_a_warning(tmp_path):
     assert not compiles(tmp_path, use(3), "-O2", "-fno-syntax-only")
 
 
+@expensive
 @needs_kernel
 def test_only_a_folder_of_its_own_gets_other_files(tmp_path):
     """There, logs and what the compiler made stay; files of another project are not replaced."""

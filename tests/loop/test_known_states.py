@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.loops import pendulum
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.loop import known_states
 
 X_0 = np.array([0.05, 0.03, 0.1, 0.1])
@@ -67,6 +67,7 @@ def test_a_control_that_acted_in_its_place_is_the_last_one():
     assert loop.log.steps[2].state[4] == loop.log.controls[1, 0]
 
 
+@expensive
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_run_with_the_plant_of_the_user(delay):
     """The plant knows nothing of the last control; its disturbance has its own components."""

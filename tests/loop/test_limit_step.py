@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.solving import Outcome, Request
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
@@ -168,6 +169,7 @@ def test_references_of_the_step_count_too():
 SOFT = {"state_set": 10.0}
 
 
+@expensive
 @pytest.mark.parametrize(("point", "source"), [(controls(-0.1), "previous plan"), (optimum, "best point")])
 def test_prices_count_where_constraints_are_soft(point, source):
     """The state is out of its bounds, and no control leads back in one step."""
@@ -232,6 +234,7 @@ def stepped(*states: float) -> Point:
     return lambda problem: lfo.Trajectory(x, np.diff(x, axis=0))
 
 
+@expensive
 def test_a_plan_that_leads_where_no_mode_holds_is_none():
     """Its second control leads from the measured state into the gap; a point that misses the end is none, either."""
     for point, applied in ((stepped(0.3, 1.0, 2.0, 2.25, 2.5), 0.7), (stepped(0.3, 1.0, 2.0, 2.0, 2.0), None)):

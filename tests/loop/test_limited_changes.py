@@ -12,6 +12,7 @@ from helpers.clocks import Clock
 from helpers.compilers import needs_kernel
 from helpers.dense_kernel import DenseKernel
 from helpers.loops import LOOPS, pendulum, states
+from helpers.seeds import expensive
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods import LIMIT, SOLVED, Budget, CondensedSolver
 
@@ -32,6 +33,7 @@ def driven(loop: lfo.RecedingHorizon, steps: int = 12) -> lfo.results.ClosedLoop
     return loop.log
 
 
+@expensive
 @needs_kernel
 @pytest.mark.parametrize("limit", [1, 3, 10, 40])
 def test_a_limited_step_claims_nothing_and_the_loop_goes_on(limit):

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
+from helpers.seeds import expensive
 from lin_freq_ocp.loop import with_past
 from lin_freq_ocp.methods import MOST_PROGRAMS, ProgramCache
 from lin_freq_ocp.program import LinearProgram
@@ -32,6 +33,7 @@ def after(steps: int, problem: lfo.OptimalControlProblem | None = None) -> lfo.O
     return with_past(problem or windowed(), np.zeros((steps, 2)), 0.1 * rng.standard_normal((steps, 1)))
 
 
+@expensive
 def test_every_step_has_the_answer_of_its_problem_alone():
     loop, problem, rest = lfo.RecedingHorizon(windowed(), "convex"), windowed(), np.zeros((30, 1))
     rng, x = np.random.default_rng(0), np.array([1.0, 0.0])
@@ -94,6 +96,7 @@ def test_limits_and_references_are_exchanged():
             np.testing.assert_array_equal(getattr(other.sparse, part), getattr(exact, part))
 
 
+@expensive
 def test_a_cache_forgets_what_was_used_longest_ago():
     cache = ProgramCache()
     problems = [replace(windowed(), dynamics=replace(DYNAMICS, A=DYNAMICS.A * (1 + 1e-3 * k))) for k in range(40)]

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.loop import free_first_state
 from lin_freq_ocp.methods.hybrid import TreeSearch
 
@@ -28,7 +28,7 @@ def states(steps, jumps):
     return found, controller.log
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize("jumps", [(), (2, 4)], ids=["disturbed", "into another mode"])
 def test_steps_cost_what_their_problems_cost_alone(jumps):
     measured, log = states(6, jumps)
@@ -39,6 +39,7 @@ def test_steps_cost_what_their_problems_cost_alone(jumps):
     assert (log.gaps <= 1e-6).all()
 
 
+@expensive
 @needs_kernel
 def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatch):
     problem = lfo.library.buck_affine(horizon=6)
@@ -51,6 +52,7 @@ def test_later_steps_solve_fewer_relaxations_than_from_the_plan_alone(monkeypatc
     assert with_tree.nodes[1:].sum() < without.nodes[1:].sum()
 
 
+@expensive
 def test_a_reference_that_changes_keeps_the_splits_alone():
     problem, x = wall(6), np.array([0.09, 0.3])
     controller = lfo.RecedingHorizon(problem)
@@ -62,5 +64,6 @@ def test_a_reference_that_changes_keeps_the_splits_alone():
         assert controller.log.statuses[-1] == "optimal"
 
 
+@expensive
 def test_without_modes_no_relaxations_are_counted():
     assert lfo.RecedingHorizon(lfo.library.double_integrator()).run([0.0, 0.0], 2).nodes.tolist() == [0, 0]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.loop import depends_on_past, free_first_state, with_past
 from lin_freq_ocp.transform import Change
 
@@ -27,6 +28,7 @@ def windows_of(one: lfo.OptimalControlProblem, now: int) -> list[int]:
     return [now + int(start) for start in term.map.starts]
 
 
+@expensive
 @pytest.mark.parametrize("hop", [1, 3, 4, 5])
 def test_windows_stand_still_in_time(hop):
     base = problem(control_spectrum=lfo.spectrum.Spectrogram(MASK, length=5, hop=hop))

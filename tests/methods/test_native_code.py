@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.methods import DAY, compiled_library, compiler, native_code
 
 FAILURE = "answer.c could not be compiled, slower code computes the same"
@@ -120,6 +121,7 @@ def let_a_day_pass(_sources, record, _monkeypatch):
     os.utime(record, (then, then))
 
 
+@expensive
 @pytest.mark.parametrize("change", [touch_compiler, change_header, change_processor])
 def test_another_compiler_source_or_processor_gets_its_own_library(change, load, sources, cache, monkeypatch):
     load()
@@ -250,6 +252,7 @@ def test_without_any_folder_there_is_one_warning(load, monkeypatch, tmp_path):
     assert len(seen) == 1
 
 
+@expensive
 @pytest.mark.parametrize(("source", "flags"), [*((source, ()) for source in SOURCES), ("kernel.c", SINGLE)])
 def test_every_source_is_strict_c99(source, flags, tmp_path):
     (path,) = Path(native_code.__file__).parent.rglob(source)

@@ -10,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.browsers import DARK, complaints, emulate, requested, screen
 from helpers.patience import PATIENCE
+from helpers.seeds import expensive
 from lin_freq_ocp.pages import ExploreServer, Session, static_page
 
 
@@ -89,6 +90,7 @@ def drawn(browser, kind):
     return browser.execute_script(f"return {paths}.map((one) => one.getAttribute('d'))")
 
 
+@expensive
 def test_a_dragged_slider_changes_cost_and_drawing(browser, address):
     first, path = opened(browser, address), drawn(browser, "constrained")
     assert first["status"] == "optimal, proven"
@@ -100,6 +102,7 @@ def test_a_dragged_slider_changes_cost_and_drawing(browser, address):
     assert part(browser, "cutoff").get_attribute("aria-valuetext").endswith("Hz")
 
 
+@expensive
 def test_an_infeasible_setting_shows_conflict_and_cures_that_cure(browser, address):
     opened(browser, address)
     found = settled(browser, lambda: dragged(browser, "cutoff", -60))
@@ -136,6 +139,7 @@ def test_the_newest_position_wins(browser, address):
     assert last["cost"] == "6.38576"
 
 
+@expensive
 @pytest.mark.parametrize("page", ["address", "file"])
 def test_nothing_is_requested_elsewhere_and_nothing_complains(browser, page, request):
     url = request.getfixturevalue(page)
@@ -214,6 +218,7 @@ def limited_move():
     return lfo.rate_limited(problem, 0.5, previous=0)
 
 
+@expensive
 def test_masks_notches_rates_and_bounds_of_states_can_be_moved(browser):
     with served(Session(limited_move())) as url:
         first = opened(browser, url)
@@ -238,6 +243,7 @@ def test_masks_notches_rates_and_bounds_of_states_can_be_moved(browser):
         assert complaints(browser) == []
 
 
+@expensive
 def test_an_infeasible_bound_of_a_state_is_cured_by_a_button(browser):
     with served(Session(limited_move())) as url:
         opened(browser, url)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.pages import (
     comparison_data,
     draw_figures,
@@ -34,6 +34,7 @@ def lines(ax):
     return {line.get_label(): line for line in ax.get_lines()}
 
 
+@expensive
 def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
     (ax,) = panels_figure(held_panels(comparison_data(held))).axes
     drawn = lines(ax)
@@ -49,7 +50,7 @@ def test_a_held_spectrum_is_drawn_beyond_nyquist_below_its_limit(held):
     assert drawn["limit"].get_ydata()[0] == pytest.approx(1.0)
 
 
-@turn(1)
+@expensive
 def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
     drawings = tuple(draw_figures(held))
     (drawing,) = (one for one in drawings if one.name == "held_spectra")
@@ -59,7 +60,7 @@ def test_the_page_shows_it_and_says_that_filters_do_not_apply(held):
     assert "held_spectra-" in page
 
 
-@turn(2)
+@expensive
 def test_a_box_without_shapers_is_drawn_all_the_same():
     longer = replace(FREE, horizon=80, control_set=[FREE.control_set] * 80)
     comparison = lfo.compare(replace(longer, control_spectrum=CALM), [])
@@ -76,6 +77,7 @@ def test_a_box_without_shapers_is_drawn_all_the_same():
     assert "Residual vibration over the natural frequency" in render_page(comparison, drawings)
 
 
+@expensive
 @pytest.mark.parametrize(("constraint", "words"), [(CALM, "; its limit is not about bins"), (None, "")])
 def test_the_panel_of_the_spectrum_says_that_there_is_no_band(constraint, words):
     longer = replace(FREE, horizon=80, control_spectrum=constraint)
@@ -89,6 +91,7 @@ def test_without_any_nothing_is_drawn():
     assert panels_figure(vibration_panels(data)) is None
 
 
+@expensive
 def test_the_figure_of_a_result_has_a_panel_for_everything_that_constrains():
     problem = lfo.rate_limited(lfo.library.printer_move(horizon=30, sampling_time=0.01), 4.0)
     result = lfo.solve(problem)

@@ -13,7 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 import lin_freq_ocp as lfo
 from helpers.compared_pages import case, price_axes
 from helpers.drawings import LAID_OUT
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, compare, solve
 from lin_freq_ocp.errors import SolveError
 from lin_freq_ocp.pages import (
@@ -104,6 +104,7 @@ def test_without_a_brick_wall_the_first_filter_is_shown():
     assert [trace.label for trace in comparison_data(nothing).traces] == ["classical", "constrained"]
 
 
+@expensive
 def test_result_figure_shows_one_solution():
     result = case("state band").constrained
     figure = result.plot()
@@ -160,7 +161,7 @@ def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     assert parts_of_the_gap(unbounded) == ""
 
 
-@turn(0)
+@expensive
 def test_the_layout_keeps_labels_apart_and_inside(monkeypatch):
     """The other tests draw without the layout."""
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", LAID_OUT)
@@ -202,6 +203,7 @@ def car(**of_problem: object) -> OptimalControlProblem:
     return OptimalControlProblem(dynamics, **(given | ends | of_problem))
 
 
+@expensive
 def test_obstacles_are_shaded_in_the_plane_of_their_two_states():
     disc = lfo.sets.PathConstraint(["0.25 - x_0**2 - x_1**2", "x_1 - 3"], name="post")
     figure = result_figure(solve(car(stage_rows=disc)))
@@ -216,6 +218,7 @@ def test_obstacles_are_shaded_in_the_plane_of_their_two_states():
     assert "excluded: post" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
+@expensive
 def test_a_path_constraint_is_drawn_over_time_with_its_limits():
     speed = lfo.sets.PathConstraint("x_2**2 + x_3**2", name="speed squared", upper=1.5)
     result = solve(car(stage_rows=speed))

@@ -10,6 +10,7 @@ from matplotlib.colors import to_hex
 
 import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
+from helpers.seeds import expensive
 from lin_freq_ocp.methods import compiler
 
 STEP, LENGTH = 0.05, 16
@@ -47,6 +48,7 @@ def lines(ax, color: str) -> list:
     return [line for line in ax.lines if to_hex(line.get_color()) == color]
 
 
+@expensive
 def test_states_that_follow_from_the_controls_are_not_drawn():
     shown = panels()
     assert {"torque", "u_0", "angle", "speed"} & set(shown) == {"u_0", "angle", "speed"}
@@ -54,6 +56,7 @@ def test_states_that_follow_from_the_controls_are_not_drawn():
     assert loop().states.shape[1] == 3
 
 
+@expensive
 @needs_kernel
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_reference_stands_where_the_plan_begins(delay):
@@ -64,6 +67,7 @@ def test_the_reference_stands_where_the_plan_begins(delay):
     assert not lines(panels()["speed"], REFERENCE)  # it costs nothing
 
 
+@expensive
 @pytest.mark.skipif(compiler() is None, reason="no C compiler: programs raise no level")
 def test_windows_are_drawn_over_time_with_the_steps_whose_level_was_raised(tmp_path):
     ax, log = panels()["Applied windows of u_0 over time"], loop()

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from helpers.compared_pages import CASES, blanks, case, drawings, page, price_axes, text
 from helpers.pages import double_integrator, parsed
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive
 from lin_freq_ocp import Trajectory, compare, stop_band
 from lin_freq_ocp.base import NOTHING, number
 from lin_freq_ocp.certificate import judge
@@ -45,7 +45,8 @@ def quietly(name: str) -> list[float]:
     return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", str(finding_of(case(name))))]
 
 
-@pytest.mark.parametrize("name", seeds(CASES))
+@expensive
+@pytest.mark.parametrize("name", CASES)
 def test_page_names_its_finding_and_all_conditions(name: str):
     shown = text(name)
     assert str(finding_of(case(name))).split(": ", 1)[1].split(". ")[0][1:] in shown
@@ -56,7 +57,7 @@ def test_page_names_its_finding_and_all_conditions(name: str):
     assert "lin-freq-ocp 0." in shown
 
 
-@turn(0)
+@expensive
 def test_page_and_figures_do_not_change_from_run_to_run(images):
     comparison = case("infeasible")
     first, second = drawings("infeasible"), tuple(draw_figures(comparison))
@@ -77,7 +78,7 @@ def test_the_image_of_a_figure_is_drawn_only_when_it_is_asked_for(images, monkey
     assert len(drawn) == 1
 
 
-@turn(2)
+@expensive
 def test_saved_folder_holds_page_and_figures(images, tmp_path, monkeypatch):
     substitute(monkeypatch, "pages.draw_figures", lambda _: drawings("state band"))  # they are drawn only once
     path = case("state band").save(tmp_path / "new" / "folder")
@@ -101,6 +102,7 @@ def test_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
         save_report(case("no band"), tmp_path / "taken")
 
 
+@expensive
 def test_headline_has_the_measured_numbers():
     comparison = case("pendulum")
     numbers = quietly("pendulum")
@@ -125,6 +127,7 @@ def test_headline_has_the_measured_numbers():
     assert "all constraints hold" in text("pendulum").lower()
 
 
+@expensive
 def test_stop_band_is_explained_with_its_peaks():
     comparison, shown = case("pendulum"), text("pendulum")
     assert "97 to 120 of force" in shown
@@ -133,6 +136,7 @@ def test_stop_band_is_explained_with_its_peaks():
         assert number(measures.stopband_peak, 3) in stop_band_meaning(comparison)[1]
 
 
+@expensive
 def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
     comparison, shown = case("infeasible"), text("infeasible")
     assert comparison.constrained.status == "infeasible"
@@ -147,7 +151,7 @@ def test_an_infeasible_problem_shows_its_conflict_and_no_certificate():
     assert {row.cells[-1].text for group in comparison_rows(comparison).groups for row in group.rows} == {NOTHING}
 
 
-@turn(2)
+@expensive
 def test_without_a_meaningful_replay_no_states_are_claimed():
     comparison = case("not simulated")
     assert not comparison.replay_is_meaningful
@@ -173,6 +177,7 @@ def test_without_a_meaningful_replay_no_states_are_claimed():
     ]
 
 
+@expensive
 def test_without_a_stop_band_there_is_nothing_to_filter():
     comparison = case("no band")
     assert finding_of(comparison).filtering == ""
@@ -184,6 +189,7 @@ def test_without_a_stop_band_there_is_nothing_to_filter():
     assert [trace.label for trace in comparison_data(comparison).traces] == ["optimal"]
 
 
+@expensive
 def test_state_stop_bands_have_their_spectra():
     comparison = case("state band")
     assert [one.name for one in drawings("state band")] == ["comparison", "state_spectra", "states", "gap", "price"]

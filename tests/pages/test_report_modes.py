@@ -19,7 +19,7 @@ from helpers.compared_pages import blanks
 from helpers.kinks import peak, rotation, valley
 from helpers.pages import double_integrator, parsed
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import OptimalControlProblem, Trajectory, compare, library, solve
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import kinks
@@ -129,6 +129,7 @@ def tints(ax) -> list[tuple[float, float, str]]:
     return [(one.get_x(), one.get_x() + one.get_width(), to_hex(one.get_facecolor())) for one in behind]
 
 
+@expensive
 @given(st.lists(st.integers(NO_MODE, 3), min_size=1, max_size=30))
 def test_spans_cover_the_horizon_once_and_in_order(modes):
     found = spans(np.array(modes))
@@ -216,6 +217,7 @@ def closed_off(first: str = "falling", second: str = "rising") -> OptimalControl
     )
 
 
+@expensive
 @pytest.mark.parametrize("name", ["kink", "norm", "absolute"])
 def test_what_the_adjoint_equation_requires_lies_within_the_bar(name):
     result = case(name).constrained
@@ -272,6 +274,7 @@ def test_a_wrong_adjoint_lies_outside_the_bar():
     assert any("fails with these multipliers" in sentence for sentence in switching_sentences(certificate.borders))
 
 
+@expensive
 def test_pages_of_linear_problems_have_none_of_it():
     assert set(drawings("linear")) == {"comparison", "states", "gap"}
     assert not re.search(r"mode|adjoint_|S-f|N-f|--mode", text("linear") + page("linear"))
@@ -289,7 +292,7 @@ def test_pages_of_linear_problems_have_none_of_it():
     ]
 
 
-@turn(0)
+@expensive
 def test_pages_with_modes_have_strips_and_adjoint():
     for name in ("wall", "kink"):
         assert {"modes", "adjoint"} <= set(drawings(name))
@@ -301,6 +304,7 @@ def test_pages_with_modes_have_strips_and_adjoint():
     assert "N-f: the weights are nonnegative" in text("wall")
 
 
+@expensive
 def test_words_of_borders_and_trees():
     tree = case("tree").constrained
     sentence = search_sentences(tree)[0]
@@ -350,6 +354,7 @@ def test_tables_name_modes_of_smooth_pieces():
     assert dict(problem_facts(case("norm").problem))["kinks"] == "norm(x_0, x_1), not differentiable at zero"
 
 
+@expensive
 def test_a_page_without_a_solution_shows_the_classical_modes_and_the_tree():
     comparison = case("wall")
     before = comparison.constrained
@@ -385,6 +390,7 @@ def linear(color: str) -> np.ndarray:
     return np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
 
 
+@expensive
 def test_long_and_odd_mode_names_are_drawn_as_they_are():
     result = solve(closed_off("_$a$", "b" * 60))
     figure = result_figure(replace(result, sequence=np.array([0, 1, 0])))
@@ -436,6 +442,7 @@ def thruster(duty_cycles: bool = False) -> OptimalControlProblem:
     )
 
 
+@expensive
 def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     comparison = compare(thruster(), filters=["brickwall"])
     (filtered,) = comparison.filtered
@@ -452,6 +459,7 @@ def test_a_filter_takes_controls_between_levels_and_the_page_says_so():
     assert "At t = 0, 1, 2, 3, 4, 5, 6 and 7 the trajectory lies at the edge of a gap" in html
 
 
+@expensive
 def test_costs_of_levels_are_no_bounds_and_levels_are_said_once():
     for problem in (thruster(), thruster(duty_cycles=True)):
         (signal,) = result_data(solve(problem)).controls

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.pages import Session, points
 
@@ -150,6 +151,7 @@ def test_the_sweep_of_a_static_page_is_on_notches_without_repetitions(session):
         assert len({values[slider.key] for values in grid}) >= 3
 
 
+@expensive
 def test_a_residual_vibration_is_drawn_with_its_limit():
     session = Session(lfo.library.printer_move())
     answer = session.answer({})

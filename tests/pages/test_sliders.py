@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.pages import GROUPS, HORIZON, Session, sliders_of
 from lin_freq_ocp.transform import changed_fields
 
@@ -220,7 +220,7 @@ def test_sliders_say_what_they_move_in_which_unit():
     ]
 
 
-@turn(1)
+@expensive
 def test_notches_are_within_the_limits_and_easier_ones_do_cost_less():
     for name, (_, (key, notches), _) in CASES.items():
         session = session_of(name)
@@ -269,7 +269,7 @@ def test_ends_that_are_more_than_boxes_have_no_sliders():
     ]
 
 
-@turn(1)
+@expensive
 def test_an_infeasible_level_is_cured_by_a_higher_level():
     session = Session(lfo.library.printer_move())
     level = next(one for one in session.sliders if one.key.startswith("level"))

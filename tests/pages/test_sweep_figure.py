@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.sweeps import SHORT
 
 
@@ -28,6 +29,7 @@ def test_the_figure_shows_costs_relative_to_none_and_what_is_infeasible(serial):
             assert (marks > highest).all()
 
 
+@expensive
 def test_figures_of_other_sweeps_are_drawn(tmp_path):
     found = lfo.sweep(
         SHORT, {"horizon": [-1, 40, 60, 2000], "speed_bound": [0.3, None]}, tolerance=10, method="spectral"

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 
 PERIOD = 0.1
 GRAVITY, DAMPING = 9.81, 0.3
@@ -65,6 +65,7 @@ def somewhere(T=7, seed=4):
     return rng.uniform(-2, 2, size=(T + 1, 2)), rng.uniform(-3, 3, size=(T, 1))
 
 
+@expensive
 @pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
 def test_a_sampled_pendulum_has_the_analytic_derivatives(integrator):
     x, u = somewhere(3)
@@ -201,7 +202,7 @@ def test_curvature_is_no_kink(smooth, point):
     assert slope == pytest.approx((smooth(point + 1e-6) - smooth(point - 1e-6)) / 2e-6, abs=2e-3)
 
 
-@turn(0)
+@expensive
 def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     """The time constant 1e-5 s is over at once: after 0.1 s the fast state is at 2 u, and nothing else matters."""
     system = control.nlsys(lambda t, x, u, params: (2 * u - x) / 1e-5, None, states=1, inputs=1, dt=0)
@@ -214,7 +215,7 @@ def test_stiff_models_are_sent_to_the_implicit_integrator(monkeypatch):
     np.testing.assert_allclose([dynamics.A[0, 0], dynamics.B[0, 0], dynamics.offset[0]], [0, 2, 0], atol=1e-9)
 
 
-@turn(2)
+@expensive
 def test_one_step_around_a_trajectory_reduces_the_miss():
     """Swing to 2 rad at rest: the optimum of the model along a trajectory misses the end by less than that did."""
     T, start, goal = 20, [0.0, 0.0], [2.0, 0.0]
@@ -311,6 +312,7 @@ def lifted(dynamics, horizon=8):
     return lfo.OptimalControlProblem(dynamics, horizon, cost, box, initial_state=[0, 0], terminal_state=[0.3, 0])
 
 
+@expensive
 def test_successive_linearisation_ends_where_formulas_do():
     system = control.nlsys(rotating, None, states=["angle", "speed"], inputs=["force"], dt=PERIOD)
     dynamics = lfo.PiecewiseSmoothDynamics.from_system(system)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 
 H = 0.1
 STEPS = 6
@@ -208,6 +209,7 @@ R = { force = 1.0 }
     assert lfo.solve(read).cost == pytest.approx(lfo.solve(plain).cost, rel=1e-12)
 
 
+@expensive
 def test_rate_limits_by_name():
     named = lfo.rate_limited(cart(), {"force": 0.5}, {"force [N]": 0}, {"force": 1.0}, {"force": 2.0})
     plain = lfo.rate_limited(cart(), 0.5, 0, 1.0, 2.0)

@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.own_kinds import Bilinear, DelayedInput, FromRest
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.pages import draw_figures, render_page
 from lin_freq_ocp.solving import FAMILIES, Family, Shorthand
 
@@ -41,7 +41,7 @@ def test_it_describes_itself_and_its_methods(registered):
         _ = given.linear
 
 
-@turn(0)
+@expensive
 def test_it_is_reported_and_compared(registered):
     given = problem(BILINEAR, control_spectrum=lfo.stop_band(bins=[3]))
     comparison = lfo.compare(given)

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass
+from helpers.seeds import expensive
 
 PathConstraint = lfo.sets.PathConstraint
 
@@ -70,6 +71,7 @@ def test_states_counted_from_elsewhere_and_added_states_keep_its_values():
     assert np.allclose(tangents.augmented(4, 3).slack(more, at.u), tangents.slack(at.x, at.u))
 
 
+@expensive
 def test_a_measured_state_that_violates_it_is_left_free():
     rows = mass(lambda x, u: [disc(x, u), u[0] ** 2 - 4], upper=[0.0, 1.0]).stage_rows[0].free_first_state(12)
     assert np.array_equal(rows.limits()[0], [np.inf, 1.0])

@@ -15,6 +15,7 @@ import pytest
 from helpers.patience import PATIENCE
 from helpers.programs import SOLVABLE, ask, is_accepted, long_program
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp import LinearDynamics, OptimalControlProblem, QuadraticCost
 from lin_freq_ocp.base import interrupts_noted, use_clock
 from lin_freq_ocp.methods import solve_convex
@@ -33,6 +34,7 @@ def interrupt_when_listening(before: Any, stop: threading.Event, sent: threading
         time.sleep(1e-4)
 
 
+@expensive
 @posix
 def test_ctrl_c_stops_the_solver_at_a_point_and_gives_the_handler_back():
     """The solver looks at the clock after each iteration, and there waits until Ctrl-C was sent."""
@@ -55,6 +57,7 @@ def test_ctrl_c_stops_the_solver_at_a_point_and_gives_the_handler_back():
     assert is_accepted(SOLVABLE["upper"].program, ask("clarabel", SOLVABLE["upper"].program))  # and the next one runs
 
 
+@expensive
 @pytest.mark.parametrize("solve", [1, 2])
 def test_ctrl_c_is_remembered_in_whichever_solve_it_came(solve, monkeypatch):
     """A solve in revised units is a second one: stopping that one is stopping, too."""

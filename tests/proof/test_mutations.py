@@ -9,7 +9,7 @@ from flint import arb
 from helpers import hand_proofs
 from helpers.checks import proofs
 from helpers.mutations import mutations, sample
-from helpers.seeds import seeds, whole_sample
+from helpers.seeds import expensive, seeds, whole_sample
 
 EACH = 3  # mutations of each section
 SEEDS = 1, 2, 3, 4, 5, 6, 8, 10, 11, 12
@@ -27,6 +27,7 @@ def test_a_mutation_is_rejected_or_what_is_printed_still_holds(kind, tmp_path):
         assert not proofs.wrong_of(mutation, truth, first_hash, tmp_path), mutation
 
 
+@expensive
 def test_every_mutation_of_a_dual_by_hand(tmp_path):
     proof = proof_of_kind("by hand")
     truth, first_hash = proofs.truth_of("by hand", proof, tmp_path)
@@ -35,6 +36,7 @@ def test_every_mutation_of_a_dual_by_hand(tmp_path):
     assert not [str(one) for one in of_dual if proofs.wrong_of(one, truth, first_hash, tmp_path)]
 
 
+@expensive
 def test_a_checker_that_charges_nothing_is_found_out(tmp_path, monkeypatch):
     proof = proof_of_kind("by hand")
     truth, first_hash = proofs.truth_of("by hand", proof, tmp_path)

@@ -8,7 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.proof import lfo_check, proof_of
 
 
@@ -125,6 +125,7 @@ def test_without_an_answer_there_is_nothing_to_prove():
         _ = result.enclosure
 
 
+@expensive
 def test_what_cannot_be_stated_is_refused_before_anything_is_written(tmp_path):
     result = lfo.solve(lfo.library.printer_move())
     with pytest.raises(lfo.errors.UnsupportedError, match="control_spectrum"):
@@ -138,6 +139,7 @@ def test_without_the_extra_the_message_names_it(monkeypatch):
         _ = lfo.solve(lfo.library.double_integrator()).enclosure
 
 
+@expensive
 def test_a_long_proof_is_written_without_a_check_and_passes_it(tmp_path, monkeypatch):
     substitute(monkeypatch, "proof.LONGEST_CHECK", 100)
     substitute(monkeypatch, "proof.checked_enclosure", None)

@@ -8,7 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import is_semidefinite
 from lin_freq_ocp.certificate import Region
 from lin_freq_ocp.proof import check, convex_problem, raised_by
@@ -75,6 +75,7 @@ def test_no_bound_is_rigorous_where_rounding_lets_the_cost_fall_for_ever():
     assert result.enclosure.lower == -np.inf
 
 
+@expensive
 @pytest.mark.parametrize("horizon_of_checks", [20_000, 1])
 def test_the_claim_is_not_raised_to_what_the_checker_does_not_prove(horizon_of_checks, monkeypatch, tmp_path):
     """The cost is never negative, but neither bounds nor the rounded Hessian limit the states of the raised problem."""

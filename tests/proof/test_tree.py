@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.proof import lfo_check, proof_of, written_nodes
 from lin_freq_ocp.testing import PIECEWISE_AFFINE
 
@@ -35,6 +35,7 @@ def test_twenty_steps_of_the_rotation():
     assert 0 < proven.width <= GAP * proven.upper
 
 
+@expensive
 def test_enumerated_sequences_are_a_tree_too():
     problem = lfo.library.buck_affine(horizon=5)
     one, other = (lfo.solve(problem, method).enclosure for method in ("enumerate", "branch_and_bound"))
@@ -75,7 +76,7 @@ def test_modes_that_no_child_keeps_are_leaves_of_their_own():
             assert set(np.flatnonzero(node.stages.modes[times.pop()]).tolist()) <= set.union(*kept)
 
 
-@turn(2)
+@expensive
 def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():
     result = lfo.solve(lfo.library.cart_between_walls())
     tree = result.tree
@@ -88,6 +89,7 @@ def test_a_leaf_that_reaches_nothing_need_not_be_in_the_tree():
     assert found.width <= GAP * found.upper
 
 
+@expensive
 def test_a_leaf_that_is_not_proven_is_found():
     result = lfo.solve(lfo.library.buck_affine(horizon=6))
     tree = result.tree

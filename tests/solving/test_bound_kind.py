@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.batch import Search
 from lin_freq_ocp.files import result_summary
 from lin_freq_ocp.pages import answer_data
@@ -77,6 +78,7 @@ def test_another_message_changes_no_decision(case):
         assert search.proven == ([20] if case == "ray" else [])
 
 
+@expensive
 def test_no_code_compares_a_message():
     """A message is for people: it may be put together and shown, and nothing branches on its text."""
     for path in Path(lfo.__file__).parent.rglob("*.py"):

@@ -8,6 +8,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import pairs
 from helpers.checks.alone import any_problem
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate import Condition
 
 
@@ -60,6 +61,7 @@ def test_multipliers_of_an_answer_without_a_proof_are_those_of_the_trajectory_to
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
 
 
+@expensive
 @pytest.mark.parametrize(
     "features", [("path constraint",), ("path constraint", "joint rows"), ("path constraint", "low pass")]
 )

@@ -10,6 +10,7 @@ from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.random.linear import random_linear
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp import SpectralSolver
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods import convex_candidates
@@ -98,6 +99,7 @@ class TestChoiceOfMethod:
         assert (result.method, result.backend) == ("convex", "clarabel")
         assert_proven(result)
 
+    @expensive
     @pytest.mark.parametrize(
         "lie",
         [
@@ -164,6 +166,7 @@ class TestChoiceOfMethod:
             assert result.trajectory is not None
             monkeypatch.undo()
 
+    @expensive
     @pytest.mark.parametrize(("limit", "left"), [(None, None), (60.0, 10.0), (40.0, 1e-3)])
     def test_both_methods_share_one_time_limit(self, limit, left, monkeypatch):
         """What the first has used the second has not; a thousandth of a second is always left, for its words."""

@@ -10,7 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn, whole_sample
+from helpers.seeds import expensive, whole_sample
 from lin_freq_ocp import Trajectory
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.comparison import ProblemSignal, measured_solution
@@ -57,6 +57,7 @@ def test_published_costs_of_the_pendulum(level, bin_of_240, step, cost):
     assert peak.ratio - 1 < 1e-7
 
 
+@expensive
 @pytest.mark.parametrize("interrupted", [False, True])
 def test_a_proof_that_is_cut_short_leaves_the_answer_of_the_rounds(solved, interrupted, monkeypatch):
     """If the claim is not proven, the last grid is solved once more: at a limit of time or Ctrl-C, the claim counts."""
@@ -94,7 +95,7 @@ def test_the_spectrum_stays_below_the_limit_between_the_bins(solved):
     np.testing.assert_allclose(aligned[heavy], 1.5 * np.linalg.norm(weights, axis=1)[heavy], rtol=1e-5)
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("method", ["convex", "structured"])
 def test_methods_find_the_same(solved, method):
     result = lfo.solve(masked(), method)
@@ -102,6 +103,7 @@ def test_methods_find_the_same(solved, method):
     assert result.cost == pytest.approx(solved.cost, rel=1e-8)
 
 
+@expensive
 def test_the_bound_lies_between_those_of_grids(solved):
     """A grid bounds from below at its points; with ``between``, it asks for more than every frequency."""
     problem = lfo.library.double_integrator(horizon=100, sampling_time=0.04)
@@ -126,7 +128,8 @@ LIMITS = {
 }
 
 
-@pytest.mark.parametrize("name", seeds(LIMITS))
+@expensive
+@pytest.mark.parametrize("name", LIMITS)
 def test_limits_and_bands(name):
     limit, band, fields = LIMITS[name]
     result = lfo.solve(masked(limit, band, **fields))
@@ -141,6 +144,7 @@ def test_limits_and_bands(name):
     assert (np.abs(spectrum(samples, w)) <= kept).all()
 
 
+@expensive
 @pytest.mark.parametrize(("band", "unit"), [(lfo.low_pass(cutoff_hz=2.0), "Hz"), (lfo.low_pass(0.3), "rad/sample")])
 def test_a_peak_is_told_in_the_unit_of_the_band(band, unit):
     result = lfo.solve(masked(2.0, band))
@@ -192,7 +196,7 @@ def test_what_does_not_fit_is_refused(make, field, words):
 # --- states, outputs, modes ------------------------------------------------------------------------------------------
 
 
-@turn(2)
+@expensive
 def test_states_and_outputs_have_the_same_optimum(solved):
     problem = lfo.library.double_integrator(horizon=100, sampling_time=0.04)
     speed = np.abs(spectrum(lfo.solve(problem).trajectory.x[:, 1], np.linspace(0.6, np.pi, 2001))).max()
@@ -210,7 +214,7 @@ def replace_component(bound, component):
     return MASK(float(bound.limit), band=bound.band, component=component, every_frequency=True)
 
 
-@turn(1)
+@expensive
 def test_two_controls_have_atoms_of_their_own():
     dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 0.95]], np.eye(2) * 0.1)
     cost = lfo.QuadraticCost(Q=np.eye(2), R=0.05 * np.eye(2))
@@ -223,7 +227,7 @@ def test_two_controls_have_atoms_of_their_own():
     assert max(peak.ratio for peak in peaks_of(result)) < 1 + 1e-7
 
 
-@turn(0)
+@expensive
 @pytest.mark.parametrize("method", ["branch_and_bound", "enumerate"])
 def test_searches_over_modes(method):
     wall = lfo.library.pendulum_with_wall(horizon=6)
@@ -278,6 +282,7 @@ def test_any_atoms_bound_the_optimum(solved):
         assert certificate.bound.value <= solved.cost * (1 + 1e-9)
 
 
+@expensive
 def test_multipliers_are_found_for_a_trajectory_alone(solved):
     certificate = lfo.certify(solved.problem, solved.trajectory)
     assert (certificate.pmp, certificate.globally_optimal) == ("satisfied", True)
@@ -302,6 +307,7 @@ def test_infeasible_masks_are_proven(tmp_path):
     assert result.ray.frequencies
 
 
+@expensive
 def test_scale_does_not_matter(solved):
     """The cost in billionths, the control in millionths, and time in another unit: the same verdict."""
     problem = lfo.library.double_integrator(horizon=100, sampling_time=0.04)
@@ -338,6 +344,7 @@ def test_solutions_and_problems_are_written_and_read(solved, tmp_path):
     assert np.array_equal(limit, points.control_spectrum.limit)
 
 
+@expensive
 @pytest.mark.parametrize("looks", [10, 40, 80])
 def test_a_time_limit_keeps_what_was_found(looks):
     """A whole solve looks at the clock 170 times."""
@@ -350,6 +357,7 @@ def test_a_time_limit_keeps_what_was_found(looks):
 # --- comparison and figures ------------------------------------------------------------------------------------------
 
 
+@expensive
 def test_what_a_filter_leaves_between_the_bins_is_beyond_the_mask():
     comparison = lfo.compare(masked(), filters=["brickwall"])
     (filtered,) = comparison.filtered

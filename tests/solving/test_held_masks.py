@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.errors import ProblemError
 
 H, LIMIT, FROM = 0.04, 1.0, 3.0  # s, and Hz; Nyquist is 12.5 Hz
@@ -45,7 +45,7 @@ def failed_labels(problem, trajectory, multipliers):
     return {condition.label for condition in lfo.certify(problem, trajectory, multipliers).failed}
 
 
-@turn(0)
+@expensive
 def test_the_held_spectrum_stays_below_the_limit_without_end(solved):
     assert (solved.status, solved.certificate.pmp) == ("optimal", "satisfied")
     assert abs(solved.gap) < 1e-7
@@ -57,6 +57,7 @@ def test_the_held_spectrum_stays_below_the_limit_without_end(solved):
     assert lfo.solve(FREE).cost < solved.cost < of_samples.cost * (1 - 1e-5)
 
 
+@expensive
 def test_images_above_nyquist_are_held(imaged):
     f = np.linspace(25.2, 26.8, 20_001)
     assert held(lfo.solve(FREE).control[:, 0], f).max() > 0.22
@@ -78,11 +79,13 @@ def test_an_image_almost_a_period_after_the_edge_counts():
         assert mask.passed is passes
 
 
+@expensive
 @pytest.mark.parametrize("method", ["convex", "structured"])
 def test_methods_find_the_same(imaged, method):
     assert lfo.solve(imaged.problem, method).cost == pytest.approx(imaged.cost, rel=1e-8)
 
 
+@expensive
 @pytest.mark.parametrize(
     ("limit", "band"),
     [
@@ -120,6 +123,7 @@ def test_a_moved_or_turned_atom_fails(imaged):
     assert labels >= {"N-uhat", "C-v"}
 
 
+@expensive
 @pytest.mark.parametrize("which", ["solved", "imaged"])
 def test_a_limit_lower_by_a_millionth_fails(which, request):
     result = request.getfixturevalue(which)
@@ -131,6 +135,7 @@ def test_a_limit_lower_by_a_millionth_fails(which, request):
     assert "C-vii" not in failed_labels(same, result.trajectory, result.multipliers)
 
 
+@expensive
 def test_any_atoms_bound_the_optimum(imaged):
     given, rng = imaged.multipliers, np.random.default_rng(0)
     ((name, atoms),) = given.frequencies.items()
@@ -140,6 +145,7 @@ def test_any_atoms_bound_the_optimum(imaged):
         assert certificate.bound.value <= imaged.cost * (1 + 1e-9)
 
 
+@expensive
 def test_multipliers_are_found_for_a_trajectory_alone(solved):
     certificate = lfo.certify(solved.problem, solved.trajectory)
     assert (certificate.pmp, certificate.globally_optimal) == ("satisfied", True)
@@ -151,6 +157,7 @@ def test_infeasible_masks_are_proven():
     assert any("held mask" in conflict.block for conflict in result.conflict)
 
 
+@expensive
 def test_scale_does_not_matter(imaged):
     unit = 1e6
     dynamics = lfo.LinearDynamics(FREE.linear.A, FREE.linear.B / unit, sampling_time=H)
@@ -166,7 +173,7 @@ def test_scale_does_not_matter(imaged):
     assert result.cost == pytest.approx(1e-9 * imaged.cost, rel=1e-7)
 
 
-@turn(2)
+@expensive
 def test_minimum_time_is_monotone():
     problem = masked(2.0, problem=replace(FREE, state_set=None))
     found = lfo.minimum_time(problem, horizons=(48, 54))

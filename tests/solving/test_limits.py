@@ -14,7 +14,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import TreeBound, tree_bound
 from lin_freq_ocp.methods import SolveOptions, solve_convex
@@ -128,6 +128,7 @@ def test_the_deadline_reaches_the_proof_of_leaves_that_were_solved_again(monkeyp
     assert np.isfinite(ends).all()
 
 
+@expensive
 def test_explaining_stops_at_its_limit() -> None:
     """The proof takes 135 looks at the clock, its whole explanation 750 more."""
     problem = replace(lfo.library.pendulum(horizon=240), control_set=lfo.Box(-0.01, 0.01))
@@ -138,6 +139,7 @@ def test_explaining_stops_at_its_limit() -> None:
     assert not raised.value.result.explanation.cures
 
 
+@expensive
 def test_a_limit_error_says_cost_bound_and_gap() -> None:
     problem = lfo.library.cart_pole_with_walls()
     with use_clock(Clock(LOOK)), pytest.raises(lfo.errors.LimitError) as raised:
@@ -161,6 +163,7 @@ def small_memory(monkeypatch: pytest.MonkeyPatch, size: float) -> None:
     substitute(monkeypatch, "base.ALWAYS_THERE", 0.0)
 
 
+@expensive
 def test_dense_rows_that_do_not_fit_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: Any) -> Any:
         raise AssertionError("dense rows were made")

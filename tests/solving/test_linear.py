@@ -12,7 +12,7 @@ from helpers.checks import linear
 from helpers.clocks import Clock
 from helpers.random.linear import random_linear
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from helpers.sweeps import SHORT
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods import SolveOptions, convex_candidates, solve_convex, zero_rounding
@@ -41,6 +41,7 @@ def test_random_problems_in_any_units_cost_what_plain_clarabel_says(seed):
     assert not outcome.wrong, outcome
 
 
+@expensive
 @pytest.mark.parametrize("seed", [409, 1139, 2212, 2275, 2348, 2858, 3175, 3757, 4045, 4366, 4575])
 def test_problems_that_need_a_further_answer(seed):
     """Zeros that were rounding, bounds far away that alone bound the cost, points without a slope."""
@@ -122,7 +123,7 @@ def test_bounds_of_1e20_and_more_are_none():
         lfo.Box([1e20], [2e20])
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize(
     ("changed", "family", "moved"),
     [
@@ -192,6 +193,7 @@ def test_a_free_start_whose_best_place_is_far_away():
     assert candidate.trajectory.x[0, 0] == pytest.approx(-0.9 * 2**31, rel=1e-3)
 
 
+@expensive
 def test_unbounded_needs_a_verified_direction(monkeypatch):
     free = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[1.0]], [[1.0]]), 3, lfo.QuadraticCost(r=[1.0]), initial_state=[0.0]

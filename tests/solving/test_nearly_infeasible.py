@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.linear import random_linear
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import judge, prove_infeasible
 
 T = 20
@@ -73,7 +73,7 @@ def test_what_holds_by_a_hair_is_solved(eps, method):
 
 
 # Found with a tolerance of 1e-9 or so on each constraint, a cure of 1e-9 is known to a third of itself.
-@turn(2)
+@expensive
 @pytest.mark.parametrize(("eps", "to"), [(1e-5, 0.1), (1e-9, 0.4)])
 def test_the_cure_is_as_small_as_what_is_missing(eps, to):
     explanation = lfo.explain(bounded(eps))
@@ -94,6 +94,7 @@ def test_what_is_missed_by_much_is_not_called_nearly_feasible():
     assert "nearly" not in str(explanation)
 
 
+@expensive
 def test_a_slow_low_pass_leaves_no_trajectory():
     """A low pass of 0.3 Hz lets too few bins of so short a horizon pass for the speed limit."""
     problem = lfo.library.double_integrator(horizon=20, sampling_time=0.25, cutoff_hz=0.3)

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate import RIGOROUS, Bound, judge
 from lin_freq_ocp.methods import Candidate, solve_convex, zero_multipliers
 from lin_freq_ocp.results import Attempt, Reason, Status, Trajectory
@@ -200,6 +201,7 @@ def test_a_direction_whose_program_is_too_large_is_not_looked_for(monkeypatch):
 NEARLY = replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + 1e-7])
 
 
+@expensive
 @pytest.mark.parametrize(
     ("problem", "reason"),
     [(PROBLEM, Reason.LOCALLY_OPTIMAL), (FALLING, Reason.UNBOUNDED), (NEARLY, Reason.NEARLY_FEASIBLE)],

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from helpers.spectral_plants import certificate_of_claim
 from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import prove_infeasible
@@ -253,6 +253,7 @@ def test_what_is_wrong_with_a_state_band_of_a_period_fails_at_its_label(method):
         lfo.certify(problem, result.trajectory, replace(result.multipliers, rho_x=np.zeros((22, 2))))
 
 
+@expensive
 def test_state_bands_of_a_period_in_other_units_and_that_contradict_bounds():
     result = lfo.solve(with_states(SPECTRA["band"], 41))
     scaled = in_other_units(with_states(SPECTRA["band"], 41))
@@ -282,6 +283,7 @@ def test_equations_over_all_times_of_a_period_have_t_matrices():
         with_states(lfo.spectrum.LinearConstraint(np.tile([[1.0, 0.0]], (42, 1, 1)), [2.0]), 41)
 
 
+@expensive
 def test_a_period_with_a_state_band_is_written_and_reported(tmp_path, blank):
     lfo.io.write_problem(with_states(SPECTRA["band"], 41), tmp_path / "problem.toml")
     loaded = lfo.read_problem(tmp_path / "problem.toml")

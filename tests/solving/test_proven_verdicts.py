@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks import rays
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
 from lin_freq_ocp.methods import Candidate, steepest_recession
@@ -49,7 +49,7 @@ def test_one_feasible_trajectory_refutes_the_claim_of_a_solver():
     assert "the controls nearest to zero satisfy all constraints" in result.message
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("soft", [False, True])
 def test_a_pendulum_that_falls_is_no_contradiction(soft):
     plant = lfo.LinearDynamics.from_continuous([[0, 1], [9.81, 0]], [[0], [1.0]], sampling_time=0.02)
@@ -60,6 +60,7 @@ def test_a_pendulum_that_falls_is_no_contradiction(soft):
     assert result.primal
 
 
+@expensive
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_compact_problem_is_not_unbounded(seed):
     """Directions that fade away backwards from a fixed end hold all rows to 1e-6 of their largest terms."""
@@ -199,6 +200,7 @@ BOUNDED = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", BOUNDED)
 def test_other_constraints_bound_signals_as_boxes_do(name):
     """Whatever bounds the controls, a ray is rigorous; and the largest controls and states are inside the bounds."""

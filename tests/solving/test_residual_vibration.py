@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.results import Multipliers
 
@@ -50,7 +50,7 @@ def failed_labels(problem, trajectory, multipliers):
     return {condition.label for condition in lfo.certify(problem, trajectory, multipliers).failed}
 
 
-@turn(2)
+@expensive
 def test_no_mode_of_the_box_rings_more(solved):
     condition = vibration_of(solved.certificate)
     assert (solved.status, solved.certificate.pmp, condition.label) == ("optimal", "satisfied", "C-vii")
@@ -65,13 +65,13 @@ def test_no_mode_of_the_box_rings_more(solved):
         assert ringing(solved.trajectory.u[:, 0], frequency, damping) <= LIMIT * (1 + 1e-7)
 
 
-@turn(0)
+@expensive
 @pytest.mark.parametrize("method", ["convex", "structured"])
 def test_methods_find_the_same(solved, method):
     assert lfo.solve(calm(), method).cost == pytest.approx(solved.cost, rel=1e-8)
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("method", ["auto", "convex", "structured"])
 @pytest.mark.parametrize(("horizon", "status"), [(10, "infeasible"), (30, "optimal")])
 def test_a_zero_cost_asks_for_a_shaper_only(method, horizon, status):
@@ -91,6 +91,7 @@ def test_a_zero_cost_asks_for_a_shaper_only(method, horizon, status):
         assert lfo.certify(shaper, result.trajectory).pmp == "satisfied"
 
 
+@expensive
 def test_single_modes_cost_less(solved):
     """The constraint at one mode is a relaxation."""
     modes = [(f, d) for f in (0.9, 1.1) for d in (0.0, 0.1)]
@@ -144,7 +145,7 @@ def test_atoms_outside_the_box_count_for_nothing(solved):
             Multipliers(**fields, frequencies={name: wrong})
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize("limit", [LIMIT, 1e3], ids=["active", "inactive"])
 def test_multipliers_are_found_for_a_trajectory_alone(solved, limit):
     problem = calm(limit)
@@ -166,7 +167,7 @@ def test_one_damping_ratio_is_both_ends():
     assert single.describe(["force"]).endswith(text)
 
 
-@turn(0)
+@expensive
 def test_a_relative_limit_counts_a_last_sample_as_itself():
     """The sum of the samples alone, by its definition, on a grid of the box; the factor differs from mode to mode."""
     result = lfo.solve(calm(0.1, relative=True))
@@ -191,7 +192,7 @@ def test_two_vibrations_of_a_signal_are_named_by_their_bands():
     assert [term.name for term in calm().terms] == [f"residual vibration of {signal}"]
 
 
-@turn(1)
+@expensive
 def test_an_output_that_is_the_control_has_the_same_optimum(solved):
     one = lfo.ResidualVibration((0.9, 1.1), (0.0, 0.1), LIMIT)
     output = lfo.spectrum.OutputSpectrum(D=[[1.0]], constraints=one)

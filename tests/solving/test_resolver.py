@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.methods.structured import assemble_stages
 from lin_freq_ocp.solving import Resolver
 from lin_freq_ocp.transform import Change
@@ -131,7 +131,7 @@ def test_bad_calls_say_what_is_wrong():
         lfo.Solver(replace(SHORT, cost=lfo.costs.L1Cost(u=1.0)), "structured").solve(references={"x_ref": 0.0})
 
 
-@turn(1)
+@expensive
 def test_masks_at_every_frequency_are_judged_by_the_tolerance_of_the_method():
     mask = lfo.MagnitudeBound(1.5, band=lfo.low_pass(0.6), every_frequency=True)
     problem = replace(lfo.library.double_integrator(horizon=100, sampling_time=0.04), control_spectrum=mask)

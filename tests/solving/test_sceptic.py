@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of, random_model
-from helpers.seeds import turn
+from helpers.seeds import expensive
 
 SUM = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -50,7 +50,7 @@ def test_a_numerical_ray_does_not_outweigh_a_trajectory():
     assert result.certificate.globally_optimal
 
 
-@turn(0)
+@expensive
 def test_blocks_of_one_field_are_taken_away_together():
     def problem(spectrum):
         return lfo.OptimalControlProblem(
@@ -79,6 +79,7 @@ def test_a_direction_through_rounding_is_verified():
     assert result.direction is not None
 
 
+@expensive
 def test_an_optimum_at_kinks_is_not_proven_wrong():
     problem = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[0.5, 0.3], [-0.2, 0.8]], [[1.0], [0.6]]),
@@ -121,6 +122,7 @@ def with_stage(multipliers: lfo.results.Multipliers, stage) -> lfo.results.Multi
     return lfo.results.Multipliers(**{name: getattr(multipliers, name) for name in names}, stage=stage)
 
 
+@expensive
 def test_multipliers_of_terms_that_are_not_the_best_give_a_lower_bound_and_never_a_higher():
     rng = np.random.default_rng(3)
     lower = 0

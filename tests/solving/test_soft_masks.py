@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import cost_scale
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.errors import ProblemError
@@ -47,6 +47,7 @@ def cheap(hard):
     return lfo.solve(problem(0.3 * weight_of(hard)))
 
 
+@expensive
 def test_a_violated_limit_is_worth_what_a_higher_one_saves(hard, cheap):
     price, step = 0.3 * weight_of(hard), 1e-2
     higher, lower = (lfo.solve(problem(price, limit=1.5 + change)).cost for change in (step, -step))
@@ -55,7 +56,8 @@ def test_a_violated_limit_is_worth_what_a_higher_one_saves(hard, cheap):
     assert worth.sum() == pytest.approx((higher - lower) / (2 * step), rel=1e-4)
 
 
-@pytest.mark.parametrize("method", seeds(["auto", "convex", "structured"]))
+@expensive
+@pytest.mark.parametrize("method", ["auto", "convex", "structured"])
 def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     price = 0.3 * weight_of(hard)
     result = cheap if method == "auto" else lfo.solve(problem(price), method)
@@ -74,14 +76,14 @@ def test_a_price_below_the_multipliers_is_paid(hard, cheap, method):
     assert result.cost < hard.cost
 
 
-@turn(0)
+@expensive
 def test_a_price_above_the_multipliers_gives_the_hard_optimum(hard):
     result = lfo.solve(problem(1.5 * weight_of(hard)))
     assert result.cost == pytest.approx(hard.cost, rel=1e-6)
     assert peak_of(result).ratio < 1 + 1e-6
 
 
-@turn(1)
+@expensive
 def test_the_cost_lies_between_grids_of_an_independent_model(hard, cheap):
     price, given = 0.3 * weight_of(hard), problem(None)
     x, u, s = cp.Variable((41, 2)), cp.Variable((40, 1)), cp.Variable(nonneg=True)
@@ -101,6 +103,7 @@ def test_the_cost_lies_between_grids_of_an_independent_model(hard, cheap):
     assert cheap.cost == pytest.approx(program.value, rel=5e-5)  # what a grid of 2000 points misses
 
 
+@expensive
 def test_the_derivative_by_the_price_is_the_excess(hard, cheap):
     price, step = 0.3 * weight_of(hard), 1e-3
     more = lfo.solve(problem(price * (1 + step)))
@@ -144,6 +147,7 @@ def test_what_is_wrong_fails_at_its_label(cheap, what):
     assert "N-uhat" in {one.label for one in certificate.failed}
 
 
+@expensive
 def test_verdicts_do_not_depend_on_units(hard, cheap):
     price, unit, cost = 0.3 * weight_of(hard), 1e6, 1e-9
     given = problem(None)
@@ -163,7 +167,7 @@ def test_verdicts_do_not_depend_on_units(hard, cheap):
     assert result.cost == pytest.approx(cost * cheap.cost, rel=1e-7)
 
 
-@turn(1)
+@expensive
 def test_what_a_hard_mask_excludes_a_soft_one_allows():
     assert lfo.solve(problem(None, 1e-3), "convex", throw=False).status == "infeasible"
     result = lfo.solve(problem(1.0, 1e-3), "convex")
@@ -189,7 +193,7 @@ def test_points_windows_states_and_outputs(field):
     assert len(peaks) == (2 if field == "two masks" else 1)
 
 
-@turn(0)
+@expensive
 def test_files_words_and_the_report(tmp_path, cheap):
     lfo.io.write_problem(cheap.problem, tmp_path / "problem.toml")
     loaded = lfo.read_problem(tmp_path / "problem.toml")
@@ -223,7 +227,7 @@ def test_a_tree_with_atoms_far_from_the_peak_of_the_centre_proves_nothing_more()
     assert tree_bound(result.problem, replace(result.tree, nodes=nodes)).value <= result.cost
 
 
-@turn(2)
+@expensive
 def test_modes_at_some_frequencies_are_not_called_optimal(monkeypatch):
     """A soft mask is never violated: what the cost lacks at other frequencies is seen in the gap."""
     T, step = 8, lfo.PiecewiseAffineDynamics([lfo.AffineMode([[1.0]], [[1.0]])])

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.proofs import assert_proven
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.program import Block, Claim, Solution, scaled_program, solve
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
@@ -79,6 +79,7 @@ def test_without_any_cost_every_feasible_trajectory_is_extremal():
 
 
 class TestEndings:
+    @expensive
     @pytest.mark.parametrize(("method", "solver"), [("auto", "spectral"), ("convex", "convex, clarabel")])
     def test_infeasible(self, method, solver):
         with pytest.raises(lfo.errors.InfeasibleError, match=r"control bound on force \[N\]") as caught:
@@ -102,6 +103,7 @@ class TestEndings:
         with pytest.raises(lfo.errors.UnboundedError, match="no lower bound"):
             lfo.solve(problem)
 
+    @expensive
     def test_infeasible_comes_before_unbounded(self):
         """The second state falls for ever, but the first cannot reach its end."""
         two = lfo.LinearDynamics(np.eye(2), np.eye(2))
@@ -119,7 +121,7 @@ class TestEndings:
         assert caught.value.result.trajectory is not None
         assert not caught.value.result.certificate.globally_optimal
 
-    @turn(0)
+    @expensive
     def test_a_solver_that_lies_is_not_believed(self, monkeypatch):
         def liar(program, tolerance, time_limit):
             honest = solve(program, tolerance, time_limit)

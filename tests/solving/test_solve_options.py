@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.command_line import run
+from helpers.seeds import expensive
 from lin_freq_ocp.solving import FAMILIES, Options, choose_method
 
 PROBLEMS = {
@@ -155,6 +156,7 @@ def test_an_option_that_a_method_knows_is_taken(arguments):
     assert run("solve", *arguments)[0] == 0
 
 
+@expensive
 def test_a_local_answer_is_repeated_from_its_file(tmp_path):
     result = lfo.solve(lfo.library.pendulum_swing_up(horizon=20, sampling_time=0.2), global_bound=False)
     result.dump(tmp_path / "run.zip")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from helpers.stage_rows import (
     KINDS,
     VARYING,
@@ -71,6 +71,7 @@ def test_rows_that_say_what_a_box_says_have_the_multipliers_of_the_box():
     np.testing.assert_allclose(upper - lower, of_box.multipliers.nu, atol=1e-6)
 
 
+@expensive
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_price_of_a_limit(kind):
     """d J*/d e = -l, by central differences."""
@@ -102,6 +103,7 @@ def test_multipliers_are_found_for_a_trajectory_alone(varying):
 # -------------------------------------------------------------------------------------------------------- infeasible
 
 
+@expensive
 def test_rows_in_conflict_are_named_with_their_times():
     """The cart must cover 1 m in 2.4 s, at a speed of at most 0.3 m/s (row 1): 0.72 m."""
     solve(cart())
@@ -120,7 +122,7 @@ def test_rows_in_conflict_are_named_with_their_times():
     assert prove_infeasible(cart(stage_rows=replace_limits(rows, [9.0, 3.0], "traction")), ray) is None
 
 
-@turn(1)
+@expensive
 def test_rows_that_contradict_each_other_are_both_named():
     rows = [lfo.StageRows(None, [[1.0]], [-1.0], name="pull"), lfo.StageRows(None, [[-1.0]], [0.5], name="push")]
     with pytest.raises(lfo.errors.InfeasibleError, match=r"row 0 of pull.*row 0 of push"):

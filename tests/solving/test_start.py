@@ -14,7 +14,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import cli
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.transform.hybrid import piecewise_smooth
@@ -74,12 +74,14 @@ def test_without_a_start_as_many_nodes_find_less(obvious):
     assert alone.cost is None or alone.cost > 1.05 * obvious.cost
 
 
+@expensive
 def test_a_search_in_parts_begins_with_the_start(obvious):
     with ThreadPoolExecutor(1) as executor:
         limits = {"node_limit": 1, "executor": executor, "throw": False}
         assert lfo.solve(block(), start=OBVIOUS, **limits).cost <= obvious.cost * (1 + 1e-6)
 
 
+@expensive
 def test_a_start_changes_no_optimum():
     cost = lfo.QuadraticCost(R=0.1, Q=1.0)
     problem = replace(block(horizon=6), cost=cost, initial_state=[0.3, 0.5], terminal_state=None)
@@ -88,7 +90,7 @@ def test_a_start_changes_no_optimum():
         assert lfo.solve(problem, start=start).cost == pytest.approx(best, rel=1e-6)
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize("looks", [1, 40])
 def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
     """The modes of the formulas have an order of their own; the trajectory is the same."""
@@ -99,7 +101,7 @@ def test_the_local_search_ends_no_worse_than_its_start(obvious, looks):
     assert result.cost <= obvious.cost * (1 + 1e-5)
 
 
-@turn(2)
+@expensive
 def test_the_local_search_takes_controls_and_modes_first(obvious):
     problem, tried = block(smooth=True), []
     modes = piecewise_smooth(problem).sequence_of(obvious.trajectory.x, obvious.trajectory.u)
@@ -169,7 +171,7 @@ def test_controls_that_cannot_be_simulated_are_refused():
         lfo.solve(replace(problem, initial_state=None), start=np.ones((6, 1)))
 
 
-@turn(0)
+@expensive
 def test_a_dumped_run_begins_where_it_began(obvious, tmp_path):
     for start, place in itertools.product((OBVIOUS, obvious.trajectory), (tmp_path / "run.zip",)):
         result = lfo.solve(block(), node_limit=2, start=start, throw=False)
@@ -178,6 +180,7 @@ def test_a_dumped_run_begins_where_it_began(obvious, tmp_path):
         assert again.cost == result.cost <= obvious.cost * (1 + 1e-6)
 
 
+@expensive
 def test_the_command_line_takes_a_start_from_a_file(obvious, tmp_path, capsys):
     problem, trajectory = tmp_path / "block.toml", tmp_path / "obvious.csv"
     lfo.write_problem(block(), problem)

@@ -11,7 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import pairs, translation
 from helpers.rounded_products import exact_optimum
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 SEEDS = {"solve": [0, 5, 8, 10, 14, 21], "certify": [1, 3], "step": [2, 9], "minimum time": [4, 7]}
 UTM = 5.4e6  # a northing in metres
@@ -61,6 +61,7 @@ def test_a_state_that_never_moves_is_not_blamed():
     assert result.message.startswith("no global bound was asked for")
 
 
+@expensive
 def test_the_bound_of_a_search_tree_is_that_of_the_given_cost():
     """A price on the position costs more where zero is farther away: the tree's bounds are raised by as much."""
     levels, cost = lfo.FiniteSet([-1, 0, 1]), lfo.QuadraticCost(R=1.0, q=[1e-3, 0.0])
@@ -140,6 +141,7 @@ def test_rounding_of_states_hides_no_cost(origin, distance):
     assert not resting.globally_optimal
 
 
+@expensive
 @pytest.mark.parametrize("features", [("linear dynamics",), ("mask",), ("levels",)], ids=", ".join)
 @pytest.mark.parametrize("deviation", [1e-16, 1e-14, 1e-12, 1e-10])
 def test_a_loop_that_comes_to_its_set_point_is_optimal_at_every_step(deviation, features):
@@ -195,6 +197,7 @@ def test_formulas_that_move_a_state_away_from_its_set_point_say_how_far(deviatio
     assert (np.ptp(result.trajectory.x[:, 0]) > 1e-3) == moves
 
 
+@expensive
 @pytest.mark.parametrize("deviation", [1e-14, 1e-11, 1e-9])
 def test_a_smooth_plant_near_its_set_point_is_solved(deviation):
     problem = pairs.problem_of("smooth dynamics")
@@ -283,6 +286,7 @@ def test_a_linear_cost_far_from_zero_counts_what_it_costs_there():
     np.testing.assert_allclose(far.control, near.control, atol=1e-8)
 
 
+@expensive
 def test_the_cure_of_an_infeasible_move_does_not_depend_on_zero():
     cures = []
     for place in (0.0, UTM):

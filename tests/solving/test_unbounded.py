@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.random.unbounded import random_unbounded, with_cost_times
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import unbounded_direction
 
 T = 10
@@ -258,6 +258,7 @@ def test_what_is_infeasible_and_unbounded_ends_as_infeasible(name, method):
 ALL_REMOVED = pytest.mark.filterwarnings("ignore::lin_freq_ocp.base.errors.BandWarning")
 
 
+@expensive
 @ALL_REMOVED
 @pytest.mark.parametrize("seed", [21, 54, 67, 80, 85, 96, 111, 128, 136, 178])
 def test_the_verdict_does_not_depend_on_the_unit_of_the_cost(seed):
@@ -270,6 +271,7 @@ def test_the_verdict_does_not_depend_on_the_unit_of_the_cost(seed):
         assert lfo.solve(with_cost_times(bounded, factor)).status == "optimal"
 
 
+@expensive
 @ALL_REMOVED
 @pytest.mark.parametrize("method", ["spectral", "structured", "convex"])
 @pytest.mark.parametrize("seed", [21, 67])

@@ -13,7 +13,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks import units
 from helpers.random.units import CLASSES, drawn
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from helpers.sweeps import SHORT
 from lin_freq_ocp.certificate import cost_scale, trajectory_sizes
 
@@ -24,7 +24,7 @@ def test_the_same_problem_in_other_words_has_the_same_verdict(change, seed):
     assert outcome.passed, outcome
 
 
-@turn(2)
+@expensive
 def test_global_bounds_do_not_compare_states_with_controls():
     """A fixed end priced by slopes of controls: in small units of the state, the bound takes twenty times longer."""
     outcome = units.check(417)
@@ -112,6 +112,7 @@ def test_sizes_and_scale_follow_units_and_not_bounds():
     assert cost_scale(SMALL, optimum) == pytest.approx(SMALL.value(optimum.x, optimum.u))
 
 
+@expensive
 @pytest.mark.parametrize(("decimals", "level"), [(6, 1e-5)])
 def test_an_optimum_that_was_printed_with_few_decimals_is_recognised(decimals, level):
     problem = lfo.library.double_integrator()

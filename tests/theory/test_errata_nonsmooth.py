@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.known_optima import solved
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.formulas import jets_of
 
@@ -121,7 +121,7 @@ def test_c_is_a_r_without_losses_only():
         assert (c == pytest.approx(A * POLE, rel=1e-12)) == (diode == 0)
 
 
-@turn(1)
+@expensive
 def test_the_last_adjoint_has_the_index_of_the_last_control():
     """Printed: eta_T = -mu_T; there is no eta_T, and eta_{T-1} = -mu_T (with a cost p i_T: -p - mu_T)."""
     result = buck_optimum("usual")
@@ -131,6 +131,7 @@ def test_the_last_adjoint_has_the_index_of_the_last_control():
     assert free.multipliers.eta[-1] == pytest.approx(40 - free.multipliers.mu[-1], rel=1e-8)
 
 
+@expensive
 def test_as_posed_the_second_mode_is_never_used():
     """Without a lower bound on v it is a quadratic program: the first mode makes the same i+ of a smaller v."""
     result = buck_optimum("as posed")

@@ -12,7 +12,7 @@ from scipy import signal
 import lin_freq_ocp as lfo
 from helpers.generated import SANITIZERS, CompiledController, compile_command
 from helpers.loops import pendulum
-from helpers.seeds import seeds
+from helpers.seeds import expensive
 from lin_freq_ocp.loop import known_states
 from lin_freq_ocp.methods import compiler
 
@@ -131,8 +131,9 @@ def test_a_soft_limit_is_exceeded_by_the_plan_and_not_clipped():
     np.testing.assert_array_equal(step.control, step.plan.u[0])
 
 
+@expensive
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
-@pytest.mark.parametrize(("real", "way"), seeds([("double", "price"), ("float", "price"), ("double", "limit")]))
+@pytest.mark.parametrize(("real", "way"), [("double", "price"), ("float", "price"), ("double", "limit")])
 def test_generated_code_keeps_the_states_of_the_filter(tmp_path, real, way):
     given = {"price": 30.0} if way == "price" else {"limit": 0.05}
     problem = lfo.filtered_control(pendulum(20, None), BAND, **given)

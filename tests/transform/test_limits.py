@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.own_kinds import SteadyGain
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.testing import check_terms
 from lin_freq_ocp.transform import all_limits, changed_fields, constraints, numbers
 
@@ -103,7 +103,7 @@ def test_bounds_that_depend_on_time_give_way_and_have_no_number():
     assert "bound.0" not in numbers(given)
 
 
-@turn(2)
+@expensive
 def test_a_class_of_ones_own_is_explained_moved_and_checked():
     impossible = problem(control_spectrum=SteadyGain(0.1), initial_state=[0.0, 0.0], terminal_state=[1.0, 1.0])
     explanation = lfo.explain(impossible)

@@ -12,7 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.random.mixed import problem_of as problem_of_model
 from helpers.random.mixed import random_model
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 T, N, M = 30, 3, 2
 A = np.array([[0.9, 0.3, 0.0], [-0.2, 0.8, 0.1], [0.0, 0.2, 0.7]])
@@ -99,6 +99,7 @@ PRICES = {  # name: limit, previous control, price as given, as numbers
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", PRICES)
 def test_a_price_on_changes_is_that_of_a_program_written_by_hand(name):
     given, previous, price, prices = PRICES[name]

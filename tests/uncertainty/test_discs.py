@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.uncertainty import radius_of_coherence
 
 
@@ -50,6 +50,7 @@ def small(rng: np.random.Generator, mode: str, shape: tuple[int, int]) -> lfo.Op
     return lfo.OptimalControlProblem(plant, T, cost, lfo.Box(-1.0, 1.0), lfo.Box(-1.0, 1.5), stage_rows=rows)
 
 
+@expensive
 def test_the_stroke_holds_for_every_plant_and_costs_what_a_cone_program_finds():
     """Figures of the design, by a cone program in the passed bins: 96.4205, 95.3253 and 82.6488 W."""
     free = lfo.solve(converter(400, force=2000.0))
@@ -68,6 +69,7 @@ def test_the_stroke_holds_for_every_plant_and_costs_what_a_cone_program_finds():
     )
 
 
+@expensive
 def test_the_returned_plant_attains_the_limit_and_no_other_exceeds_it(limited):
     discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G))
     found, nominal = lfo.solve(lfo.robust(limited, discs)), lfo.solve(limited)
@@ -154,6 +156,7 @@ def test_discs_of_radius_zero_change_nothing(limited):
     assert lfo.worst_case(limited, nothing, found)["position, upper"].margin == 0.0
 
 
+@expensive
 def test_rate_limits_come_first_and_what_they_add_is_known(limited):
     discs, slow = lfo.Discs(0.05 * np.abs(limited.dynamics.G)), lfo.rate_limited(limited, 400.0)
     found = lfo.solve(lfo.robust(slow, discs))
@@ -208,6 +211,7 @@ def test_problems_outside_of_the_theorem_are_refused(limited, change, message):
         lfo.robust(replace(limited, **change), lfo.Discs(1e-6, cost="worst"))
 
 
+@expensive
 def test_a_file_keeps_the_discs(limited, tmp_path):
     discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G), cost="worst")
     plan = lfo.robust(limited, discs)
@@ -217,6 +221,7 @@ def test_a_file_keeps_the_discs(limited, tmp_path):
     np.testing.assert_array_equal(again.uncertainty.radius, discs.radius)
 
 
+@expensive
 def test_a_limit_of_the_end_is_one_of_the_start_of_a_period(limited):
     ending = replace(limited, terminal_state=lfo.Box([None, -0.02], [None, 0.02]))
     discs = lfo.Discs(0.05 * np.abs(limited.dynamics.G))
@@ -229,6 +234,7 @@ def test_a_limit_of_the_end_is_one_of_the_start_of_a_period(limited):
     assert not lfo.worst_case(ending, discs, lfo.solve(ending))
 
 
+@expensive
 @pytest.mark.parametrize("mode", ["periodic", "zero-padded"])
 @pytest.mark.parametrize("place", [1e4, -1e6])
 def test_outputs_far_from_zero_have_the_same_plan_and_the_same_worst_case(mode, place):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.tubes import tube
 
 UNSTABLE = lfo.LinearDynamics([[1.2, 0.0], [0.0, 0.5]], [[0.0], [1.0]])
@@ -168,6 +169,7 @@ def test_equal_bounds_one_step_and_states_without_bounds():
     assert lfo.worst_case(still, load, lfo.solve(tight))
 
 
+@expensive
 def test_a_robust_problem_keeps_what_it_is_made_of_and_gets_no_margins_twice():
     problem, load = tube(initial_state=None), Disturbance(Box(-0.1, 0.1))
     plan = replace(lfo.robust(problem, load, end="invariant"), name="renamed", initial_state=[-5.0, 0.0])

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM, RESULT, faults
+from helpers.seeds import expensive
 from helpers.tubes import A, B, simulate, tube
 from lin_freq_ocp.cli import cli
 
@@ -90,6 +91,7 @@ def test_a_file_with_loads_is_the_problem_of_robust_and_is_written_back(file, tm
     np.testing.assert_array_equal(again.given.state_boxes.upper, tube().state_boxes.upper)
 
 
+@expensive
 def test_an_invariant_end_is_written_back_and_a_problem_with_replaced_fields_with_its_limits(file, tmp_path):
     text = '[robust]\nend = "invariant"\n'
     read = lfo.read_problem(file(f"{BOX}\n{text}"))

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.generated import CompiledController, write_log
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from helpers.tubes import A, B, tube
 from lin_freq_ocp.methods import compiler
 
@@ -22,6 +22,7 @@ DRAWS = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", DRAWS)
 def test_every_step_to_an_invariant_end_has_a_plan_whatever_the_loads(name):
     plan = lfo.robust(tube(initial_state=None), LOAD, end="invariant")
@@ -36,6 +37,7 @@ def test_every_step_to_an_invariant_end_has_a_plan_whatever_the_loads(name):
     assert set(controller.log.sources) == {"plan"}
 
 
+@expensive
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_an_invariant_end_does_not_depend_on_units(unit):
     plain, S = tube(initial_state=None), np.diag([unit, 1.0])
@@ -53,6 +55,7 @@ def test_an_invariant_end_does_not_depend_on_units(unit):
     np.testing.assert_allclose(*(np.sort(part, axis=0) for part in scaled), rtol=1e-6, atol=1e-9)
 
 
+@expensive
 def test_loads_at_which_the_controller_of_the_example_leaves_its_limits():
     """HiroIshida/robust-tube-mpc, issue 19: loads of 0.2."""
     controller = lfo.RecedingHorizon(
@@ -80,6 +83,7 @@ def test_each_step_of_a_shrinking_horizon_has_a_plan_and_the_end_is_reached(seed
     assert (np.abs(x) <= np.array([1.5, 1.0]) + 1e-7).all()
 
 
+@expensive
 def test_the_published_double_integrator_stays_below_half_a_metre():
     """LinearMPC.jl, "Robust MPC": 0.1 s, 25 steps, loads of 0.005 in both states; without margins it reaches 0.56 m."""
     cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0, P=np.diag([1.0, 0.0]), x_ref=[0.5, 0.0])
@@ -99,6 +103,7 @@ def test_a_delay_of_the_loop_is_refused_for_a_robust_problem():
         lfo.RecedingHorizon(plan, delay=1)
 
 
+@expensive
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 def test_generated_c_of_a_robust_problem_equals_python_and_its_log_certifies(tmp_path):
     given = lfo.RecedingHorizon(lfo.robust(tube(initial_state=None), LOAD, end="invariant"), certify="later")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.tubes import simulate, tube
 from lin_freq_ocp.transform import translated_by
 
@@ -145,6 +146,7 @@ def test_leakage_into_stop_bands_is_attained_and_that_of_all_vertices():
     assert leak.attained == pytest.approx(brute, rel=1e-12)
 
 
+@expensive
 @pytest.mark.parametrize(
     "loads", [lfo.Box(-0.01, 0.01), lfo.sets.Ball(0.01), 0.01 * np.array([[1.0, 1], [-1, 1], [0, -1]])]
 )

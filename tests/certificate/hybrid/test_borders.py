@@ -10,6 +10,7 @@ import lin_freq_ocp as lfo
 from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.random.kinks import KINDS, random_map
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate import Bound, judge, trajectory_sizes
 from lin_freq_ocp.methods.hybrid import multipliers_with_weights
 from lin_freq_ocp.problem.hybrid import REGION
@@ -391,6 +392,7 @@ def meeting_point(dynamics, rng):
     return rows[0] * limits[0] / (rows[0] @ rows[0]) + rng.standard_normal() * np.array([-rows[0][1], rows[0][0]])
 
 
+@expensive
 @pytest.mark.parametrize(("kind", "bounded"), list(zip(KINDS, [False, True] * 2, strict=True)))
 def test_the_facts_are_those_of_directional_derivatives(kind, bounded):
     """Each fact again: by steps of the map itself along many directions, and the joint one by a linear program."""

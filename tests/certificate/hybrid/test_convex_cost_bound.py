@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 A = np.array([[1.0, 0.1, 0.0, 0.0], [0.0, 1.0, 0.1, 0.0], [0.0, 0.0, 0.9, 0.1], [0.0, 0.0, 0.0, 0.8]])
 B = np.array([[0.0], [0.0], [0.1], [1.0]])
@@ -34,6 +34,7 @@ PROBLEMS = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", list(PROBLEMS))
 def test_a_convex_problem_is_proven_to_be_optimal(name):
     result = lfo.solve(PROBLEMS[name])
@@ -59,6 +60,7 @@ def test_the_bound_of_any_multipliers_and_trajectory_is_below_the_optimum(name, 
             assert certificate.bound.value <= result.cost + 1e-12 * certificate.cost_scale
 
 
+@expensive
 @pytest.mark.parametrize("control", [[-2.0, 0.0], [-1.5, -0.2], [-1.5, 1.3]])
 @pytest.mark.parametrize("constrained", [False, True])
 def test_tangents_at_a_trajectory_outside_of_the_sets_give_no_bound_above_the_optimum(control, constrained):
@@ -84,6 +86,7 @@ def test_tangents_at_a_trajectory_outside_of_the_sets_give_no_bound_above_the_op
     assert bound is None or bound.value <= result.cost + 1e-9
 
 
+@expensive
 def test_a_problem_that_is_not_convex_has_no_such_bound():
     for cost in ("cos(x_0)", "x_0*u_0", "x_0**4 - x_0**2"):
         result = lfo.solve(stated(lfo.QuadraticCost(R=0.1, Q=0.01) + lfo.costs.SmoothCost(stage=cost)), "nonsmooth")
@@ -105,6 +108,7 @@ def test_a_direction_without_curvature_stays_without():
     assert certificate.bound.value <= result.cost
 
 
+@expensive
 @pytest.mark.parametrize("origin", [0.0, 10.0, 1e3])
 def test_it_does_not_depend_on_where_zero_is(origin):
     stage, terminal = f"(x_0 - {origin})**4 + (x_1 - {origin})**2 + u_0**2", f"cosh(x_0 - {origin})"

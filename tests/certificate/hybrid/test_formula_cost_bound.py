@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive
 
 WEIGHTS = [1.0, 0.2, 2.0, 0.5]
 
@@ -51,7 +51,8 @@ def least_of_many(problem):
     return min(one.fun for one in found if (np.abs(lfo.simulate(problem, one.x[:, None], start).x) <= 3).all())
 
 
-@pytest.mark.parametrize("name", seeds(PROBLEMS))
+@expensive
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_the_bound_is_below_every_trajectory_and_close(name):
     problem = PROBLEMS[name]()
     result = lfo.solve(problem)
@@ -62,6 +63,7 @@ def test_the_bound_is_below_every_trajectory_and_close(name):
     assert result.cost <= best + 1e-6
 
 
+@expensive
 def test_a_cost_that_no_formula_states_has_no_bound():
     table = lfo.DifferentiableFunction(
         lambda x, u: [x[0] ** 4 + u[0] ** 2], lambda x, u: [[4 * x[0] ** 3, 2 * u[0]]], name="table"

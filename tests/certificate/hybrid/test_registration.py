@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+from helpers.seeds import expensive
+
 ASKED = """
 import sys
 from lin_freq_ocp import library
@@ -15,6 +17,7 @@ print(entry_for(JUDGES, dynamics).__name__)
 """
 
 
+@expensive
 def test_the_judge_of_modes_is_found_before_anything_imports_it():
     asked = subprocess.run([sys.executable, "-c", ASKED], capture_output=True, text=True, check=True)
     assert asked.stdout.strip() == "judge_modes"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 ONE = lfo.LinearDynamics([[1.0]], [[1.0]])
 
@@ -35,6 +35,7 @@ def test_rest_at_a_bound_is_stationary_in_every_unit(unit):
     assert lfo.solve(problem, global_bound=False).certificate.pmp == "satisfied"
 
 
+@expensive
 def test_a_constant_in_the_cost_is_no_part_of_its_scale():
     scales = list[float]()
     for constant in (0.0, 1e6):

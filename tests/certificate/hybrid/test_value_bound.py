@@ -12,7 +12,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import library, norm, signals
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import (
@@ -294,7 +294,7 @@ def drag(states, horizon):
     )
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize(("states", "horizon", "gap"), [(2, 3, 1e-4), (3, 2, 1e-3)])
 def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
     problem = drag(states, horizon)
@@ -303,7 +303,8 @@ def test_states_that_cannot_change_at_once_take_no_cells(states, horizon, gap):
     assert (1 - gap) * result.cost <= bound <= (1 + ROUNDING) * result.cost
 
 
-@pytest.mark.parametrize("cost", seeds([5.0, 22.2, np.inf]))
+@expensive
+@pytest.mark.parametrize("cost", [5.0, 22.2, np.inf])
 def test_wrong_costs_give_a_bound_all_the_same(cost):
     problem, optimum = BUCK(4), 22.36493035150289
     bounds = value_bounds(problem, multipliers_of(problem), cost, 0.01)
@@ -332,7 +333,8 @@ def random_problem(seed):
     )
 
 
-@pytest.mark.parametrize("seed", seeds([1, 2, 3]))
+@expensive
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_random_problems_are_bounded_below_their_optimum_whatever_cost_is_claimed(seed):
     problem = random_problem(seed)
     optimum = lfo.solve(problem, method="nonsmooth").cost
@@ -343,6 +345,7 @@ def test_random_problems_are_bounded_below_their_optimum_whatever_cost_is_claime
         assert claimed - 0.3 * size <= found <= optimum + ROUNDING * size
 
 
+@expensive
 def test_random_trajectories_cost_more():
     problem, rng = BUCK(5, terminal_state=None), np.random.default_rng(0)
     bound = next(value_bounds(problem, multipliers_of(problem), 25.0, 1e-2)).value
@@ -356,7 +359,7 @@ def test_random_trajectories_cost_more():
             assert problem.value(replay.x, replay.u) >= bound
 
 
-@turn(0)
+@expensive
 def test_with_frequency_constraints_any_multipliers_bound_and_the_right_ones_are_best():
     problem = BUCK(4, control_spectrum=[2], terminal_state=None)
     result = lfo.solve(problem, method="nonsmooth")
@@ -407,6 +410,7 @@ def test_what_cannot_be_bounded_is_refused(problem, words):
         next(value_bounds(problem, multipliers_of(problem), 20.0, 1e-2))
 
 
+@expensive
 @pytest.mark.parametrize("megabytes", [0.5, 1.0])
 def test_memory_is_bounded_and_the_bounds_so_far_hold(monkeypatch, megabytes):
     """No cost is known, so that all boxes stay: the search ends by itself, long before its deadline."""
@@ -431,6 +435,7 @@ def test_a_first_level_that_does_not_fit_is_refused(monkeypatch):
         next(value_bounds(BUCK(20), multipliers_of(BUCK(20)), 20.0, 1e-2))
 
 
+@expensive
 def test_many_controls_have_few_samples():
     """A grid over all controls would have 2^24 points."""
     problem = lfo.OptimalControlProblem(
@@ -445,12 +450,14 @@ def test_many_controls_have_few_samples():
     assert -10 <= bound <= problem.value(resting.x, resting.u)
 
 
+@expensive
 def test_solve_proves_that_an_end_is_out_of_reach():
     result = lfo.solve(BUCK(1, terminal_state=[0.1]), throw=False)
     assert (result.status, result.primal, result.dual) == ("infeasible", False, True)
     assert "proven by dynamic programming" in result.message
 
 
+@expensive
 def test_the_time_is_kept():
     """It ends at the first look at the clock after its deadline."""
     problem, clock = BUCK(8), Clock(1.0)
@@ -473,7 +480,7 @@ class OneStart(LocalSearch):
         return self
 
 
-@turn(1)
+@expensive
 def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
     substitute(monkeypatch, "methods.hybrid.LocalSearch", OneStart)
     assert lfo.solve(BUCK(4), method="nonsmooth").cost > 25
@@ -488,7 +495,7 @@ def test_the_bound_leads_out_of_a_poor_local_optimum(monkeypatch):
     assert "bound 22.3" in str(told[-1])
 
 
-@turn(1)
+@expensive
 def test_comparisons_bound_the_constrained_answer_only():
     found = lfo.compare(BUCK(2, control_spectrum=[1], terminal_state=None), ["brickwall"])
     assert found.classical.certificate.bound is None
@@ -496,7 +503,7 @@ def test_comparisons_bound_the_constrained_answer_only():
     assert "no global bound was asked for" in found.classical.message
 
 
-@turn(2)
+@expensive
 def test_solve_adds_the_bound_and_says_what_is_left():
     result = lfo.solve(BUCK(3))
     assert (result.status, result.message) == ("optimal", "")

@@ -15,7 +15,7 @@ from helpers.compilers import needs_kernel
 from helpers.dense_kernel import DenseKernel
 from helpers.loops import LOOPS, pendulum, states
 from helpers.random.linear import random_linear
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import SpectralSolver
 from lin_freq_ocp.certificate import judge, prove_infeasible
 from lin_freq_ocp.methods import (
@@ -132,6 +132,7 @@ NARROWER = np.array([0.05, 0.03, 0.2, 0.5])
 KERNELS = {"native": lambda tables: NativeKernel(tables, compiled()), "dense": DenseKernel}
 
 
+@expensive
 @pytest.mark.parametrize("kind", KERNELS)
 @pytest.mark.parametrize("price", [10.0, 300.0])
 def test_every_step_ends_at_the_conditions_of_its_program(kind, price):

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import UnsupportedError
 from lin_freq_ocp.methods.hybrid import AngleBound, AngleBoxes, Quarter
@@ -106,7 +106,7 @@ def test_no_bound_is_below_the_squares_of_the_amplitudes_that_are_asked_for(low)
         bound.halve(np.inf)
 
 
-@turn(0)
+@expensive
 def test_boxes_whose_turn_comes_after_the_end_stay_whole_and_every_train_remains_in_one():
     rng, bound = np.random.default_rng(0), loose(12)
     for _ in range(14):

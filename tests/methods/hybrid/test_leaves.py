@@ -12,7 +12,7 @@ import lin_freq_ocp as lfo
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem, two_sides
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
 from lin_freq_ocp.methods.hybrid import solve_path_relaxation, solve_relaxation
@@ -71,6 +71,7 @@ def test_a_row_that_no_point_of_a_box_satisfies_is_not_dropped(seed):
     assert result.tree_bound.covers
 
 
+@expensive
 @pytest.mark.parametrize("seed", [2, 7, 22])
 def test_a_solver_that_calls_an_infeasible_point_solved_costs_no_optimum(monkeypatch, seed):
     """Of every single sequence it claims the relaxed point without its dynamics."""

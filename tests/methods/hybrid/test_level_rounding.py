@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp import simulate
 from lin_freq_ocp.methods.hybrid import level_rounding, neighbouring_levels
 
@@ -24,7 +24,7 @@ def inverter() -> lfo.OptimalControlProblem:
     return lfo.library.pulse_pattern(samples=PERIOD, tolerance=0.02)
 
 
-@turn(1)
+@expensive
 def test_an_inverter_of_200_samples_has_a_feasible_pattern_at_the_first_node(inverter):
     result = lfo.solve(inverter, node_limit=1, throw=False)
     assert result.certificate.feasible

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.modes import brute_force, random_problem, two_sides
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.methods.hybrid import solve_relaxation
 from lin_freq_ocp.problem.hybrid import ModeTree
@@ -65,6 +65,7 @@ def test_branch_and_bound_finds_and_proves_the_reference_values(name, given, cos
     assert result.tree_bound.covers
 
 
+@expensive
 @pytest.mark.parametrize(("name", "given", "cost"), REFERENCES)
 def test_enumeration_finds_and_proves_the_reference_values(name, given, cost):
     result = lfo.solve(library.by_name(name)(**given), method="enumerate")
@@ -87,6 +88,7 @@ def test_search_agrees_with_brute_force(seed):
         assert np.abs(replayed.x - result.trajectory.x).max() < 1e-5
 
 
+@expensive
 @pytest.mark.parametrize(
     "fields",
     [
@@ -119,6 +121,7 @@ def test_the_root_relaxation_is_below_the_optimum():
         assert bound <= lfo.solve(problem).cost + 1e-6
 
 
+@expensive
 @pytest.mark.parametrize("kinks", [1, 2])
 def test_reach_holds_every_simulated_trajectory(kinks):
     problem = random_problem(11, horizon=6, n=3, kinks=kinks)
@@ -174,6 +177,7 @@ def test_a_leaf_that_claims_too_few_modes_is_noticed(solved):
     assert not tree_bound(solved.problem, ModeTree(tuple(nodes))).covers
 
 
+@expensive
 @pytest.mark.parametrize("change", ["eta", "region", "sign", "none", "other problem"])
 def test_a_leaf_with_other_multipliers_proves_less(solved, change):
     nodes, weakest, problem = list(solved.tree.nodes), int(np.nanargmin(solved.tree_bound.bounds)), solved.problem
@@ -242,6 +246,7 @@ def test_infeasible_is_proven_by_the_tree():
     assert brute_force(problem)[0] == np.inf
 
 
+@expensive
 def test_limits_leave_a_point_and_a_valid_bound(notched):
     problem, best = NOTCHED, notched.cost
     stopped = lfo.solve(problem, node_limit=15, throw=False)
@@ -299,7 +304,7 @@ class Here(Executor):
         return future
 
 
-@turn(0)
+@expensive
 def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
     substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     for executor in (Here(), Here(lost=[0, 3])):
@@ -310,6 +315,7 @@ def test_parts_searched_elsewhere_give_the_same_answer(monkeypatch, notched):
         assert result.tree_bound.covers
 
 
+@expensive
 @pytest.mark.parametrize("executor", [None, Here()])
 def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor, notched):
     substitute(monkeypatch, "methods.hybrid.PARTS", 4)
@@ -321,12 +327,14 @@ def test_a_start_is_the_incumbent_from_the_first_node_on(monkeypatch, executor, 
     assert len(warm.tree.nodes) <= 1.5 * len(cold.tree.nodes)
 
 
+@expensive
 def test_an_error_of_the_search_itself_is_raised(monkeypatch):
     substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     with pytest.raises(ZeroDivisionError):
         lfo.solve(library.buck_affine(horizon=12), executor=Here(lost=[0], error=ZeroDivisionError))
 
 
+@expensive
 def test_parts_on_two_processes(monkeypatch, notched):
     substitute(monkeypatch, "methods.hybrid.PARTS", 6)
     with ProcessPoolExecutor(2) as executor:

@@ -15,7 +15,7 @@ from helpers.checks import newton as newton_check
 from helpers.command_line import parsed, run
 from helpers.known_optima import solved
 from helpers.schemas import RESULT
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import nearest_in_ball
@@ -42,7 +42,8 @@ KNOWN = [
 in scripts/verify.py."""
 
 
-@pytest.mark.parametrize(("build", "arguments", "cost"), seeds(KNOWN))
+@expensive
+@pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
 def test_known_optima_are_found_from_cold_starts_and_certified(build, arguments, cost):
     result = solved(build, arguments)
     assert result.status == "locally_optimal"
@@ -54,6 +55,7 @@ def test_known_optima_are_found_from_cold_starts_and_certified(build, arguments,
     np.testing.assert_allclose(replay.x, result.trajectory.x, atol=1e-9)
 
 
+@expensive
 @pytest.mark.parametrize(("arguments", "time"), [(AT_START, 0), (INSIDE, 1)])
 def test_where_the_multiplier_has_the_wrong_sign_only_the_joint_inclusion_holds(arguments, time):
     """The kink is convex for <eta, f>: the printed condition has no solution at the optimum."""
@@ -62,7 +64,7 @@ def test_where_the_multiplier_has_the_wrong_sign_only_the_joint_inclusion_holds(
     assert time in facts.times
 
 
-@turn(1)
+@expensive
 def test_the_weight_at_the_concave_kink_is_the_known_one():
     """i_4 = I_ref touches its bound, whose multiplier is not unique; without the bound it is 0, at the same optimum."""
     result = solved(BUCK, KINK)
@@ -79,6 +81,7 @@ def test_the_weight_at_the_concave_kink_is_the_known_one():
     assert (certificate.pmp, without.multipliers.mu[4, 0]) == ("satisfied", 0.0)
 
 
+@expensive
 def test_at_the_kink_of_a_norm_a_selection_is_named():
     facts = solved(library.norm_dynamics, {"initial_state": (0.0, 1.0), "horizon": 3}).certificate.borders
     assert {kink.time for kink in facts.norms} == {1, 2}
@@ -102,6 +105,7 @@ def test_a_norm_that_pulls_the_cost_down_makes_the_printed_form_fail():
     assert facts.norms[0].rate == pytest.approx(1.0)
 
 
+@expensive
 @pytest.mark.parametrize(
     ("arguments", "spoiled"),
     [(KINK, {"eta": 1.02}), (KINK, {"nu": 1.5}), (AT_START, {"eta": 0.9}), ({"horizon": 4}, {"eta": 1 + 1e-5})],
@@ -123,6 +127,7 @@ def test_certify_finds_multipliers_for_a_trajectory_alone():
     assert lfo.certify(result.problem, worse).pmp == "violated"
 
 
+@expensive
 def test_a_trajectory_that_jumps_the_dynamics_is_refused():
     result = solved(BUCK, {"horizon": 4})
     shifted = lfo.Trajectory(result.trajectory.x + np.array([[0], [1e-4], [0], [0], [0]]), result.trajectory.u)
@@ -130,6 +135,7 @@ def test_a_trajectory_that_jumps_the_dynamics_is_refused():
     assert "state equation" in failed
 
 
+@expensive
 def test_infeasible_ends_are_said_to_be_out_of_reach():
     result = solved(BUCK, {"horizon": 1, "terminal_state": [0.1]})
     assert result.status == "numerical_error"
@@ -158,7 +164,7 @@ def test_a_mode_that_the_fixed_initial_state_excludes_is_tried_by_no_iteration()
 # --- Newton -----------------------------------------------------------------------------------------------------------
 
 
-@turn(2)
+@expensive
 @pytest.mark.parametrize("name", ["norm, x_0 = (1, 1), T = 10", "buck on the border, T = 4"])
 def test_newton_returns_from_noise_and_doubles_its_digits(name):
     problem = newton_check.PROBLEMS[name]()
@@ -191,6 +197,7 @@ def test_newton_refuses_what_it_does_not_take():
         newton(problem, start, zero_multipliers(problem, 1.0), np.zeros(2, dtype=int))
 
 
+@expensive
 def test_other_sets_are_solved_without_newton():
     problem = replace(BUCK(horizon=3), control_set=lfo.sets.Intersection([lfo.Box(2.2, 6), lfo.sets.Ball(5.5)]))
     result = lfo.solve(problem, method="nonsmooth")
@@ -214,6 +221,7 @@ def test_the_nearest_point_of_a_ball():
 # --- the command line -------------------------------------------------------------------------------------------------
 
 
+@expensive
 def test_the_command_solves_certifies_and_prints_valid_json(tmp_path):
     words = ("norm_dynamics", "--set", "initial_state=[0.0, 1.0]", "--set", "horizon=3")
     status, out, err = run("solve", *words, "--json", "--save", str(tmp_path / "run.npz"), "--method", "nonsmooth")

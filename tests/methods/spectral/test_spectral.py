@@ -10,6 +10,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
 from lin_freq_ocp.methods.spectral import Exchange, Structure, WorkingSet, data_of, verified_ray
 from lin_freq_ocp.problem import time_signal
@@ -82,6 +83,7 @@ def test_the_pendulum_is_solved_to_all_known_digits(name):
     assert cost == pytest.approx(known, rel=1e-11)
 
 
+@expensive
 @pytest.mark.parametrize("name", LONG)
 def test_long_and_unstable_pendulums_are_proven_optimal(name):
     horizon, sampling_time, gap = LONG[name]
@@ -91,6 +93,7 @@ def test_long_and_unstable_pendulums_are_proven_optimal(name):
     assert np.abs(answer.trajectory.u).max() > 0.9 * 5 or sampling_time == 0.1
 
 
+@expensive
 @pytest.mark.parametrize("name", ["double_integrator", "two_mass_spring", "flexible_satellite"])
 def test_library_problems_agree_with_the_sparse_program(name):
     problem = lfo.library.by_name(name)()

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of, residuals, wave
 from lin_freq_ocp.methods.spectral import first_working_set, lti_problem, natural_units
 
@@ -96,6 +96,7 @@ def test_the_guess_is_near_what_is_active_in_the_end(horizon, sampling_time):
     assert len(guess.t) < 2 * len(active.t)
 
 
+@expensive
 def test_rows_near_working_rows_save_half_of_the_rounds(monkeypatch):
     """As on long horizons: without a model of all values, and with neighbourhoods or without."""
     substitute(monkeypatch, "methods.spectral.MOST_VALUES", 0)

@@ -7,6 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.oscillator import oscillator
+from helpers.seeds import expensive
 from lin_freq_ocp.methods import SolveOptions, solve_convex
 from lin_freq_ocp.methods.spectral import BinSpaces, lti_problem, natural_units
 
@@ -48,6 +49,7 @@ def masses(horizon: int) -> lfo.OptimalControlProblem:
     )
 
 
+@expensive
 @pytest.mark.parametrize("damping", DAMPING)
 def test_oscillators_are_solved_like_by_the_sparse_program(damping: float) -> None:
     problem = oscillator(200, damping)
@@ -90,6 +92,7 @@ def test_masses_on_springs_are_solved_although_only_one_size_is_stated() -> None
     assert result.certificate.globally_optimal
 
 
+@expensive
 def test_an_undamped_oscillator_beyond_its_band_has_few_border_directions() -> None:
     """No control moves it at its own frequency: bins next to that are singular, however long the horizon."""
     problem = lfo.OptimalControlProblem(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from helpers.spectral_plants import certificate_of_claim
 
 T = 40
@@ -61,6 +61,7 @@ def test_the_optimum_is_that_of_the_sparse_program_and_its_multipliers_those_of_
         np.testing.assert_allclose(ours.multipliers.eta, theirs.multipliers.eta, atol=1e-5)
 
 
+@expensive
 def test_most_of_the_cases_have_unique_multipliers_to_compare():
     unique = [name for name, sets in CASES.items() if lfo.solve(problem(**sets)).uniqueness.unique]
     assert len(unique) >= len(CASES) - 2

@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.checks import spectral
 from helpers.checks.spectral import Reference, Verdict
 from helpers.random.lti import with_witness
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.methods import SolveOptions, solve_convex
 
 ACCURATE = SolveOptions(tolerance=1e-11)
@@ -35,12 +35,14 @@ def test_a_random_problem_is_solved_like_by_the_reference_or_proven_infeasible(s
     assert outcome.passed, str(outcome)
 
 
+@expensive
 def test_an_exchange_whose_rows_return_at_once_ends_with_a_ray():
     solution = lfo.SpectralSolver(with_witness(STALLED)[0]).solve()
     assert solution.status == "infeasible"
     assert solution.rounds < 20
 
 
+@expensive
 def test_a_tiny_reference_is_no_measure_of_a_control():
     problem, witness = with_witness(TINY_REFERENCE)
     result = lfo.solve(problem, method="spectral")

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.spectral_plants import END, START, A, B, T, plant, problem_of, tube
 from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import prove_infeasible
@@ -255,6 +256,7 @@ UNBOUNDED = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", UNBOUNDED)
 def test_a_cost_without_lower_bound_is_not_called_optimal(name):
     problem = problem_of(**({"terminal_state": None} | UNBOUNDED[name]))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from helpers.spectral_plants import END, LARGE_BOX, START, TIGHT, T, moving, problem_of, residuals, tube, wave
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.methods.spectral import Rows
@@ -163,6 +164,7 @@ def test_a_warm_start_saves_rounds_where_the_active_rows_stay():
     assert cost_of(warm) == pytest.approx(cost_of(cold), rel=1e-10)
 
 
+@expensive
 @pytest.mark.parametrize("sampling_time", [0.01, 0.1])
 def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
     """From the second solve on, all responses of all bounded values are kept: another path than the first one."""
@@ -177,6 +179,7 @@ def test_a_chain_of_moved_starts_is_solved_as_from_scratch(sampling_time):
         assert cost_of(solution) == pytest.approx(cost_of(scratch), rel=1e-10)
 
 
+@expensive
 def test_infeasible_starts_are_proven_so_and_the_next_feasible_one_is_solved():
     problem = lfo.library.pendulum()
     solver, start = lfo.SpectralSolver(problem), problem.initial_state.lower

@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import prove_infeasible
 from lin_freq_ocp.sets import Polyhedron, Soft
 
@@ -118,6 +118,7 @@ def test_units_do_not_change_the_verdict(states, cost):
     assert result.cost / cost == pytest.approx(lfo.solve(problem(**CASES["states"])).cost, rel=1e-9)
 
 
+@expensive
 @pytest.mark.parametrize("name", ["states", "states, free end", "all", "prices per time"])
 def test_a_warm_solve_gives_what_a_cold_one_gives(name):
     given = problem(**CASES[name])
@@ -141,6 +142,7 @@ def test_soft_bounds_can_be_exchanged_between_solves():
         assert other.problem.value(other.trajectory.x, other.trajectory.u) == pytest.approx(expected, rel=1e-8)
 
 
+@expensive
 @pytest.mark.parametrize("name", ["states", "hard and soft on one side", "all", "all exceeded"])
 def test_rounds_without_the_model_of_all_values_find_the_same(name, monkeypatch):
     """As on long horizons, where each round looks for rays: a soft row that the ends decide is none."""

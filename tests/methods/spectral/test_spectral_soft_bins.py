@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.sets import Soft
 
 BASE = lfo.library.double_integrator(horizon=80, sampling_time=0.05)
@@ -38,6 +39,7 @@ CASES = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", CASES)
 def test_bins_are_zero_at_high_prices_and_their_multipliers_are_those_of_the_bound(name):
     given = problem(**CASES[name])

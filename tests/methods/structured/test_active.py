@@ -8,7 +8,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods import Candidate
 from lin_freq_ocp.methods.structured import (
@@ -147,6 +147,7 @@ def again(kept, change, tolerance=None):
     return Structured(tolerance).solve(problem, Request(cached=(kept, change)))
 
 
+@expensive
 def test_solves_again_are_by_active_rows_and_as_from_scratch(monkeypatch):
     problem, ends = touching(), []
 
@@ -191,6 +192,7 @@ def test_references_are_exchanged():
     assert len(matrices) == 1
 
 
+@expensive
 def test_verdicts_are_those_from_scratch():
     problem, statuses = touching(), []
     kept = SolverCache(translation_of(problem))

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.methods.structured import (
     BALLS,
     EQUATIONS,
@@ -175,7 +175,7 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
     assert max(answer.errors[:2]) <= 1e-10
 
 
-@turn(0)
+@expensive
 def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
     """How many steps one problem takes depends on rounding; the sum of twelve does so by a few percent."""
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.problem import unique_names
 
 FUNCTIONS = {"abs": abs, "max": max, "min": min, "sin": math.sin, "tanh": math.tanh}
@@ -90,7 +90,8 @@ def test_choices_that_never_hold_are_no_modes(name):
     assert not np.isnan(found).all(axis=1).any()
 
 
-@pytest.mark.parametrize("name", seeds(["saturated input", "saturated pendulum", "Coulomb friction", "stick-slip"]))
+@expensive
+@pytest.mark.parametrize("name", ["saturated input", "saturated pendulum", "Coulomb friction", "stick-slip"])
 def test_saturation_and_friction_have_an_answer(name):
     formulas, _ = EXAMPLES[name]
     n = len(formulas)
@@ -107,6 +108,7 @@ def test_saturation_and_friction_have_an_answer(name):
     assert result.certificate.pmp == "satisfied"
 
 
+@expensive
 def test_a_switching_function_that_is_flat_and_above_zero_where_a_search_begins_does_not_stop_it():
     """At x = 0 the slope of 1 - x^2 is zero: nothing says how to get where x^2 - 1 is the larger one."""
     problem = lfo.OptimalControlProblem(

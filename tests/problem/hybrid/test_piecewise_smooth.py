@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.dynamics import SmoothMode
 from lin_freq_ocp.transform.hybrid import piecewise_smooth
@@ -25,6 +26,7 @@ def buck_step(i: float, v: float, diode: float = 0.0) -> float:
     return ((v - i * R) / (v - I_REF * R)) ** ((R + diode) / R) * d
 
 
+@expensive
 @pytest.mark.parametrize("diode", [0.0, 0.1, 1.0])
 def test_the_converter_is_the_papers(diode):
     problem = library.buck_converter(horizon=1, diode_resistance=diode, terminal_state=None)

@@ -16,7 +16,7 @@ from helpers.checks.claimed import resolved
 from helpers.clocks import Clock
 from helpers.modes import brute_force, random_problem
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.hybrid import solve_miqp
 from lin_freq_ocp.program import Block, Claim, Program, Solution
@@ -165,6 +165,7 @@ def test_a_row_that_all_modes_share_is_one_equation():
     assert rows.stop - rows.start == 4 + 4 * 2 * 2
 
 
+@expensive
 def test_rows_and_columns_are_of_order_one():
     for problem in SAMPLED:
         program = big_m_program(problem)
@@ -199,6 +200,7 @@ def micrometres(problem, factor=1e6):
     )
 
 
+@expensive
 @each_backend
 @pytest.mark.parametrize(("name", "given", "cost"), REFERENCES[1::3])
 def test_units_do_not_matter(backend, name, given, cost):
@@ -220,6 +222,7 @@ def balled():
     return random_problem(3, horizon=3, m=2, control_set=lfo.sets.Ball(1.0))
 
 
+@expensive
 @pytest.mark.parametrize("problem", [masked(), balled()], ids=["mask", "ball"])
 def test_cones_go_to_scip_and_daqp_refuses_them(problem):
     best, _ = brute_force(problem)
@@ -239,6 +242,7 @@ def test_the_mask_is_felt_and_branch_and_bound_proves_it():
     assert result.cost == pytest.approx(resolved(problem, solve_miqp(problem, "scip")).cost, rel=1e-6)
 
 
+@expensive
 @each_backend
 @pytest.mark.parametrize(
     "fields",
@@ -289,7 +293,7 @@ def test_a_solver_whose_limit_is_over_before_it_begins_says_so(backend):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process cannot send itself Ctrl-C there")
-@turn(0)
+@expensive
 def test_ctrl_c_stops_scip_with_the_best_point_so_far():
     problem, before, stop = library.buck_affine(horizon=20), signal.getsignal(signal.SIGINT), threading.Event()
 
@@ -311,6 +315,7 @@ def test_ctrl_c_stops_scip_with_the_best_point_so_far():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@expensive
 @each_backend
 def test_solvers_are_silent_and_repeat_themselves(backend, capfd):
     problem = library.buck_affine(horizon=4)
@@ -421,6 +426,7 @@ def test_rows_without_variables_hold_or_exclude_everything(backend):
     assert solve(with_row(0.5, 1.0), 1e-6, 20.0).claim is Claim.INFEASIBLE
 
 
+@expensive
 @each_backend
 def test_solve_proves_what_a_mixed_integer_solver_found(backend):
     result = lfo.solve(library.buck_affine(horizon=6), method="miqp", backend=backend)

@@ -10,7 +10,7 @@ import lin_freq_ocp as lfo
 from helpers.compilers import needs_kernel
 from helpers.modes import random_problem
 from helpers.replacing import substitute
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate.hybrid import tree_bound
 from lin_freq_ocp.methods.hybrid import TOLERANCES, path_library, solve_relaxation
 from lin_freq_ocp.problem.hybrid import ModeNode, ModeTree
@@ -69,6 +69,7 @@ def test_paths_leave_less_open_than_shares():
     assert 0 < paths < 0.5 * shares
 
 
+@expensive
 @needs_kernel
 @pytest.mark.parametrize("name", ["plain", "band", "rows of the end"])
 def test_any_duals_prove_less_than_any_trajectory_costs(name):
@@ -164,6 +165,7 @@ def test_where_edges_of_many_modes_are_many_shares_have_to_do():
     assert relaxation.path_member(reach) is not None
 
 
+@expensive
 def test_a_small_cost_gets_units_in_which_its_tree_is_proven():
     """Weights of a Riccati equation, a thousand times those of the stages; a cost a ten-thousandth of what is usual."""
     base = lfo.library.cart_pole_with_walls(12, damping=10.0, initial_state=(0.43, -0.05, 0.3, 0.0))

@@ -12,6 +12,7 @@ import lin_freq_ocp as lfo
 from helpers import kinks
 from helpers.borders import changed, multipliers_of, peak_optimum
 from helpers.schemas import RESULT, faults, printed
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.cli import cli
@@ -49,6 +50,7 @@ def test_controls_alone_are_replayed_through_the_modes():
         lfo.certify(problem, lfo.Trajectory(np.zeros((2, 1)), np.zeros((1, 1))))
 
 
+@expensive
 def test_the_best_sequence_is_extremal_and_the_others_have_a_verified_flip_or_are_extremal(wall):
     problem, found = wall
     assert len(found) > 3
@@ -79,6 +81,7 @@ def test_a_trajectory_that_is_no_extremal_has_a_descent():
     assert str(certificate.borders) == "modes meet nowhere along the trajectory"
 
 
+@expensive
 def test_abnormal_multipliers_are_found_where_there_are_no_others():
     """x_1 = min(x_0, 2 - x_0) + u_2 = 1 from x_0 = 1 leaves u = 0 alone of the ball above it, whatever u_1 costs."""
     modes = [
@@ -173,6 +176,7 @@ def test_weights_survive_the_round_trip(tmp_path):
         lfo.load(tmp_path / "bad.npz")
 
 
+@expensive
 @pytest.mark.parametrize("case", ["peak", "valley", "rotation", "inside"])
 def test_certificates_of_modes_are_valid_json(case):
     problem, u = {
@@ -194,6 +198,7 @@ def test_certificates_of_modes_are_valid_json(case):
     assert not Draft202012Validator(RESULT).is_valid(spoiled)
 
 
+@expensive
 def test_words_tell_what_holds_at_borders():
     good, bad = (lfo.certify(kinks.peak(), [[1.0], [4.0]]), lfo.certify(kinks.valley(), [[-1.0], [4.0]]))
     assert "modes meet at t = 1; joint inclusion holds; flip-stationary; printed form holds" in str(good.borders)
@@ -216,6 +221,7 @@ def invoke(monkeypatch, tmp_path, problem, trajectory, multipliers=None, *option
     return CliRunner().invoke(cli, ["certify", "kink", str(tmp_path / "run.npz"), *options], standalone_mode=False)
 
 
+@expensive
 def test_the_command_line_judges_modes(monkeypatch, tmp_path):
     problem, trajectory, multipliers = peak_optimum()
     for given in (None, multipliers):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.transform.hybrid import with_convex_terms
 
 A, B = np.array([[1.0, 0.3], [-0.1, 0.9]]), np.array([[0.0], [0.4]])
@@ -61,7 +61,7 @@ def test_the_global_optimum_is_proven_over_thirty_steps(name):
         assert problem.quadratic.value(x, u) + function(x[:-1], u).sum() >= result.lower_bound
 
 
-@turn(0)
+@expensive
 def test_a_norm_in_several_modes_has_one_selection():
     """The absolute value makes two modes, each with a copy of the norm, which is zero over the last steps."""
     stage = lfo.costs.SmoothCost(stage=lambda x, u: lfo.norm([x[0], x[1]]) + 0.1 * abs(u[0]))

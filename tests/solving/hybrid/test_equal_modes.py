@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import seeds
+from helpers.seeds import expensive
 
 A, B, ROW = np.array([[0.9, 0.2], [0.0, 0.8]]), np.array([[0.0], [1.0]]), np.array([1.0, -0.5])
 SPECTRA = {
@@ -41,17 +41,16 @@ def formulas_of_one_map(A: np.ndarray, B: np.ndarray, row: np.ndarray) -> lfo.Pi
     return lfo.PiecewiseSmoothDynamics.from_formulas(f, *B.shape)
 
 
+@expensive
 @pytest.mark.parametrize(
     ("cost", "ends", "spectrum"),
-    seeds(
-        [
-            ("zero at rest", "start on the boundary", "mask"),
-            ("zero at rest", "start on the boundary", "mask on a state"),
-            ("quadratic", "boundary on the way", "mask"),
-            ("quadratic", "target on the boundary", "mask on a state"),
-            ("L1", "boundary on the way", "notch"),
-        ]
-    ),
+    [
+        ("zero at rest", "start on the boundary", "mask"),
+        ("zero at rest", "start on the boundary", "mask on a state"),
+        ("quadratic", "boundary on the way", "mask"),
+        ("quadratic", "target on the boundary", "mask on a state"),
+        ("L1", "boundary on the way", "notch"),
+    ],
 )
 def test_equal_modes_have_the_optimum_of_one(cost, ends, spectrum):
     modes = [lfo.AffineMode(A, B, G=[sign * ROW], h=[0.0], name=f"side {sign}") for sign in (1, -1)]
@@ -65,6 +64,7 @@ def test_equal_modes_have_the_optimum_of_one(cost, ends, spectrum):
         assert result.cost == pytest.approx(of_one.cost, rel=1e-6, abs=1e-9)
 
 
+@expensive
 def test_a_sequence_that_needs_a_higher_price_of_violations_is_not_given_up():
     """With the first price, every sequence near that of the start leads to a point that violates the dynamics."""
     A, B = np.array([[-0.7]]), np.array([[1.06, 0.06]])
@@ -85,6 +85,7 @@ def test_a_sequence_that_needs_a_higher_price_of_violations_is_not_given_up():
     assert result.cost == pytest.approx(lfo.solve(of_one).cost, rel=1e-6)
 
 
+@expensive
 def test_a_start_that_no_step_improves_is_the_answer():
     def f(x, u):
         kink = abs(3.1 * x[0] + 2.6 * x[1] + 1.13 * u[0])

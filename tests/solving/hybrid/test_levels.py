@@ -11,7 +11,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import simulate
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import tree_bound
@@ -53,6 +53,7 @@ def by_enumeration(problem: lfo.OptimalControlProblem) -> float:
     return best
 
 
+@expensive
 def test_whole_levels_are_those_of_enumeration(solved):
     assert solved.status == "optimal"
     assert solved.cost == pytest.approx(by_enumeration(solved.problem), rel=1e-9)
@@ -201,6 +202,7 @@ def test_where_the_conditions_fail_nothing_is_said_of_rows(change):
     assert lfo.solve(problem, throw=False).level_use.rows is None
 
 
+@expensive
 def test_a_search_uses_its_time_and_says_how_much_of_it_the_proof_took():
     """At first, 60 % of the time are for the search; the proof needs less than the rest, and the search goes on."""
     with use_clock(Clock(0.02)):
@@ -279,6 +281,7 @@ def tanks(unit=1.0, **further) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(dynamics, 3, **(fields | further))
 
 
+@expensive
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_a_control_next_to_one_with_levels_is_optimal_over_all_sequences_of_levels(unit):
     problem = tanks(unit, terminal_state=lfo.Box({"upper": (0.15, None), "lower": (None, 0.75)}))

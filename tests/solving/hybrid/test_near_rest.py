@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate.hybrid import level_boxes, tree_bound
 from lin_freq_ocp.program.hybrid import PathRelaxation
 
@@ -28,6 +29,7 @@ def problem_at(start: float, **further: object) -> lfo.OptimalControlProblem:
     return lfo.OptimalControlProblem(horizon=6, **given | further)
 
 
+@expensive
 @pytest.mark.parametrize("start", SMALL)
 @pytest.mark.parametrize("method", ["auto", "miqp"])
 def test_a_small_motion_is_proven_optimal(start, method):
@@ -38,6 +40,7 @@ def test_a_small_motion_is_proven_optimal(start, method):
     assert lfo.certify(result.problem, result).globally_optimal
 
 
+@expensive
 @pytest.mark.at_tolerance("a search ends when its gap suffices")
 @pytest.mark.parametrize("start", SMALL)
 def test_a_small_motion_to_rest_is_proven_where_rest_is_not_feasible(start):
@@ -47,12 +50,14 @@ def test_a_small_motion_to_rest_is_proven_where_rest_is_not_feasible(start):
     assert result.cost / start**2 == pytest.approx(of_order_one.cost / 0.1**2, rel=2e-6)
 
 
+@expensive
 def test_bounds_that_are_far_add_no_nodes():
     trees = [lfo.solve(problem_at(start)).tree for start in (0.1, 1e-3, 1e-5, *SMALL)]
     assert {len(tree.nodes) for tree in trees} == {1}
     assert all(tree.level < np.inf for tree in trees)
 
 
+@expensive
 def test_a_loop_that_comes_to_rest_keeps_its_relaxations_and_is_proven(monkeypatch):
     reused, moved = [], PathRelaxation.moved
     monkeypatch.setattr(PathRelaxation, "moved", lambda one, problem: reused.append(problem) or moved(one, problem))
@@ -63,6 +68,7 @@ def test_a_loop_that_comes_to_rest_keeps_its_relaxations_and_is_proven(monkeypat
     assert len(reused) >= 9  # the first step has none to reuse
 
 
+@expensive
 @pytest.mark.parametrize("start", [1e-10, 1e-12, 1e-14])
 def test_rounding_of_the_coordinates_decides_far_from_zero(start):
     reference = lfo.QuadraticCost(Q=np.diag([0.5, 0.1]), R=0.2, P=1.0, x_ref=[0.6, 0.0])
@@ -107,6 +113,7 @@ STATED = {
 }
 
 
+@expensive
 @pytest.mark.parametrize("name", STATED)
 def test_small_references_are_no_size_of_a_motion_that_other_data_cause(name):
     tiny = lfo.QuadraticCost(Q=np.diag([0.5, 0.1]), R=0.2, P=1.0, x_ref=[0.0, -2e-13], u_ref=1e-13)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate.hybrid import value_bounds
 
 
@@ -15,7 +15,7 @@ def hop(bound, **changes):
     return lfo.OptimalControlProblem(dynamics, 2, cost, control_set=lfo.Box(-bound, bound), **ends, **changes)
 
 
-@turn(1)
+@expensive
 def test_intervals_are_tried_only_where_bounds_alone_may_exclude_all_trajectories(monkeypatch):
     """They see bounds and no masks: where a trajectory keeps the bounds, they would search for seconds in vain."""
     tried = []

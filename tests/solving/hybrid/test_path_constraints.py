@@ -9,7 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import disc, mass, way_around
-from helpers.seeds import turn
+from helpers.seeds import expensive
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.methods import zero_multipliers
 
@@ -22,6 +22,7 @@ def around():
     return way_around()
 
 
+@expensive
 def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
     certificate, x, price = around.certificate, around.trajectory.x, around.multipliers.stage["path"]
     assert (around.status, certificate.pmp, certificate.second_order.passed) == ("locally_optimal", "satisfied", True)
@@ -32,7 +33,7 @@ def test_the_way_around_a_disc_touches_it_with_a_multiplier(around):
     assert certificate.worst.relative < 1e-9
 
 
-@turn(0)
+@expensive
 def test_both_sides_of_an_obstacle_are_tried():
     symmetric = mass(initial_state=[-1, 0, 0, 0])  # a straight line leads through the centre
     result = lfo.solve(symmetric, "nonsmooth")
@@ -42,6 +43,7 @@ def test_both_sides_of_an_obstacle_are_tried():
     assert low.trajectory.x[6, 1] < 0 < high.trajectory.x[6, 1]
 
 
+@expensive
 def test_a_wrong_multiplier_or_another_trajectory_is_noticed(around):
     problem, at, price = around.problem, around.trajectory, around.multipliers.stage["path"]
     for changed, label in ((1.01 * price, "C-iii"), (price + 0.1 * price.max(), "N-z")):
@@ -53,6 +55,7 @@ def test_a_wrong_multiplier_or_another_trajectory_is_noticed(around):
     assert "rows hold: path" in {condition.name for condition in found.failed}
 
 
+@expensive
 @pytest.mark.parametrize("factor", [1e-6, 1e6])
 def test_a_factor_of_h_changes_no_verdict(around, factor):
     scaled = mass(lambda x, u: factor * disc(x, u))
@@ -72,6 +75,7 @@ def test_a_factor_of_a_degenerate_h_changes_no_verdict():
         assert certificate.pmp == "not_applicable", factor
 
 
+@expensive
 def test_a_convex_one_is_proven_globally_optimal():
     result = lfo.solve(mass(BALL, **AROUND))
     assert (result.status, result.certificate.pmp, result.certificate.bound.kind) == (
@@ -87,6 +91,7 @@ def test_a_convex_one_is_proven_globally_optimal():
     assert by_norm.cost == pytest.approx(result.cost, rel=1e-7)
 
 
+@expensive
 def test_with_costs_by_formulas_and_soft():
     cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="exp(x_0)", terminal="x_2**2")
     assert lfo.solve(mass(BALL, cost=cost, **AROUND)).status == "optimal"
@@ -97,6 +102,7 @@ def test_with_costs_by_formulas_and_soft():
     assert soft.multipliers.stage["path"].max() == pytest.approx(1.0)  # the price, where it is violated
 
 
+@expensive
 def test_a_declaration_proves_nothing_but_is_checked(around):
     problem = mass("tanh(0.1 * (x_0**2 + x_1**2 - 0.99))", convex=True, **AROUND)
     result = lfo.solve(problem, "nonsmooth")
@@ -108,7 +114,7 @@ def test_a_declaration_proves_nothing_but_is_checked(around):
     assert convex.bound is None  # its Hessian is negative
 
 
-@turn(1)
+@expensive
 def test_few_states_have_a_global_bound_around_obstacles():
     line = lfo.LinearDynamics([[1.0]], [[1.0]])
     problem = lfo.OptimalControlProblem(
@@ -123,6 +129,7 @@ def test_few_states_have_a_global_bound_around_obstacles():
     assert lfo.solve(nowhere, throw=False).status == "infeasible"
 
 
+@expensive
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_an_obstacle_out_of_the_way_leaves_a_proven_optimum(size):
     """The move is along one axis: the other one has no data, and its values are what iterations leave."""
@@ -135,6 +142,7 @@ def test_an_obstacle_out_of_the_way_leaves_a_proven_optimum(size):
     assert result.certificate.bound.sets.endswith("without path")
 
 
+@expensive
 @pytest.mark.parametrize("price", [None, 1e3])
 def test_the_problem_without_obstacles_and_with_what_is_convex_bounds_the_cost(price):
     post = lfo.sets.PathConstraint("0.25 - x_0**2 - x_1**2", name="post", price=price)
@@ -147,6 +155,7 @@ def test_the_problem_without_obstacles_and_with_what_is_convex_bounds_the_cost(p
     assert (result.status, result.bound) == ("locally_optimal", "rigorous")
 
 
+@expensive
 def test_a_fixed_end_that_violates_it_is_infeasible():
     result = lfo.solve(mass(terminal_state=[0.2, 0.1, 0, 0]), throw=False)
     assert (result.status, result.primal) == ("infeasible", False)
@@ -154,6 +163,7 @@ def test_a_fixed_end_that_violates_it_is_infeasible():
     assert lfo.solve(mass(terminal_state=[0.5, 0, 0, 0]), "nonsmooth").certificate.pmp == "satisfied"  # on the disc
 
 
+@expensive
 def test_of_convex_ones_those_in_conflict_are_named():
     free, thrust = (
         lfo.sets.PathConstraint(h, name=name) for h, name in (("x_0**2 - 9", "free"), ("u_0**2 + 1", "thrust"))
@@ -166,7 +176,7 @@ def test_of_convex_ones_those_in_conflict_are_named():
     assert message == "proven by a ray: no trajectory satisfies tangents of convex path constraints ('thrust')"
 
 
-@turn(0)
+@expensive
 def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
     slow = lfo.solve(mass("x_2**2 + x_3**2 - 1"), throw=False)  # 2 m in 1.2 s
     assert slow.status == "infeasible"
@@ -174,7 +184,7 @@ def test_convex_ones_that_leave_no_trajectory_are_infeasible_by_a_ray():
     assert lfo.solve(mass("x_2**2 + x_3**2 - 1", price=9.0), throw=False).status == "optimal"
 
 
-@turn(1)
+@expensive
 def test_ones_that_are_not_convex_and_leave_no_trajectory_are_not_proven_infeasible():
     around = lfo.solve(mass(lambda x, u: [disc(x, u), -disc(x, u) - 0.9, x[2] ** 2 + x[3] ** 2 - 1]), throw=False)
     assert around.status == "numerical_error"  # a disc is not convex
@@ -196,6 +206,7 @@ def test_dependent_gradients_are_named_with_their_place():
     assert lfo.certify(mass(lambda x, u: both(x, u)[:1], **rest), crossed).borders.unqualified == ()
 
 
+@expensive
 @pytest.mark.parametrize(("limit", "kept"), [(5.00005e-13, True), (4.9e-13, False)])
 def test_rounding_inside_a_formula_violates_nothing(limit, kept):
     """log(cosh(1e-6)) is 5e-13 - 8e-26, in double precision 5.0004e-13."""
@@ -216,7 +227,7 @@ def test_the_second_order_test_has_the_curvature_of_h():
         assert (certificate.pmp, certificate.second_order.passed) == ("satisfied", passed)
 
 
-@turn(1)
+@expensive
 def test_kinked_dynamics_take_it():
     drag = lfo.PiecewiseSmoothDynamics.from_formulas(
         lambda x, u: [x[0] + 0.1 * x[1], x[1] + 0.1 * u[0] - 0.02 * abs(x[1]) * x[1]], 2, 1
@@ -231,7 +242,7 @@ def test_kinked_dynamics_take_it():
     assert result.multipliers.stage["speed"].max() > 1e-2
 
 
-@turn(2)
+@expensive
 def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
     """The data state a height of 0.1 and a force of 30; the way around the disc needs 0.5 and 0.3."""
     A, B = np.eye(4) + 0.1 * np.eye(4, k=2), 0.1 * np.eye(4, 2, k=-2)
@@ -240,6 +251,7 @@ def test_obstacles_that_are_larger_than_the_data_say_are_passed_accurately():
     assert result.certificate.worst.relative < 1e-9
 
 
+@expensive
 def test_what_rests_far_from_h_is_certified():
     along = mass("x_0**2 + x_1**2 - 9", initial_state=[-0.6, 0, 0, 0], terminal_state=[0.6, 0, 0, 0])  # x_1 is at rest
     assert lfo.solve(along).status == "optimal"
@@ -255,6 +267,7 @@ def test_a_point_where_h_is_no_number_is_refused():
     assert "where the dynamics or path constraints are not defined" in result.message
 
 
+@expensive
 @pytest.mark.parametrize("h", ["0.04 - (x_0 - 0.5)**2", "x_0**2 + u_0**2 - 1.5"])
 def test_a_price_that_nothing_costs_leaves_multipliers_of_zero(h):
     problem = lfo.OptimalControlProblem(
@@ -269,6 +282,7 @@ def test_a_price_that_nothing_costs_leaves_multipliers_of_zero(h):
     assert (result.cost, result.certificate.pmp) == (0.0, "satisfied")
 
 
+@expensive
 @pytest.mark.parametrize("away", [0.0, 1e-10, 1e-6])
 def test_what_begins_at_its_reference_or_near_is_globally_optimal(away):
     """An iteration leaves a cost of rounding at rest, next to which no gap is small; the rest itself costs nothing."""

@@ -9,12 +9,14 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.clocks import Clock
+from helpers.seeds import expensive
 from lin_freq_ocp import Trajectory
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import ProblemError
 
 
 # Miller, Karamanakos and Geyer, arXiv 2512.08201: distortion of moment relaxations, and of polished points
+@expensive
 @pytest.mark.parametrize(
     ("modulation", "switches", "lower", "upper"), [(0.9, 8, 0.042201, 0.042206), (1.0, 8, 0.029132, 0.02916)]
 )
@@ -36,6 +38,7 @@ def published(modulation: float, switches: int) -> lfo.OptimalControlProblem:
 
 
 # The same authors: distortion of moment relaxations, and of polished points
+@expensive
 @pytest.mark.parametrize(
     ("modulation", "switches", "lower", "upper", "gap"),
     [(0.05, 8, 0.01353, 0.013543, 1e-6), (0.05, 12, 0.009637, 0.009648, 1e-6), (0.7, 32, 0.010474, 0.010506, 2e-3)],
@@ -52,6 +55,7 @@ def test_the_published_class_is_exact(modulation, switches, lower, upper, gap):
     assert x[:, 1].min() >= 0
 
 
+@expensive
 def test_the_verdict_does_not_depend_on_the_unit_of_the_cost():
     problem = lfo.library.pulse_pattern(kind="opp")
     result = lfo.solve(replace(problem, cost=lfo.QuadraticCost(p=[0, 0, 0, 1e-9, 0, 0])))
@@ -59,6 +63,7 @@ def test_the_verdict_does_not_depend_on_the_unit_of_the_cost():
     assert result.cost == pytest.approx(1e-9 * lfo.solve(problem).cost, rel=1e-6)
 
 
+@expensive
 def test_three_angles():
     result = lfo.solve(lfo.library.pulse_pattern(kind="opp", modulation=0.8, switches=12), gap=1e-4)
     assert result.status == "optimal"
@@ -97,6 +102,7 @@ def test_a_time_limit_keeps_what_was_found():
     assert "time limit" in result.message
 
 
+@expensive
 @pytest.mark.at_tolerance("no time is left to refine the answer")
 @pytest.mark.parametrize("limit", [10.0, 60.0])
 def test_a_search_over_five_angles_ends_in_time_with_the_trivial_bound(limit):
@@ -116,6 +122,7 @@ def test_a_search_over_five_angles_ends_in_time_with_the_trivial_bound(limit):
     assert -1e-16 <= result.lower_bound <= result.cost
 
 
+@expensive
 @pytest.mark.parametrize("switches", [8, 12])
 @pytest.mark.parametrize("modes_only", [False, True])
 def test_a_start_is_where_the_search_begins(switches, modes_only):
@@ -129,6 +136,7 @@ def test_a_start_is_where_the_search_begins(switches, modes_only):
     assert lfo.solve(problem, start=start).status == "optimal"
 
 
+@expensive
 @pytest.mark.parametrize(("modulation", "switches"), [(0.3, 12), (0.9, 8), (1.0, 12)])
 def test_an_optimum_is_certified_with_its_multipliers_and_without(modulation, switches):
     problem = lfo.library.pulse_pattern(kind="opp", modulation=modulation, switches=switches)
@@ -138,6 +146,7 @@ def test_an_optimum_is_certified_with_its_multipliers_and_without(modulation, sw
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
 
 
+@expensive
 def test_files_hold_the_train(tmp_path):
     problem = lfo.library.pulse_pattern(kind="opp")
     lfo.write_problem(problem, tmp_path / "train.toml")

@@ -10,7 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formula_costs import PUBLISHED, clnlbeam
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.certificate.hybrid import kinks
 from lin_freq_ocp.comparison import mode_sequence
@@ -77,6 +77,7 @@ def test_the_value_is_the_sum_of_its_formulas(wave):
     assert wave.value(x, u) == pytest.approx(by_formulas + quadratic, rel=1e-13)
 
 
+@expensive
 def test_the_principle_has_the_gradient_of_the_cost(wave, waved):
     result = waved
     multipliers = by_hand(wave, result.trajectory)
@@ -88,6 +89,7 @@ def test_the_principle_has_the_gradient_of_the_cost(wave, waved):
     assert lfo.certify(wave, result.trajectory).pmp == "satisfied"  # with fitted multipliers
 
 
+@expensive
 @pytest.mark.parametrize("part", ["stage", "terminal"])
 def test_a_trajectory_of_another_cost_is_refuted(wave, waved, part):
     """The optimum of one cost violates the principle of another: a gradient that is left out is noticed."""
@@ -129,6 +131,7 @@ def test_controls_that_rest_on_a_kink_within_rounding_satisfy_the_maximum_princi
     assert certificate.borders.times == (0, 1, 2, 3)
 
 
+@expensive
 def test_a_norm_at_its_zero_has_a_selection():
     cost = lfo.QuadraticCost(Q=1.0, R=0.1) + SmoothCost(stage=lambda x, u: lfo.norm([x[0], x[1]]))
     result = lfo.solve(cart(cost, 30, terminal_state=[0.0, 0.0]), "nonsmooth")
@@ -160,6 +163,7 @@ def test_a_smooth_cost_is_that_of_the_quadratic_one():
     np.testing.assert_allclose(found.multipliers.rho_u, linear.multipliers.rho_u, atol=1e-6)
 
 
+@expensive
 def test_the_cost_stays_through_changes_of_the_problem(wave):
     rng = np.random.default_rng(2)
     x, u = rng.normal(size=(11, 2)), rng.normal(size=(10, 1))
@@ -174,6 +178,7 @@ def test_the_cost_stays_through_changes_of_the_problem(wave):
     assert lfo.solve(far, "nonsmooth").cost == pytest.approx(lfo.solve(near, "nonsmooth").cost, rel=1e-6)
 
 
+@expensive
 def test_reports_name_the_states_of_the_problem_alone(wave, waved):
     """The cost is a state for the judge only: no condition, kink or multiplier is about it."""
     result = waved
@@ -237,6 +242,7 @@ def test_a_cost_that_is_not_defined_where_all_starts_are():
         lfo.certify(problem, np.zeros((10, 1)))
 
 
+@expensive
 def test_a_terminal_formula_beside_kinks_leads_to_the_optimum_of_cvxpy():
     problem = cart(SmoothCost(stage="abs(x_0) + u_0**2", terminal="x_0**4"))
     model = lfo.to_cvxpy(cart(lfo.QuadraticCost()))
@@ -253,6 +259,7 @@ def test_a_norm_with_a_constant_component_has_no_kink():
     assert lfo.solve(problem, lfo.solvers.Nonsmooth(global_bound=False)).status == "optimal"
 
 
+@expensive
 @pytest.mark.parametrize(("terminal", "least"), [("-2*x_0**2", -1650.0), ("cos(3*x_0)", -0.8237636916)])
 def test_the_curvature_of_a_terminal_cost_counts_at_a_saddle(terminal, least):
     """At rest the cost is stationary, and falls along a direction: that of the last state alone says so."""
@@ -284,7 +291,7 @@ def test_what_takes_no_cost_by_formulas_names_the_cost(wave, tmp_path):
             refused()
 
 
-@turn(2)
+@expensive
 def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     cost = lfo.QuadraticCost(R=1.0) + lfo.costs.SmoothCost(stage="sin(x_0)**2")
     ends = {"initial_state": [0.0], "terminal_state": [4.0]}
@@ -297,6 +304,7 @@ def test_an_unreachable_end_is_proven_and_explained_whatever_the_cost():
     assert "[-1, 1] -> [-2, 2]" in str(explanation)
 
 
+@expensive
 @pytest.mark.parametrize(("stage", "cost"), [("cosh(x_0 - 1)", 4.0), ("abs(x_0 - 1)", 0.0)])
 def test_periodic_ends_keep_their_name_with_a_cost_by_formulas(stage, cost):
     problem = lfo.OptimalControlProblem(

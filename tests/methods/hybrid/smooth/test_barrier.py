@@ -12,7 +12,7 @@ from helpers.checks.pairs import problem_of
 from helpers.clocks import Clock
 from helpers.random.smooth import random_problem
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp import OptimalControlProblem, library
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.methods.hybrid import (
@@ -54,6 +54,7 @@ def logarithmic(initial, terminal):
     )
 
 
+@expensive
 @pytest.mark.parametrize(("build", "arguments", "cost"), KNOWN)
 def test_the_local_optimum_of_ipopt_is_found_and_certified(build, arguments, cost):
     result = lfo.solve(build(**arguments), global_bound=False)
@@ -93,6 +94,7 @@ def test_loops_that_are_not_compiled_lead_to_the_same_answer():
     np.testing.assert_allclose(model.trajectory(answer.point.y).u, expected, atol=1e-8)
 
 
+@expensive
 def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
     problem = pendulum(control_spectrum=lfo.low_pass(cutoff_hz=2.0))
     expected = lfo.solve(problem, global_bound=False).control
@@ -100,6 +102,7 @@ def test_wide_bands_take_the_side_that_keeps_coefficients(monkeypatch):
     np.testing.assert_allclose(lfo.solve(problem, global_bound=False).control, expected, atol=1e-8)
 
 
+@expensive
 def test_a_start_alone_is_followed_and_near_an_optimum_takes_few_steps(monkeypatch):
     problem = library.cart_pole(horizon=40, sampling_time=0.05)
     result = lfo.solve(problem, global_bound=False)
@@ -120,7 +123,7 @@ def test_a_start_alone_is_followed_and_near_an_optimum_takes_few_steps(monkeypat
     assert steps[0] <= 20
 
 
-@turn(2)
+@expensive
 def test_where_no_trajectory_exists_the_nearest_is_measured():
     result = lfo.solve(library.pendulum_swing_up(horizon=5), global_bound=False, throw=False)
     assert (result.status, result.trajectory) == ("numerical_error", None)
@@ -146,6 +149,7 @@ def test_a_time_limit_ends_the_iteration():
     assert (result.status, result.message) == ("limit", "time limit of 10 s")
 
 
+@expensive
 def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
     problem, calls = pendulum(), []
     best = smooth_optimum(problem, lfo.simulate(problem, np.zeros((40, 1))), warm=False)[0]
@@ -165,6 +169,7 @@ def test_ctrl_c_keeps_the_best_trajectory(monkeypatch):
     assert result.cost == pytest.approx(best.cost, rel=1e-9)
 
 
+@expensive
 @pytest.mark.parametrize("kind", ["casadi", "function"])
 def test_functions_are_as_good_as_formulas(kind):
     if kind == "casadi":
@@ -191,6 +196,7 @@ def test_functions_are_as_good_as_formulas(kind):
     assert costs[1] == pytest.approx(costs[0], rel=1e-9)
 
 
+@expensive
 def test_a_long_horizon_begins_on_a_straight_line(monkeypatch):
     substitute(monkeypatch, "methods.hybrid.LONGEST_REPLAY", 10)
     search, problem = LocalSearch(pendulum()), pendulum()
@@ -222,7 +228,7 @@ def test_without_bounds_starts_are_spread_over_the_controls():
     assert result.message.endswith("4 starts tried")
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize(
     ("stage", "starts"),
     [("x_0**4 + u_0**2", 1), ("u_0**2 - x_0**4", 1), ("sin(x_0)**2 + u_0**2", 2)],
@@ -269,6 +275,7 @@ def test_an_end_that_the_dynamics_make_redundant_is_reached_from_the_first_start
     assert optimum.cost == pytest.approx(13.844711544, rel=1e-9)  # that of the problem with x_2 < 0 at the end
 
 
+@expensive
 @pytest.mark.parametrize("spectrum", ["mask of states", "harmonics in amplitudes"])
 def test_cones_at_their_limits_leave_no_iteration_without_a_step(spectrum):
     """Steps that ended within mu of the boundary of a cone left a system that had no solution."""
@@ -279,6 +286,7 @@ def test_cones_at_their_limits_leave_no_iteration_without_a_step(spectrum):
     assert optimum.converged
 
 
+@expensive
 def test_multipliers_that_overflow_are_those_of_no_optimum(monkeypatch):
     problem, honest = qubit([0, 0, -1]), Barrier.run
 

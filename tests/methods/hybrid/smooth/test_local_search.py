@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.replacing import substitute
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.methods import zero_multipliers
 from lin_freq_ocp.methods.hybrid import SMOOTH_STARTS, End, LocalOptimum, LocalSearch
@@ -50,6 +51,7 @@ ASCENDING = {
 }
 
 
+@expensive
 @pytest.mark.parametrize(("worse", "better"), list(zip(ASCENDING, list(ASCENDING)[1:], strict=False)))
 def test_of_two_optima_the_preferred_one_stays(worse, better, monkeypatch):
     for names in ((worse, better), (better, worse)):
@@ -82,6 +84,7 @@ def test_a_start_is_tried_once(monkeypatch):
     assert starts == [True]
 
 
+@expensive
 @pytest.mark.parametrize(
     ("answer", "expected"),
     [
@@ -112,6 +115,7 @@ def test_without_bounds_four_starts_are_enough_or_two_with_one_answer(costs, exp
     assert len(starts) == expected
 
 
+@expensive
 @pytest.mark.parametrize(
     ("answers", "expected"),
     [
@@ -154,6 +158,7 @@ def test_an_answer_of_modes_is_of_use_if_it_costs_less_than_the_best_local_optim
     assert limits[3:] == pytest.approx([expected] * len(limits[3:]), rel=1e-6)
 
 
+@expensive
 @pytest.mark.parametrize(("curved", "again"), [("", False), (" + 0.01*x_1**2", True)], ids=["affine", "curved"])
 @pytest.mark.parametrize("ended", [End.OPTIMAL, End.DEARER, End.STALLED])
 def test_a_sequence_of_affine_modes_is_decided_by_one_start(curved, again, ended, monkeypatch):
@@ -170,6 +175,7 @@ def test_a_sequence_of_affine_modes_is_decided_by_one_start(curved, again, ended
     assert (len(set(sequences)) < len(sequences)) is (again or ended is End.STALLED)
 
 
+@expensive
 @pytest.mark.parametrize(("least", "ends"), [(1.0, True), (0.9, False)])
 def test_an_optimum_that_costs_no_more_than_any_trajectory_ends_the_search(least, ends, monkeypatch):
     kinked = lfo.PiecewiseSmoothDynamics.from_formulas(KINK, 2, 1, sampling_time=0.1)

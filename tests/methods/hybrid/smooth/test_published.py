@@ -7,7 +7,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.published import PUBLISHED, mass_around_disc
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 
 QUICK = [
     "DTOC1L, N = 10",
@@ -42,7 +42,7 @@ def around():
     return lfo.solve(mass_around_disc(), global_bound=False)
 
 
-@turn(1)
+@expensive
 def test_an_optimum_at_the_rim_of_a_region_is_named(around):
     result = around
     assert result.cost == pytest.approx(PUBLISHED["mass around a disc"].cost, rel=1e-7)
@@ -55,7 +55,7 @@ def test_an_optimum_at_the_rim_of_a_region_is_named(around):
     assert list(result.certificate.borders.gaps) == [t for t in range(20) if distance[t] <= 1 + 1e-6]
 
 
-@turn(2)
+@expensive
 def test_a_rim_that_is_passed_by_for_no_reason_is_not_optimal(around):
     problem, known = around.problem, around.trajectory
     u = known.u + 0.01 * (-1.0) ** np.arange(20)[:, None] * (np.arange(20)[:, None] >= 15)

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.command_line import run
 from helpers.published import clnlbeam, runge_kutta, smooth_problem
 from helpers.replacing import substitute
-from helpers.seeds import seeds, turn
+from helpers.seeds import expensive, seeds
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.methods import zero_multipliers
 
@@ -85,12 +85,14 @@ def test_a_bound_that_is_active_with_a_multiplier_takes_the_direction_away():
     np.testing.assert_allclose(result.control, 1.0, atol=1e-6)
 
 
+@expensive
 def test_the_buckled_beam_is_found_behind_the_straight_one():
     result = lfo.solve(clnlbeam(10), global_bound=False)
     assert result.status == "locally_optimal"
     assert result.cost == pytest.approx(345.03110763, rel=1e-8)  # IPOPT from this answer
 
 
+@expensive
 @pytest.mark.parametrize("part", [1.02, 0.9])
 def test_a_good_start_of_the_beam_is_not_lost(part):
     problem = clnlbeam(10)
@@ -127,7 +129,7 @@ def test_a_saddle_is_left_with_far_bounds_in_all_units_and_from_all_origins(boun
     assert result.cost == pytest.approx(1.0493827174769796, rel=1e-8)  # with a unit of 1 and bounds of 3
 
 
-@turn(1)
+@expensive
 @pytest.mark.parametrize(("bound", "unit", "steps"), [(1e3, 1.0, 6), (1e6, 1e6, 12)])
 def test_wells_in_the_dynamics_are_left_with_far_bounds(bound, unit, steps):
     def f(x, u):
