@@ -88,15 +88,6 @@ def test_linked_ends_and_norms_hold_kinks_to_rounding():
     assert np.abs(result.trajectory.x[:, 1]).max() <= 1e-15
 
 
-def test_a_norm_is_zero_to_rounding():
-    problem = library.norm_dynamics(initial_state=(0.0, 1.0), horizon=3)
-    result = solved(library.norm_dynamics, {"initial_state": (0.0, 1.0), "horizon": 3})
-    beside = lfo.Trajectory(result.trajectory.x + 1e-8 * np.eye(4, 2, -2), result.trajectory.u)
-    sequence = problem.dynamics.sequence_of(beside.x, beside.u)
-    local = LocalOptimum(sequence, beside, result.multipliers, result.cost, 0.0)
-    assert np.abs(next(newton_points(problem, local))[0].x[1:]).max() <= 1e-15
-
-
 def test_multipliers_of_regions_come_back_under_one_name():
     pieces = Pieces.of(bent_problem(), np.array([0, 1, 1, 0]))
     stage = {REGION: np.arange(1.0, T + 1)[:, None], "path": np.zeros((T + 1, 2))}
