@@ -20,7 +20,7 @@ BENCHMARKS = (
     *("solvers", "memory", "structured", "layers", "choice"),
     *("frequencies", "wave_energy", "shapers", "minimum_time"),
     *("many", "derivatives", "loop", "embedded", "closed_loop", "explore", "proof", "threads", "robust"),
-    *("levels", "modes", "nonlinear", "formula_costs", "newton", "commits"),
+    *("levels", "modes", "nonlinear", "formula_costs", "commits"),
 )
 
 

@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_335,
-    "code lines": 46_943,
+    "shipped lines": 50_148,
+    "code lines": 46_756,
     "code lines, linear part": 22_142,
-    "code lines, hybrid": 8_868,
+    "code lines, hybrid": 8_681,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,

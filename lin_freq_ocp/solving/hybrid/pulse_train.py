@@ -1,4 +1,4 @@
-"""The method for pulse trains: branch and bound over angles, whose best is refined by Newton's method and judged."""
+"""The method for pulse trains: branch and bound over angles, whose best is polished and judged."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Judged, Outcome
@@ -201,7 +202,8 @@ class _TrainSearch:
             first = problem.ends[0].project(np.zeros(problem.state_dim))
             first[CURRENT] = -(steps * (QUARTER - angles)).sum()
             train = simulate(problem, np.column_stack([dwell, np.sign(every) / 2]), first)
-            local = LocalOptimum((every < 0).astype(np.intp), train, zero_multipliers(problem, 1.0), self._cost, 0.0)
+            multipliers = best_multipliers(problem, train, zero_multipliers(problem, 1.0)).multipliers
+            local = LocalOptimum((every < 0).astype(np.intp), train, multipliers, self._cost, 0.0)
             judged = refine_optimum(problem, local, self._started + self._request.time_limit)
             judged = judged.with_bound(Bound(self._value, RIGOROUS, sets=ANGLES))
             status = judged.certificate.status_within(self._gap)

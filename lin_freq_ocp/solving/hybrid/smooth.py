@@ -1,4 +1,4 @@
-"""The method for piecewise-smooth dynamics: search, refine by Newton's method, judge, and bound from below."""
+"""The method for piecewise-smooth dynamics: search, polish, judge, and bound from below."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, is_smooth
 from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearch, SmoothProgress
-from lin_freq_ocp.methods.hybrid.smooth.newton import newton
+from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
+from lin_freq_ocp.methods.hybrid.smooth.polish import newton_points, quadratic_model
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import box_of
@@ -198,14 +199,11 @@ def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Jud
 
 
 def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf) -> Judged:
-    """Return a local optimum with the multipliers that fit best, refined by Newton's method if that improves them.
+    """Return a local optimum with the multipliers that fit best, polished if that improves them.
 
-    Newton's method ends at ``end``, by ``clock.now``.
+    Steps go on as long as they improve it or conditions fail, until ``end``, by ``clock.now``.
     """
-    reduced, affine, at, arrays = judged_modes(problem, local.trajectory)
-    with_adjoint = reduced.with_adjoint if isinstance(reduced, CostState) else reduced.multipliers
-    given = with_adjoint(local.multipliers)
-    first = reduced.multipliers(multipliers_with_weights(affine, at, local.sequence, given, arrays=arrays))
+    first = _with_weights(problem, local.trajectory, local.multipliers, local.sequence)
     plain = best_multipliers(problem, local.trajectory, first)
     # a cost that no search tells from zero may be what an iteration leaves of rest
     rests = plain.certificate.failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
@@ -215,14 +213,48 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
         allowed = plain.certificate.cost + plain.certificate.allowed_gap
         plain = at_rest if not at_rest.certificate.failed and at_rest.certificate.cost <= allowed else plain
     if plain.certificate.pmp == "satisfied" and is_smooth(problem):
+        return _prove_by_linear(problem, plain, end)
+    best = plain
+    for trajectory, multipliers in newton_points(problem, local, end):
+        first = _with_weights(problem, trajectory, multipliers, local.sequence)
+        point = best_multipliers(problem, trajectory, first)
+        better = _shortfall(point) < _shortfall(best)
+        best = point if better else best
+        if not (better or best.certificate.failed):
+            break
+    return best
+
+
+def _prove_by_linear(problem: OptimalControlProblem, plain: Judged, end: float) -> Judged:
+    """Return a convex answer with multipliers that prove it: by the linear methods, of its problem to second order.
+
+    Where sets meet in one point alone, multipliers grow without a limit, and the barrier ends before they prove enough.
+    """
+    (trajectory, multipliers, certificate), alone = plain, np.zeros(problem.horizon, dtype=np.intp)
+    bound = certificate.bound
+    if bound is None or bound.kind != RIGOROUS or certificate.proven_within(GAP_TOLERANCE):
         return plain
-    try:
-        run = newton(reduced.problem, at, with_adjoint(plain.multipliers), local.sequence, end=end)
-    except UnsupportedError:
-        return plain
-    point = reduced.trajectory(run.trajectory), reduced.multipliers(run.multipliers)
-    points = plain, Judged(*point, judge(problem, *point))
-    return min(points, key=lambda point: (not point[2].feasible, len(point[2].failed), point[2].worst.relative))
+    linear = quadratic_model(problem, Pieces.of(problem, alone), trajectory, multipliers)
+    with suppress(UnsupportedError):  # rounding makes its Hessian indefinite
+        found = LinearAuto().solve(linear, Request(end - now()))
+        if found.multipliers is not None:
+            proven = Judged(trajectory, found.multipliers, judge(problem, trajectory, found.multipliers))
+            return proven if proven.certificate.proven_within(GAP_TOLERANCE) else plain
+    return plain
+
+
+def _with_weights(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, sequence: Indices
+) -> Multipliers:
+    """Return multipliers of a mode sequence as those of the problem, with weights of its modes."""
+    reduced, affine, at, arrays = judged_modes(problem, trajectory)
+    with_adjoint = reduced.with_adjoint if isinstance(reduced, CostState) else reduced.multipliers
+    return reduced.multipliers(multipliers_with_weights(affine, at, sequence, with_adjoint(multipliers), arrays=arrays))
+
+
+def _shortfall(point: Judged) -> tuple[bool, int, float]:
+    certificate = point.certificate
+    return not certificate.feasible, len(certificate.failed), certificate.worst.relative
 
 
 def _leave_saddles(search: LocalSearch, judged: Judged) -> Judged:

@@ -8,8 +8,8 @@ that is positive definite only because of the fixed end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -70,11 +70,17 @@ class PathSlots(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The smooth maps of a mode sequence: each mode in it with its times, and with its region as a path constraint."""
+    """The smooth maps of a mode sequence: each mode in it with its times, and with its region as a path constraint.
+
+    ``terminal`` is the terminal cost by a formula, if there is one. Where the ``selections`` of norms (T, components)
+    are numbers, they are their derivatives, as for ``formulas.jets_of``.
+    """
 
     dynamics: PiecewiseSmoothDynamics
     parts: tuple[tuple[SmoothMode, Indices], ...]
     regions: tuple[tuple[Indices, PathConstraint], ...]
+    terminal: tuple[Formula, ...]
+    selections: Mapping[Formula, Array] = field(default_factory=dict[Formula, Array])
 
     @classmethod
     def of(cls, problem: OptimalControlProblem, sequence: Indices) -> Pieces:
@@ -89,7 +95,14 @@ class Pieces:
                 region = PathConstraint(mode.region, f"{REGION} {i}", limits)
                 dimensions = problem.state_dim, problem.control_dim
                 regions.append((times, region.at_dimensions(*dimensions, T, "dynamics")))
-        return cls(dynamics, tuple(parts), tuple(regions))
+        terminal = tuple(one for one in problem.cost.formulas[1:] if one is not None)
+        return cls(dynamics, tuple(parts), tuple(regions), terminal)
+
+    def constrained(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+        """Return the problem with the regions as path constraints."""
+        if not self.regions:
+            return problem
+        return replace_fields(problem, stage_rows=(*problem.stage_rows, *(one for _, one in self.regions)))
 
     def values(self, y: Array) -> Array:
         """Return f_t at (x_t, u_t), y (T, n + m); not numbers where a map is not defined."""
@@ -104,16 +117,29 @@ class Pieces:
         (T, k), n = y.shape, self.dynamics.state_dim
         jets = Jets(np.empty((T, n)), np.empty((T, n, k)), np.empty((T, n, k, k)))
         for mode, times in self.parts:
-            at = jets_of(mode.f, y[times], times=times)
+            at = self._jets_of(mode.f, y, times)
             jets.values[times], jets.slopes[times], jets.curvatures[times] = at.values, at.slopes, at.curvatures
         return jets
 
-    def costs(self, y: Array) -> Array:
-        """Return the stage costs by formulas at (x_t, u_t), (T,)."""
-        costs = np.zeros(len(y))
-        for mode, times in self.parts:
-            costs[times] = values_of(mode.cost, y[times], times).sum(axis=1)
-        return costs
+    def cost(self, points: Array) -> float:
+        """Return the cost by formulas at (x_t, u_t), t = 0 .. T, (T + 1, n + m)."""
+        return sum(float(values_of(of, points[times], times).sum()) for of, times in self._costs(points))
+
+    def cost_slopes(self, points: Array) -> tuple[Array, Array]:
+        """Return its gradients and its Hessians, (T + 1, n + m) and (T + 1, n + m, n + m)."""
+        gradients, hessians = np.zeros(points.shape), np.zeros((*points.shape, points.shape[1]))
+        for formulas, times in self._costs(points):
+            found = self._jets_of(formulas, points, times)
+            gradients[times], hessians[times] = found.slopes.sum(axis=1), found.curvatures.sum(axis=1)
+        return gradients, hessians
+
+    def _costs(self, points: Array) -> Iterator[tuple[Sequence[Formula], Indices]]:
+        yield from ((mode.cost, times) for mode, times in self.parts)
+        yield self.terminal, np.array([len(points) - 1])
+
+    def _jets_of(self, formulas: Sequence[Formula], y: Array, times: Indices) -> Jets:
+        known = {norm: given[times] for norm, given in self.selections.items() if times[-1] < len(given)}
+        return jets_of(formulas, y[times], known, times)
 
     def linear_at(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the maps to first order along a trajectory, zero where they are not defined."""
@@ -134,6 +160,14 @@ class Pieces:
             found[times, : one.rows] = stage[one.name][times]
         names = {one.name for _, one in self.regions}
         return {name: values for name, values in stage.items() if name not in names} | {REGION: found}
+
+    def without_region(self, stage: Mapping[str, Array]) -> Mapping[str, Array]:
+        """Return multipliers with those under the name REGION as those of each region."""
+        found = {name: values for name, values in stage.items() if name != REGION}
+        for times, one in self.regions if REGION in stage else ():
+            found[one.name] = np.zeros(one.map.shape)
+            found[one.name][times] = stage[REGION][times, : one.rows]
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +191,7 @@ class SmoothModel:
         """
         alone = np.zeros(given.horizon, dtype=np.intp)
         sizes, pieces = stated_sizes(given), Pieces.of(given, alone if sequence is None else sequence)
-        problem = given
-        if pieces.regions:
-            problem = replace_fields(given, stage_rows=(*given.stage_rows, *(one for _, one in pieces.regions)))
+        problem = pieces.constrained(given)
         linear = replace_fields(
             problem,
             dynamics=pieces.linear_at(trajectory),
@@ -315,19 +347,12 @@ class SmoothModel:
         """Return the cost at a point, in units of stages; not a number where a formula is not defined."""
         stages, units = self.stages, self.assembly.units
         quadratic = 0.5 * float(np.einsum("ti,tij,tj->", y, stages.H, y)) + float(np.vdot(stages.h, y))
-        terminal = values_of(self._terminal, self._points(y)[-1:], np.array([len(y) - 1]))
-        return (
-            quadratic + stages.constant + units.cost * float(self.pieces.costs(self._signals(y)).sum() + terminal.sum())
-        )
+        return quadratic + stages.constant + units.cost * self.pieces.cost(self._points(y))
 
     def expanded_cost(self, y: Array) -> tuple[Array, Array]:
         """Return H and h of 1/2 y'H y + h'y + ..., the cost with its formulas to second order at a point."""
         stages, (n, m) = self.stages, (self.problem.state_dim, self.problem.control_dim)
-        gradients, hessians = np.zeros((len(y), n + m)), np.zeros((len(y), n + m, n + m))
-        points, T = self._points(y), np.array([len(y) - 1])
-        for formulas, times in (*((mode.cost, times) for mode, times in self.pieces.parts), (self._terminal, T)):
-            found = jets_of(formulas, points[times], times=times)
-            gradients[times], hessians[times] = found.slopes.sum(axis=1), found.curvatures.sum(axis=1)
+        gradients, hessians = self.pieces.cost_slopes(self._points(y))
         units, cost = self._units.copy(), self.assembly.units.cost
         units[:-1, n:][self.assembly.fixed] = 0.0
         H, h = stages.H.copy(), stages.h.copy()
@@ -348,10 +373,6 @@ class SmoothModel:
         G[(*at, slice(0, count))] = derivatives.normals
         g[at] = np.einsum("ri,ri->r", G[at], y[at[0]]) - derivatives.violations
         return replace(stages, A=A, B=B, d=d, H=stages.H.copy(), G=G, g=g)
-
-    @property
-    def _terminal(self) -> list[Formula]:
-        return [one for one in self.problem.cost.formulas[1:] if one is not None]
 
     @property
     def _units(self) -> Array:
