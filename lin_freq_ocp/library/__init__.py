@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.resources import files
 
-from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, answer_misspelt, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.flexible import crane, flexible_joint_arm, flexible_satellite
 from lin_freq_ocp.library.kinks import absolute_value, max_min_network, switched_rotation
@@ -33,6 +33,8 @@ __all__ = [
     "quarter_car", "scanner", "switched_rotation", "two_mass_drive", "two_mass_spring", "wave_energy",
 ]
 # fmt: on
+
+answer_misspelt(globals())
 
 Benchmark = Callable[..., OptimalControlProblem]
 
