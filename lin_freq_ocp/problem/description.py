@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
 from textwrap import shorten
@@ -73,7 +73,19 @@ def problem_remarks(problem: ProblemData) -> list[str]:
         outside = ((box.violation(reference) > 0) & (reference != 0)).sum(axis=0)
         parts = [f"{short_name(signals[i])} at {plural(outside[i], 'time')}" for i in np.flatnonzero(outside)]
         remarks += [f"cost.{field} lies outside the bounds: {', '.join(parts)}"] if parts else []
-    return [remark for remark in remarks if remark]
+    return [remark for remark in (*remarks, *_limits_never_reached(problem)) if remark]
+
+
+def _limits_never_reached(problem: ProblemData) -> Iterator[str]:
+    """Yield which limits no signal within its bounds exceeds: |uhat_k| <= sqrt(N) |w u|, by Cauchy-Schwarz."""
+    sizes = [np.maximum(np.abs(box.lower), np.abs(box.upper)) for box in (problem.state_boxes, problem.control_tube)]
+    unbounded, bounded = [1.0 * np.isinf(size) for size in sizes], [np.nan_to_num(size, posinf=0.0) for size in sizes]
+    for term in problem.terms:
+        spectrum, limits = term.map.spectrum, term.penalty.bounds(term.shape)[1]
+        if term.statement and not term.semi_infinite and spectrum and not spectrum.sizes(*unbounded).any():
+            most = np.sqrt(spectrum.samples * len(spectrum.real) / len(limits)) * spectrum.sizes(*bounded)
+            if (most <= limits).all() and np.isfinite(limits).any():
+                yield f"{term.name} limits nothing: the bounds of its signal keep the spectrum below it"
 
 
 def _cost(problem: ProblemData) -> list[Fact]:
