@@ -69,7 +69,7 @@ class Parser:
                 more, behind, trigger = part(after)
             except NoFormulaError:
                 return latex, end, found
-            gap = BREAK if mark in RELATIONS or mark in "+-" else " "
+            gap = BREAK if mark in RELATIONS or mark in "+-*" else " "
             latex = rf"\lfloor {latex} / {more} \rfloor" if mark == "//" else f"{latex}{gap}{marks[mark]} {more}"
             end, found = behind, found or trigger or (marked and mark != "=")
 

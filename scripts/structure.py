@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_335,
-    "code lines": 46_943,
-    "code lines, linear part": 22_142,
+    "shipped lines": 50_346,
+    "code lines": 46_954,
+    "code lines, linear part": 22_169,
     "code lines, hybrid": 8_868,
     SHARE_SAID: 19.5,  # at least
     "files": 343,

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter
-from typing import Any
+from typing import Any, cast
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
 ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
@@ -259,9 +259,9 @@ def answering_misspelt(public: object) -> object:
     return called
 
 
-def answer_misspelt(namespace: dict[str, Any]) -> None:
+def answer_misspelt(namespace: dict[str, object]) -> None:
     """Let the public functions and classes of a namespace answer misspelt keywords."""
-    namespace |= {name: answering_misspelt(namespace[name]) for name in namespace["__all__"]}
+    namespace |= {name: answering_misspelt(namespace[name]) for name in cast(list[str], namespace["__all__"])}
 
 
 def _with_answer(function: Callable[..., object]) -> Callable[..., object]:

@@ -12,7 +12,6 @@ the cone are equations.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 import scipy.sparse as sp
@@ -160,7 +159,7 @@ def _newton_step(
     at_edge, held = edges[program.cone_of], np.zeros_like(y)
     weights = np.maximum(-y[in_cones[program.heads]], 0.0)
     held[rows], held[in_cones[at_edge]] = y[rows], (weights[program.cone_of] * _normals(program, z)[0])[at_edge]
-    M, H, W = (sp.csc_array(part) for part in itemgetter(0, 1, 3)(linearised_rows(program, z, y, active)))
+    M, H, _, W = map(sp.csc_array, linearised_rows(program, z, y, active))
     curved = np.flatnonzero(np.diff(W.indptr))
     # v = A z of curved edges and W v stay unknowns: rows over all times would make H dense
     W, edge, one = W[curved][:, curved], sp.csr_array(program.A)[curved], -sp.eye_array(len(curved))
