@@ -18,6 +18,9 @@ from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+from ascii_formulas import as_formulas, with_superscripts  # noqa: E402
+
 FIELDS = ("motion", "mri", "power", "space", "energy", "hybrid", "method")  # the gallery's sections, in this order
 project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
 release = version = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
@@ -150,14 +153,40 @@ sphinx_gallery_conf = {
 }
 
 
+CODE = re.compile(r"(``[^`]*``)")
+EXAMPLE = r"^ *>>>(?:.|\n)*?(?=\n *\n|\Z)"
+HEADING = r"^ *\*?[\w.]+(?:, \*?[\w.]+)*(?: : [^\n]*)?$"  # of a parameter
+AS_WRITTEN = re.compile(rf"(``[^`]*``|{EXAMPLE}|{HEADING})", re.MULTILINE)
+
+
 def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Escape characters that docstrings mean literally: |x| is an absolute value, and * a product."""
-    for i, line in enumerate(lines):
-        if not line.lstrip().startswith((">>>", "...")):
-            parts = re.split(r"(``.*?``)", line)
-            lines[i] = "".join(
-                part if part.startswith("``") else re.sub(r"(?<!\\)([|*`])", r"\\\1", part) for part in parts
-            )
+    """Set the formulas of docstrings, and escape characters of the rest that are meant literally, such as | and *."""
+    parts = AS_WRITTEN.split("\n".join(lines))
+    for i, part in enumerate(parts):
+        if i % 2 == 0:
+            parts[i] = as_formulas(part, escaped)
+        elif not part.lstrip().startswith((">>>", "``")):
+            parts[i] = "".join(piece if piece.startswith("``") else escaped(piece) for piece in CODE.split(part))
+    lines[:] = "".join(parts).split("\n")
+
+
+def skip_internals(app: Sphinx, kind: str, name: str, member: object, skip: bool, options: object) -> bool | None:
+    """Skip members of a problem's parts that serve the package: those without sections that "Methods" does not list."""
+    function = getattr(member, "fget", None) or getattr(member, "func", member)
+    module, owner = (
+        getattr(function, "__module__", None) or "",
+        getattr(function, "__qualname__", "").rpartition(".")[0],
+    )
+    if not owner or not module.startswith("lin_freq_ocp.problem."):
+        return None
+    methods = (getattr(sys.modules[module], owner).__doc__ or "").partition("Methods\n")[2]
+    listed = re.search(rf"^ *{name}\(", methods, re.MULTILINE) is not None
+    return None if listed or "---" in (function.__doc__ or "") else True
+
+
+def escaped(text: str) -> str:
+    """Return a text whose bars, stars and quotes are no markup."""
+    return re.sub(r"(?<!\\)([|*`])", r"\\\1", text)
 
 
 def show_sketch(app: Sphinx, page: str, source: list[str]) -> None:
@@ -167,7 +196,7 @@ def show_sketch(app: Sphinx, page: str, source: list[str]) -> None:
         (sketch,) = (name for name, examples in SKETCHES.items() if example in examples)
         docstring, blocks = source[0].split(FIRST_BLOCK, 1)
         path = f"../../../lin_freq_ocp/library/sketches/{sketch}.svg"
-        source[0] = f"{docstring}.. raw:: html\n   :file: {path}\n\n{FIRST_BLOCK}{blocks}"
+        source[0] = f"{with_superscripts(docstring)}.. raw:: html\n   :file: {path}\n\n{FIRST_BLOCK}{blocks}"
 
 
 def setup(app: Sphinx) -> None:
@@ -177,3 +206,4 @@ def setup(app: Sphinx) -> None:
     app.add_lexer("mermaid", TextLexer)
     app.connect("source-read", show_sketch)
     app.connect("autodoc-process-docstring", plain_text, priority=400)
+    app.connect("autodoc-skip-member", skip_internals)

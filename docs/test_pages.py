@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from ascii_formulas import as_formulas
 
 ROOT = Path(__file__).parents[1]
 GUIDES = sorted((ROOT / "docs" / "how_to").glob("*.md"))
@@ -58,3 +59,24 @@ def test_mathematics_is_written_as_formulas(page):
         assert formula.count("{") == formula.count("}"), formula
         assert formula.count(r"\begin") == formula.count(r"\end"), formula
         assert "\n\n" not in formula, formula
+
+
+FORMULAS = {  # as docstrings have them: what the site shows, in which « » enclose formulas
+    "x_{t+1} = A_t x_t + B_t u_t + d_t": r"«x_{t+1} = A_{t}\,x_{t} + B_{t}\,u_{t}» «{}+ d_{t}»",
+    "if |uhat_k| <= N/2 * a, then": r"if «|\hat{u}_{k}| \le N / 2 \cdot a», then",
+    "a state x_t (n,) at t = 0 .. T-1": r"a state «x_{t}» (n,) at «t = 0 ,\dots, T - 1»",
+    "sum_{t<T} 1/2 a'Q a + b_t": r"«\sum_{t<T} 1 / 2\,a'Q\,a + b_{t}»",
+    "sqrt(g/L) and exp(-iwt)": r"«\sqrt{g / L}» and «\exp(-i\,w\,t)»",
+    "{v : |v - centre| <= radius}": r"«\{v : |v - \text{centre}| \le \text{radius}\}»",
+    "the angle theta in m/s^2, or kg m^2": "the angle «\\theta» in m/s\N{SUPERSCRIPT TWO}, or kg m\N{SUPERSCRIPT TWO}",
+    "B and d in a step, a control 2 x 3": "B and d in a step, a control 2 x 3",
+    "bins k <= T//2, as y+ = |y| has it": r"bins «k \le \lfloor T / 2 \rfloor», as «y^+ = |y|» has it",
+    "impulses T_i that sum to one, with y = -u": "impulses «T_{i}» that sum to one, with y = -u",
+    "read_csv(path_x=x_0) and 'x_0'": "read_csv(path_x=x_0) and 'x_0'",
+    "1e-3 of 2-norms": "1e-3 of 2-norms",
+}
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_formulas_of_docstrings_are_set(text):
+    assert re.sub(":math:`(.*?)`", "«\\1»", as_formulas(text)) == FORMULAS[text]

@@ -3,6 +3,7 @@
 Run by .ci/run after docs/build.sh: python -m pytest docs/test_site.py
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from helpers.browsers import screen
 DOCS = Path(__file__).parent
 FILES = [path for folder in (".", "how_to", "tutorials") for path in sorted((DOCS / folder).glob("*.md"))]
 PAGES = [str(path.relative_to(DOCS).with_suffix("")) for path in FILES]
+CLASSES = ("MagnitudeBound", "QuadraticCost", "ResidualVibration", "costs.L1Cost", "library.mri_gradient")
+REFERENCE = [f"api/names/lin_freq_ocp.{name}" for name in CLASSES]  # pages with long formulas
 NOT_SET = """
 const faults = ".math:not(:has(mjx-container)), mjx-merror, mtext[mathcolor=red]"  // the last: unknown commands
 return [...document.querySelectorAll(faults)].map(formula => formula.textContent)
@@ -21,7 +24,7 @@ return [...document.querySelectorAll(faults)].map(formula => formula.textContent
 WIDTHS = "const page = document.querySelector('.content'); return [page.scrollWidth, page.clientWidth]"
 
 
-@pytest.mark.parametrize("page", [*PAGES, "genindex"])
+@pytest.mark.parametrize("page", [*PAGES, *REFERENCE, "genindex"])
 def test_a_page_fits_a_phone_and_its_formulas_are_set(browser, page):
     screen(browser, 400)
     browser.get((DOCS / "_build" / "html" / f"{page}.html").as_uri())
@@ -29,3 +32,9 @@ def test_a_page_fits_a_phone_and_its_formulas_are_set(browser, page):
     assert browser.execute_script(NOT_SET) == []
     wanted, available = browser.execute_script(WIDTHS)
     assert wanted == available <= 400
+
+
+def test_the_page_of_a_class_shows_what_users_call():
+    page = (DOCS / "_build" / "html" / "api" / "names" / "lin_freq_ocp.QuadraticCost.html").read_text(encoding="utf-8")
+    names = re.findall(r'<dt class="sig sig-object py" id="lin_freq_ocp\.(.*?)"', page)
+    assert names == ["QuadraticCost", *(f"QuadraticCost.{name}" for name in ("gradient", "stage_values", "value"))]

@@ -112,7 +112,7 @@ _names, _import_name = lazy_exports(__name__, {
     "sets": "Box FiniteSet Periodic StageRows", "solvers": "SpectralSolver", "solving.certify": "certify",
     "spectrum": "MagnitudeBound ResidualVibration low_pass stop_band",
     "uncertainty": "Discs Disturbance Plants robust worst_case",
-})
+}, answering_misspelt)
 # fmt: on
 
 register_later(lambda: import_module("lin_freq_ocp.solving.hybrid"))  # what has modes, kinks or levels
@@ -139,9 +139,7 @@ def __getattr__(name: str) -> Any:
         namespace = import_module(f"{__name__}.{space}")
         if name in namespace.__all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it is lin_freq_ocp.{space}.{name}")
-    value = answering_misspelt(_import_name(name))
-    globals()[name] = value
-    return value
+    return _import_name(name)
 
 
 def __dir__() -> list[str]:

@@ -1,6 +1,6 @@
 """Dynamics: linear, by frequency response, piecewise affine and piecewise smooth."""
 
-from lin_freq_ocp.base.errors import answering_classes
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
@@ -17,4 +17,4 @@ __all__ = [
 ]
 # fmt: on
 
-answering_classes(globals())
+answer_misspelt(globals())

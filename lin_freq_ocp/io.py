@@ -2,6 +2,7 @@
 
 from lin_freq_ocp.api.batch import load_sweep
 from lin_freq_ocp.api.runs import load_run
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.files.calibration import read_calibration
 from lin_freq_ocp.files.conversions import from_time_response, to_cvxpy, to_time_response
 from lin_freq_ocp.files.problem_file import read_problem, write_problem
@@ -14,3 +15,5 @@ __all__ = [
     "to_cvxpy", "to_time_response", "write_problem",
 ]
 # fmt: on
+
+answer_misspelt(globals())

@@ -1,6 +1,6 @@
 """Sets of states and controls at every time, hard or soft, and joint rows of both."""
 
-from lin_freq_ocp.base.errors import answering_classes
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.problem.hybrid.levels import FiniteSet
 from lin_freq_ocp.problem.sets.base import Intersection
 from lin_freq_ocp.problem.sets.box import Box, Everything, Point
@@ -16,4 +16,4 @@ __all__ = [
 ]
 # fmt: on
 
-answering_classes(globals())
+answer_misspelt(globals())

@@ -1,6 +1,6 @@
 """The methods of ``solve``: objects that hold their own options."""
 
-from lin_freq_ocp.base.errors import answering_classes
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.methods.spectral.solver import SpectralSolution, SpectralSolver
 from lin_freq_ocp.solving.hybrid.modes import BranchAndBound, Enumeration, MixedInteger
 from lin_freq_ocp.solving.hybrid.pulse_train import Angles
@@ -14,4 +14,4 @@ __all__ = [
 ]
 # fmt: on
 
-answering_classes(globals())
+answer_misspelt(globals())

@@ -1,6 +1,6 @@
 """Frequency constraints: bands that are removed, masks, energy bounds, and bounds on outputs."""
 
-from lin_freq_ocp.base.errors import answering_classes
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.problem.spectrum.bands import LinearConstraint, band_pass, high_pass, low_pass, notch, stop_band
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum
 from lin_freq_ocp.problem.spectrum.bounds import EnergyBound, MagnitudeBound
@@ -15,4 +15,4 @@ __all__ = [
 ]
 # fmt: on
 
-answering_classes(globals())
+answer_misspelt(globals())

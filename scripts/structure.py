@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_148,
-    "code lines": 46_756,
-    "code lines, linear part": 22_142,
+    "shipped lines": 50_159,
+    "code lines": 46_767,
+    "code lines, linear part": 22_169,
     "code lines, hybrid": 8_681,
     SHARE_SAID: 19.5,  # at least
     "files": 343,

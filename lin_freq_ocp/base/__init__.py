@@ -5,17 +5,20 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 
 
-def lazy_exports(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[[str], object]]:
+def lazy_exports(
+    package: str, names: Mapping[str, str], present: Callable[[object], object] = lambda value: value
+) -> tuple[list[str], Callable[[str], object]]:
     """Return ``__all__`` and ``__getattr__`` of a package that imports its names when they are first used.
 
-    ``names`` maps modules of the package to the names that others may import from them, separated by spaces.
+    ``names`` maps modules of the package to the names that others may import from them, separated by spaces; users get
+    what ``present`` returns of each.
     """
     homes = {name: module for module, listed in names.items() for name in listed.split()}
 
     def import_name(name: str) -> object:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        value = present(getattr(import_module(f"{package}.{homes[name]}"), name))
         setattr(sys.modules[package], name, value)
         return value
 

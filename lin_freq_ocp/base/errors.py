@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 import sys
 import warnings
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import cache, wraps
-from typing import Any
+from functools import wraps
+from inspect import Parameter
+from typing import Any, cast
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
 ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
@@ -233,29 +234,34 @@ def suggestion(given: object, known: Iterable[str]) -> str:
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
 
 
-@cache
+_ANSWERING = dict[object, object]()
+
+
 def answering_misspelt(public: object) -> object:
     """Let a function, or a class with its class methods, answer an unknown keyword by the nearest that it has.
 
     A class is changed in place; a function also where it is defined, so that it can be sent to other processes.
     """
-    if isinstance(public, type):
-        for name, member in list(vars(public).items()):
-            if name == "__init__" or (isinstance(member, classmethod) and not name.startswith("_")):
-                called = _with_answer(member.__func__ if isinstance(member, classmethod) else member)
-                setattr(public, name, called if name == "__init__" else classmethod(called))
+    called = _ANSWERING.get(public, public)
+    if public in _ANSWERING:
+        pass
+    elif isinstance(public, type):
+        members = {"__init__": inspect.getattr_static(public, "__init__"), **vars(public)}  # one of a base, too
+        for name, member in members.items():
+            if name == "__init__" and inspect.isfunction(member):
+                setattr(public, name, _with_answer(member))
+            elif isinstance(member, classmethod) and not name.startswith("_"):
+                setattr(public, name, classmethod(_with_answer(member.__func__)))
     elif inspect.isfunction(public):
         called = _with_answer(public)
         setattr(sys.modules[public.__module__], public.__name__, called)
-        return called
-    return public
+    _ANSWERING[public] = _ANSWERING[called] = called
+    return called
 
 
-def answering_classes(namespace: Mapping[str, object]) -> None:
-    """Let the public classes of a namespace answer misspelt keywords."""
-    for value in list(namespace.values()):
-        if isinstance(value, type):
-            answering_misspelt(value)
+def answer_misspelt(namespace: dict[str, object]) -> None:
+    """Let the public functions and classes of a namespace answer misspelt keywords."""
+    namespace |= {name: answering_misspelt(namespace[name]) for name in cast(list[str], namespace["__all__"])}
 
 
 def _with_answer(function: Callable[..., object]) -> Callable[..., object]:
@@ -265,7 +271,8 @@ def _with_answer(function: Callable[..., object]) -> Callable[..., object]:
             return function(*args, **keywords)
         except TypeError:
             parameters = inspect.signature(function).parameters
-            known = [name for name in parameters if name not in ("self", "cls")]
+            by_name = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+            known = [name for name, one in parameters.items() if one.kind in by_name and name not in ("self", "cls")]
             unknown = next((name for name in keywords if name not in known), None)
             if unknown is None or any(one.kind is one.VAR_KEYWORD for one in parameters.values()):
                 raise

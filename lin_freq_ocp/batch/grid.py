@@ -35,7 +35,7 @@ def grid_values(source: Source, grid: object) -> dict[str, list[object]]:
         require_problem(source)
     if not isinstance(grid, Mapping) or not grid:
         raise ProblemError("grid", brief(grid), "a mapping from names of parameters to sequences of values")
-    require_parameters(source, list(grid), "grid")
+    require_parameters(source, grid, "grid.")
     values = dict[str, list[object]]()
     for name, given in grid.items():
         if isinstance(given, (str, bytes, Mapping)) or not isinstance(given, Iterable):
@@ -124,19 +124,19 @@ def require_executor(executor: object, source: Source, grid: Mapping[str, object
             raise ProblemError(field, brief(value), expected, advice) from None
 
 
-def require_parameters(source: Source, names: Sequence[str], field: str) -> None:
-    """Raise ProblemError unless a source takes these parameters; errors name the field."""
+def require_parameters(source: Source, names: Iterable[str], prefix: str) -> None:
+    """Raise ProblemError unless a source takes these parameters; errors name them after the prefix, "grid."."""
     if callable(source):
         known = _keyword_names(source)
     else:
         known = list(dict.fromkeys((*_field_names(source), *CUTOFFS, *numbers(source))))
         same = [name for name in names if name in ("control_spectrum", *CUTOFFS)]
         if len(same) > 1:
-            raise ProblemError(f"{field}.{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
+            raise ProblemError(f"{prefix}{same[1]}", f"a grid with {same[0]}, too", "one of them", "Both set the same.")
     for name in names:
         if known is not None and name not in known:
             expected = f"some of {', '.join(known)}"
-            raise ProblemError(f"{field}.{name}", "no parameter of that name", expected, suggestion(name, known))
+            raise ProblemError(f"{prefix}{name}", "no parameter of that name", expected, suggestion(name, known))
 
 
 def _keyword_names(function: Callable[..., object]) -> list[str] | None:

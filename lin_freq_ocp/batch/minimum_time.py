@@ -247,7 +247,7 @@ def solve_horizon(source: Source, options: Options, horizon: int) -> Outcome:
 def require_source(source: Source) -> None:
     """Raise ProblemError unless this is a problem, or a function that takes a horizon."""
     if callable(source):
-        require_parameters(source, ["horizon"], "problem")
+        require_parameters(source, ["horizon"], "problem.")
     else:
         require_problem(source)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,6 +13,7 @@ from pathlib import Path
 from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.batch.grid import require_parameters
 from lin_freq_ocp.files.problem_file import read_problem
 from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
@@ -39,7 +39,11 @@ def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
 def read_source(problem: str, settings: Sequence[str]) -> ProblemFile | partial[OptimalControlProblem]:
     """Return a problem as a function of its parameters, with the settings applied."""
     values = parse_settings(settings)
-    return ProblemFile.read(problem, values) if is_file(problem) else builder(problem, values)
+    if is_file(problem):
+        return ProblemFile.read(problem, values)
+    function = library.by_name(problem)
+    require_parameters(function, values, "--set ")
+    return partial(function, **values)
 
 
 @dataclass(frozen=True)
@@ -121,17 +125,6 @@ def is_file(problem: str) -> bool:
     """Whether this argument names a file instead of a library problem."""
     path = Path(problem)  # no library problem has a suffix or a folder in its name
     return problem not in library.PROBLEMS and bool(path.suffix or path.parent.name or path.is_file())
-
-
-def builder(name: str, values: FileTable) -> partial[OptimalControlProblem]:
-    """Return the function that builds the library problem of that name, with these parameters set."""
-    function = library.by_name(name)
-    parameters = inspect.signature(function).parameters
-    for key in values:
-        if key not in parameters:
-            known = f"some of {', '.join(parameters)}"
-            raise ProblemError(f"--set {key}", "no parameter of that name", known, suggestion(key, parameters))
-    return partial(function, **values)
 
 
 def parse_settings(settings: Sequence[str]) -> FileTable:

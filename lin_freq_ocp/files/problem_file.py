@@ -236,7 +236,6 @@ def init_problem_file(
 INTRODUCTION = """\
 # A problem with a plant of yours: replace ends, cost and limits by what is asked of it.
 # The template that `lin-freq-ocp init other.toml` writes explains every key.
-
 """
 
 
@@ -245,9 +244,8 @@ def _problem_of_plant(plant: Path, sampling_time: float | None) -> str:
     dynamics = LinearDynamics.from_mat(plant, sampling_time)
     bounds, start = Box(*np.outer([-1.0, 1.0], np.ones(dynamics.control_dim))), np.ones(dynamics.state_dim)
     cost = QuadraticCost(Q=1.0, R=1.0)
-    return INTRODUCTION + problem_text(
-        OptimalControlProblem(dynamics, PLANT_HORIZON, cost, bounds, initial_state=start)
-    )
+    problem = OptimalControlProblem(dynamics, PLANT_HORIZON, cost, bounds, initial_state=start)
+    return f"{INTRODUCTION}\n{problem_text(problem)}"
 
 
 def _problem_of_response(response: Path, folder: Path, sampling_time: float | None) -> str:
@@ -266,9 +264,9 @@ def _problem_of_response(response: Path, folder: Path, sampling_time: float | No
     table = {"csv": response.resolve().relative_to(folder.resolve()).as_posix()}
     dynamics = {"table": table, "samples": samples, "sampling_time": step, "outside": outside}
     cost, bounds = {"Q": 1.0, "R": 1e-3, "x_ref": [1.0]}, {"lower": -1.0, "upper": 1.0}
-    return INTRODUCTION + tomli_w.dumps(
-        {"schema": SCHEMA, "horizon": samples, "dynamics": dynamics, "cost": cost, "control_set": bounds}
-    )
+    problem = {"schema": SCHEMA, "horizon": samples, "dynamics": dynamics, "cost": cost, "control_set": bounds}
+    zero = f"# The response is 0 outside the frequencies of the table, {hertz[0]:g} .. {hertz[-1]:g} Hz.\n"
+    return f"{INTRODUCTION}{zero if outside == 'zero' else ''}\n{tomli_w.dumps(problem)}"
 
 
 def problem_text(problem: OptimalControlProblem) -> str:

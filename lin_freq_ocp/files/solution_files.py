@@ -193,7 +193,7 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     Parameters
     ----------
     path : path
-        Text in UTF-8, separated by commas, with decimal points.
+        Text in UTF-8, separated by commas; or by semicolons or tabs, and numbers may then have decimal commas.
     problem : OptimalControlProblem
         Its names, horizon and sampling time; "t" is checked to count steps, "time [s]" to count seconds.
 
@@ -241,13 +241,16 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
 
 
 def _parse_table(text: str) -> _Table:
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
+    first = text.lstrip().partition("\n")[0]
+    separator = next((mark for mark in ";\t" if mark in first and "," not in first), ",")
+    decimal = "." if separator == "," else ","
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True, delimiter=separator)
     lines: list[int] = []
     rows: list[list[str]] = []
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
-                rows.append([cell.strip() for cell in cells])
+                rows.append([cell.strip().replace(decimal, ".") for cell in cells])
                 lines.append(reader.line_num)
     except csv.Error as error:
         raise ProblemError(f"line {reader.line_num}", f"{error}", "comma-separated values") from None
@@ -300,10 +303,7 @@ def _require_columns(table: _Table, names: Sequence[str], columns: Sequence[int 
     for name, column in zip(names, columns, strict=True):
         if column is None:
             got = f"none (there is {', '.join(map(brief, table.head))})"
-            advice = suggestion(name, table.head)
-            if len(table.head) == 1 and any(mark in table.head[0] for mark in ";\t"):
-                advice = "Separate columns by commas, and write numbers with decimal points."
-            raise ProblemError(f"column {name!r}", got, "a column of this name", advice)
+            raise ProblemError(f"column {name!r}", got, "a column of this name", suggestion(name, table.head))
 
 
 def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajectory: Trajectory) -> None:

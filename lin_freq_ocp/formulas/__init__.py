@@ -4,6 +4,7 @@
 """
 
 from lin_freq_ocp.base import lazy_exports
+from lin_freq_ocp.base.errors import answer_misspelt
 from lin_freq_ocp.formulas.casadi import from_casadi
 from lin_freq_ocp.formulas.differentiable import DifferentiableFunction
 from lin_freq_ocp.formulas.nodes import Formula, maximum, minimum, norm, signals, time_of
@@ -17,3 +18,5 @@ DOOR, __getattr__ = lazy_exports(__name__, {
 })
 # fmt: on
 __all__ = ["DifferentiableFunction", "Formula", "from_casadi", "maximum", "minimum", "norm", "signals", "time_of"]
+
+answer_misspelt(globals())

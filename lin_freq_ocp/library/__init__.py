@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.resources import files
 
-from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, answer_misspelt, suggestion
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.flexible import crane, flexible_joint_arm, flexible_satellite
 from lin_freq_ocp.library.kinks import absolute_value, max_min_network, switched_rotation
@@ -33,6 +33,8 @@ __all__ = [
     "quarter_car", "scanner", "switched_rotation", "two_mass_drive", "two_mass_spring", "wave_energy",
 ]
 # fmt: on
+
+answer_misspelt(globals())
 
 Benchmark = Callable[..., OptimalControlProblem]
 
@@ -71,31 +73,22 @@ FIELDS = {
     "Impact and friction": "pendulum_with_wall cart_between_walls cart_pole_with_walls ball_and_paddle",
     "Theory": "absolute_value max_min_network switched_rotation norm_dynamics",
 }
-SKETCHES = {  # of the plants, as SVG in the folder sketches
-    "cart": "double_integrator",
-    "cart_pendulum": "pendulum cart_pole",
-    "two_masses": "two_mass_spring",
-    "mass_chain": "mass_chain",
-    "quarter_car": "quarter_car",
-    "scanner": "scanner",
-    "drive": "two_mass_drive",
-    "printer": "printer_move",
-    "gradient_coil": "mri_gradient",
-    "inverter": "pulse_pattern",
-    "buck_converter": "buck_affine buck_converter",
-    "satellite": "flexible_satellite",
-    "rendezvous": "elliptic_rendezvous",
-    "point_absorber": "wave_energy",
-    "wall": "pendulum_with_wall",
-    "swing_up": "pendulum_swing_up",
+# Of the plants, as SVG in the folder sketches; a sketch that is not listed here has the name of its problem.
+# fmt: off
+SKETCHES = {
+    "pendulum": "cart_pendulum", "cart_pole": "cart_pendulum", "double_integrator": "cart", "two_mass_drive": "drive",
+    "two_mass_spring": "two_masses", "flexible_satellite": "satellite", "elliptic_rendezvous": "rendezvous",
+    "mri_gradient": "gradient_coil", "printer_move": "printer", "pulse_pattern": "inverter",
+    "buck_affine": "buck_converter", "wave_energy": "point_absorber", "pendulum_with_wall": "wall",
+    "pendulum_swing_up": "swing_up",
 }
+# fmt: on
 
 
 def sketch_of(name: str) -> str:
-    """Return the sketch of a problem's plant as SVG, in the colours of its page; empty if there is none."""
-    sketch = next((sketch for sketch, names in SKETCHES.items() if name in names.split()), None)
-    folder = files("lin_freq_ocp.library") / "sketches"
-    return "" if sketch is None else (folder / f"{sketch}.svg").read_text(encoding="utf-8")
+    """Return the sketch of a problem's plant as SVG, in the colours of its page; empty for other names."""
+    path = files("lin_freq_ocp.library") / "sketches" / f"{SKETCHES.get(name, name)}.svg"
+    return path.read_text(encoding="utf-8") if name in PROBLEMS else ""
 
 
 def by_name(name: str) -> Benchmark:

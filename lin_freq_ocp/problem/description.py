@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
 from textwrap import shorten
@@ -13,6 +13,7 @@ from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, p
 from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import entries_of, named_entries
+from lin_freq_ocp.problem.terms.term import Term
 
 LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
 Fact = tuple[str, str]  # a term, and its description
@@ -57,7 +58,7 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
     return [(term, shorten(text, LONGEST_FACT, placeholder=" \N{HORIZONTAL ELLIPSIS}")) for term, text in facts]
 
 
-def problem_remarks(problem: ProblemData) -> list[str]:
+def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
     """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
     T, step, quadratic = problem.horizon, problem.sampling_time, problem.quadratic
     limits = [(T, "control_spectrum", problem.control_spectrum)]
@@ -73,7 +74,19 @@ def problem_remarks(problem: ProblemData) -> list[str]:
         outside = ((box.violation(reference) > 0) & (reference != 0)).sum(axis=0)
         parts = [f"{short_name(signals[i])} at {plural(outside[i], 'time')}" for i in np.flatnonzero(outside)]
         remarks += [f"cost.{field} lies outside the bounds: {', '.join(parts)}"] if parts else []
-    return [remark for remark in remarks if remark]
+    return [remark for remark in (*remarks, *_limits_never_reached(problem, terms)) if remark]
+
+
+def _limits_never_reached(problem: ProblemData, terms: Sequence[Term]) -> Iterator[str]:
+    """Yield which limits no signal within its bounds exceeds: |uhat_k| <= sqrt(N) |w u|, by Cauchy-Schwarz."""
+    sizes = [np.maximum(np.abs(box.lower), np.abs(box.upper)) for box in (problem.state_boxes, problem.control_tube)]
+    unbounded, bounded = [1.0 * np.isinf(size) for size in sizes], [np.nan_to_num(size, posinf=0.0) for size in sizes]
+    for term in terms:
+        spectrum, limits = term.map.spectrum, term.penalty.bounds(term.shape)[1]
+        if term.statement and not term.semi_infinite and spectrum and not spectrum.sizes(*unbounded).any():
+            most = np.sqrt(spectrum.samples * len(spectrum.real) / len(limits)) * spectrum.sizes(*bounded)
+            if (most <= limits).all() and np.isfinite(limits).any():
+                yield f"{term.name} limits nothing: the bounds of its signal keep the spectrum below it"
 
 
 def _cost(problem: ProblemData) -> list[Fact]:

@@ -85,7 +85,7 @@ class ActiveSystem:
     active: ActiveRows
     M: sp.csc_array
     H: sp.csc_array
-    factor: SuperLU
+    factor: SuperLU  # with the rows of curved edges, and their products with the curvature, as further unknowns
     proximal: float
 
     def gaps(self, of_rows: Array) -> Array:
@@ -107,7 +107,7 @@ class ActiveSystem:
         for _ in range(SOLVE_REFINEMENTS):
             z, y = np.split(solution, [count])
             left = np.concatenate([of_z - self.H @ z - self.M.T @ y, of_rows - self.M @ z])
-            step = self.factor.solve(left)
+            step = self.factor.solve(np.append(left, np.zeros(self.factor.shape[0] - len(left))))[: len(left)]
             if not np.isfinite(step).all():
                 break
             solution, size = solution + step, float(np.abs(step[:count]).max())
@@ -159,12 +159,19 @@ def _newton_step(
     at_edge, held = edges[program.cone_of], np.zeros_like(y)
     weights = np.maximum(-y[in_cones[program.heads]], 0.0)
     held[rows], held[in_cones[at_edge]] = y[rows], (weights[program.cone_of] * _normals(program, z)[0])[at_edge]
-    M, H = (sp.csc_array(part) for part in linearised_rows(program, z, y, active)[:2])
+    M, H, _, W = map(sp.csc_array, linearised_rows(program, z, y, active))
+    curved = np.flatnonzero(np.diff(W.indptr))
+    # v = A z of curved edges and W v stay unknowns: rows over all times would make H dense
+    W, edge, one = W[curved][:, curved], sp.csr_array(program.A)[curved], -sp.eye_array(len(curved))
     slope = program.P @ z + program.q + program.A.T @ held
     system, dz, dy = None, z, y
     for proximal in (weight for weight in PROXIMAL_WEIGHTS if weight >= least):
         try:
-            factor = splu(regularised_kkt(H, M, proximal, proximal))
+            K = regularised_kkt(program.P, M, proximal, proximal)
+            if len(curved):
+                beside = sp.hstack([edge, sp.csr_array((len(curved), M.shape[0]))])
+                K = sp.csc_array(sp.block_array([[K, None, beside.T], [None, W, one], [beside, one, None]]))
+            factor = splu(K)
         except RuntimeError:  # exactly singular
             continue
         system = ActiveSystem(program, active, M, H, factor, proximal)

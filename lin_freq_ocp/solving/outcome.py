@@ -275,7 +275,7 @@ class Outcome:
     @property
     def remarks(self) -> list[str]:
         """Return what in the problem limits nothing, or everything, and which references lie outside their bounds."""
-        return problem_remarks(self.problem)
+        return problem_remarks(self.problem, self.problem.terms)
 
     @property
     def solver(self) -> str:

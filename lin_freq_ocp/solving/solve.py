@@ -133,7 +133,7 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
 
 
 LEFT_VIOLATION = 1e-9  # of |V| over its limit, relative: interior points leave as much at known frequencies
-ROUNDS = 30  # five or six reach LEFT_VIOLATION: convergence is quadratic
+ROUNDS = 30  # six reach LEFT_VIOLATION if a peak hardly answers to the frequency that holds it, 13 if it overshoots
 IDLE = 1e-6  # multiplier, relative to the largest, below which a frequency is dropped: the cost does not change
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LEAST_PROGRESS = 0.5  # factor by which a round must reduce the violation at least, once it is below SMALL

@@ -183,6 +183,8 @@ MISSPELT = {
     "initial_state": (lambda: lfo.solve_many(None, initial_state=[0]), "initial_states"),
     "dely": (lambda: lfo.RecedingHorizon(None, dely=1), "delay"),
     "stag": (lambda: lfo.costs.SmoothCost(stag=1), "stage"),
+    "horizn": (lambda: lfo.library.pendulum(horizn=300), "horizon"),
+    "name": (lambda: lfo.maximum(1, 2, name=["a"]), "names"),
 }
 
 
@@ -191,6 +193,26 @@ def test_a_misspelt_keyword_is_answered_by_the_nearest(name):
     call, nearest = MISSPELT[name]
     with pytest.raises(lfo.errors.ProblemError, match=f"Did you mean '{nearest}'"):
         call()
+
+
+CALLABLE = [
+    (space, name)
+    for space in lfo.NAMESPACES
+    if space not in ("results", "errors")  # which users do not make
+    for name in getattr(lfo, space).__all__
+    if name not in ("Everything", "RobustProblem")  # one takes nothing, one any keyword of a problem
+]
+
+
+@pytest.mark.parametrize(("space", "name"), CALLABLE)
+def test_every_public_function_and_class_answers_an_unknown_keyword(space, name):
+    public = getattr(getattr(lfo, space), name)
+    with pytest.raises(lfo.errors.ProblemError, match=r"unheard_of: got 1; expected one of the keywords (?!self)"):
+        public(unheard_of=1)
+    if name in lfo.__all__:
+        assert public is getattr(lfo, name)
+    if not isinstance(public, type):
+        assert pickle.loads(pickle.dumps(public)) is public
 
 
 def test_other_errors_of_a_call_stay_what_they_are():

@@ -139,6 +139,8 @@ def test_a_file_with_a_plant_of_yours_is_solved(tmp_path, monkeypatch):
         problem = lfo.read_problem(f"{name}.toml")
         assert (problem.horizon, problem.state_names[0]) == (horizon, state)
         assert run("solve", f"{name}.toml")[0] == 0
+    outside = "# The response is 0 outside the frequencies of the table, 0 .. 5 Hz.\n"
+    assert [outside in (tmp_path / f"{name}.toml").read_text() for name in "abc"] == [False, False, True]
     assert abs(lfo.read_problem("c.toml").dynamics.G[:, 0, 0]).round(3).tolist() == [1, 0.708, 0.1, 0, 0]
 
 

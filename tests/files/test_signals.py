@@ -179,6 +179,16 @@ def test_spreadsheets_have_their_ways(tmp_path):
     assert_same(lfo.read_csv(path, PROBLEM), lfo.read_csv(csv_file(tmp_path, GOOD), PROBLEM))
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_semicolons_tabs_and_decimal_commas_are_read(tmp_path, separator, decimal):
+    u = np.sin(STEPS)
+    text = table("position,speed,force", STEPS, STEPS, u).replace(",", separator).replace(".", decimal)
+    trajectory = lfo.read_csv(csv_file(tmp_path, text), PROBLEM)
+    assert (trajectory.u[:, 0] == u[:T]).all()
+    assert trajectory.x.T.tolist() == [list(STEPS)] * 2
+
+
 @pytest.mark.parametrize("rows", [T, T + 1])
 def test_controls_alone_are_replayed(tmp_path, rows):
     u = np.sin(np.arange(rows))
@@ -207,7 +217,8 @@ def test_times_may_be_rounded_but_not_wrong(tmp_path):
             "columns: got 'Position', 'speed [km/h]'; expected columns for the",
         ),
         ("force", "speed", "column 'speed': got 2 of them"),
-        (",", ";", "Separate columns by commas"),
+        (",", "|", "column 'force [N]': got none (there is 'position|speed|force')"),
+        ("position,speed", "position;speed", "line 2: got 3 cells; expected 2, as many as the header has"),
         ("\n7,107,207", "\n7,107", "line 9: got 2 cells; expected 3"),
         ("\n7,107,207", "\n7,,207", "line 9, column 'speed': got an empty cell; expected a finite number"),
         ("\n7,107,207", "\n7,much,207", "line 9, column 'speed': got 'much'"),

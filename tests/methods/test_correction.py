@@ -184,3 +184,18 @@ def test_a_point_that_leaves_the_apex_finds_the_edge_or_the_inside(wish):
     z, _, _ = solve_active(nearest_in_cone(wish), np.array([1e-9, 0.0]), np.array([-1.0, 0.1]))
     inside = wish[0] >= abs(wish[1])
     np.testing.assert_allclose(z, wish if inside else [sum(wish) / 2] * 2, atol=1e-10)
+
+
+def test_curved_edges_of_rows_over_all_variables_leave_the_factor_sparse():
+    """The point of |G z| <= 1 nearest to w, G'G = 1 on two directions of 400: their part of w shrinks to size 1."""
+    G, w = np.linalg.qr(np.random.default_rng(0).standard_normal((400, 2)))[0].T, np.linspace(-3.0, 3.0, 400)
+    A, lower = sp.csc_array(np.vstack([np.zeros(400), G])), np.array([-1.0, 0.0, 0.0])
+    program = Program(sp.eye_array(400, format="csc"), -w, A, lower, np.full(3, np.inf), cones=(slice(0, 3),))
+    part = G @ w
+    size = float(np.linalg.norm(part))
+    assert size > 1.0
+    nearest, price = w - G.T @ (part - part / size), (size - 1.0) * np.append(-1.0, part / size)
+    z, y, system = solve_active(program, nearest + 1e-4 * (G[0] - G[1]), price)
+    np.testing.assert_allclose(z, nearest, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(y, price, rtol=0, atol=1e-12)
+    assert system.factor.nnz < 20 * 400  # 400^2 with the curvature of the edge in H

@@ -135,13 +135,13 @@ PLANT = {"A": A, "B": B, "Ts": 0.01}
         ({"A": A, "B": B}, "plant.mat: Ts: got nothing; expected seconds per step, or 0 for a continuous plant"),
         ({"s": {"B": B, "Ts": 0.1}}, "plant.mat: s.A: got nothing"),
         (PLANT | {"Ts": -1.0}, "plant.mat: Ts: got [-1.0]"),
-        (PLANT | {"Ts": 0.0}, "sampling_time: got None; expected seconds per step. The plant is continuous."),
+        (PLANT | {"Ts": 0.0}, "plant.mat: sampling_time: got None; expected seconds per step. The plant is continuous"),
         (PLANT | {"E": 2 * np.eye(2)}, "plant.mat: E: got a descriptor matrix"),
         (PLANT | {"InputDelay": [[0.0, 2.0]]}, "plant.mat: InputDelay: got a delay"),
         (PLANT | {"InputDelay": "long"}, "plant.mat: InputDelay: got array(['long']"),
         (PLANT | {"A": "text"}, "plant.mat: A: got array(['text']"),
         (PLANT | {"A": [[np.nan]]}, "plant.mat: A[0][0]: got nan"),
-        (PLANT | {"A": np.ones((1, 2))}, "dynamics.A: got shape (1, 2)"),
+        (PLANT | {"A": np.ones((1, 2))}, "plant.mat.A: got shape (1, 2)"),
     ],
 )
 def test_what_is_no_plant_is_named(tmp_path, variables, message):

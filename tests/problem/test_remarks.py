@@ -13,6 +13,7 @@ import lin_freq_ocp as lfo
 from lin_freq_ocp.files import result_summary
 
 NYQUIST = lfo.low_pass(np.pi)
+MASK_OF_16 = lfo.MagnitudeBound(16.1, bins=[1])  # 8 samples of at most 2 add up to 16
 WITHOUT_LIMIT = lfo.MagnitudeBound(np.inf, bins=[1])
 CART = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]], state_names=["position", "speed"]),
@@ -38,6 +39,28 @@ CASES = {
     "infinite": (
         {"control_spectrum": [lfo.low_pass(2.0), WITHOUT_LIMIT]},
         "control_spectrum[1]: its limit is infinite",
+    ),
+    "above what bounds allow": (
+        {"control_set": lfo.Box(-2, 1), "control_spectrum": MASK_OF_16},
+        "mask on u_0 limits nothing: the bounds of its signal keep the spectrum below it",
+    ),
+    "above what bounds allow, of a band": (
+        {"control_set": lfo.Box(-2, 2), "control_spectrum": lfo.spectrum.EnergyBound(3 * 16.1**2, bins=[1, 2, 4])},
+        "energy bound on u_0 limits nothing",
+    ),
+    "within what bounds allow": (
+        {"control_set": lfo.Box(-2.01, 1), "control_spectrum": lfo.MagnitudeBound(16.0, bins=[0])},
+        "",
+    ),
+    "soft bounds": ({"control_set": lfo.sets.Soft(lfo.Box(-2, 1), penalty=1.0), "control_spectrum": MASK_OF_16}, ""),
+    "no bounds": ({"control_spectrum": MASK_OF_16}, ""),
+    "no bounds on the other": (
+        {"output_spectrum": lfo.spectrum.OutputSpectrum([[1, 0]], [[0]], lfo.MagnitudeBound(9.0, bins=[1]))},
+        "mask on y_0 limits nothing",
+    ),
+    "no bounds on a part": (
+        {"output_spectrum": lfo.spectrum.OutputSpectrum([[1, 0]], [[0.1]], lfo.MagnitudeBound(9.0, bins=[1]))},
+        "",
     ),
     "windows": ({"control_spectrum": lfo.spectrum.Spectrogram(WITHOUT_LIMIT, 8)}, "bound: its limit is infinite"),
     "output": (

@@ -269,7 +269,7 @@ def save_sweep_report(sweep: SweepOutcome, sentence: str, folder: Path) -> Path:
 
 
 def save_problem_page(title: str, about: str, parameters: Facts, facts: Facts, folder: Path) -> Path:
-    """Write index.html with a problem, its sketch if the library has one, and its parameters into a folder."""
+    """Write index.html with a problem, its sketch if the library has it, and its parameters into a folder."""
     lists = {"The problem": facts, "Parameters with their defaults, changed by --set": parameters}
     sketch = Markup(library.sketch_of(title))
     return _save_tables(folder, [], kind="problem", title=title, finding=about, facts=lists, sketch=sketch)

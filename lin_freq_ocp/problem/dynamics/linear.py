@@ -26,7 +26,7 @@ from lin_freq_ocp.base.arrays import (
     with_products,
     with_rows,
 )
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, located_at
 from lin_freq_ocp.base.names import index_of_name
 from lin_freq_ocp.base.phrases import datum, plural
 from lin_freq_ocp.problem.dynamics.base import Dynamics, StateEquations, Step, signal_labels
@@ -230,7 +230,8 @@ class LinearDynamics(StateEquations):
             If it is no such file, has no such plant or several, or sampling times do not agree.
         """
         A, B, dt, *labels = plant_in_mat(Path(path))
-        return cls._of_plant(A, B, dt, sampling_time, state_names or labels[0], control_names or labels[1])
+        with located_at(Path(path).name, "dynamics"):
+            return cls._of_plant(A, B, dt, sampling_time, state_names or labels[0], control_names or labels[1])
 
     @classmethod
     def _of_plant(

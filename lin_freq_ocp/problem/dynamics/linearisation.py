@@ -165,7 +165,8 @@ def clock(field: str, dt: float | None, sampling_time: float | None) -> tuple[bo
         raise ProblemError(f"{field}.dt", "None (unspecified)", "0 (continuous) or a sampling time", f"Set {field}.dt.")
     if dt == 0 and not isinstance(dt, bool):
         if sampling_time is None:
-            raise ProblemError("sampling_time", "None", "seconds per step", f"The {field} is continuous.")
+            advice = f"The {field} is continuous; on the command line: --sampling-time SECONDS."
+            raise ProblemError("sampling_time", "None", "seconds per step", advice)
         return True, positive_number("dynamics.sampling_time", sampling_time)
     step = None if dt is True else float(dt)
     if step is not None and sampling_time is not None and not np.isclose(step, sampling_time, rtol=1e-12, atol=0.0):
