@@ -12,7 +12,8 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "smooth.interior_point": "Barrier BarrierPoint FEW_ROWS Filter Measure",
     "smooth.local_optimum": "End LocalOptimum smooth_optimum",
     "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress",
-    "smooth.polish": "newton_points quadratic_model", "angles": "AngleBound AngleBoxes local_angles",
-    "angle_lattice": "AngleLattice FIRST_WIDTH AngleRange", "quarter": "Quarter",
+    "smooth.polish": "newton_points quadratic_model",
+    "angles": "bound_near local_angles local_prices nearest_train", "angle_lattice": "AngleLattice AngleRange",
+    "quarter": "Quarter",
 })
 # fmt: on

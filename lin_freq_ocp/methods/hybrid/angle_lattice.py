@@ -15,29 +15,38 @@ of h next to a_i, at random, with the mean a_i. With g_i = max(theta, A_i) - max
 +-s g_i. |g_i| <= |A_i - a_i| up to the end of the cell of a_i, and is zero from there; its mean is zero but within the
 cell, where it is >= 0 with an integral of half the variance of A_i, h^2/8 at most. Hence 2 int (I - R) sum_i +-s g_i
 has a mean of at most m s e h^2/4. Draw one offset U for each cell, A_i = h floor(a_i/h + U): for angles of different
-cells means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. In
-all, the mean of L_r grows by at most
+cells means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. With
+a_i + h <= t_i for the end of its cell, the mean of L_r grows in all by at most
 
-    h^2 m (f s^2/2 + e s/pi),
+    h^2 sum_i (f s^2 t_i/pi + s e/pi),    t_i <= pi/2,
 
 and some train of the lattice costs no more than that. Angles stay in order, and of a dwell d, floor(d/h) - 1 steps
 remain, floor(d/h) at both ends. f = 1 if dwells between switches are longer than h, else m.
 
+*Least dwells.* Where the best train of the lattice has a dwell that is too short, draw one U for each chain of angles
+whose dwells may be less than floor(d/h) h + h: floor(d/h) steps remain of each dwell. The squares of a chain of f
+angles rise at most f times.
+
 *Tube.* I - R is zero at pi/2, with a slope of at most q. A train that leaves |I - R| <= w costs L_r >= 4 w^3/(3 pi q).
 The lattice holds |I - R| <= w and the m s h by which angles move I: what it finds, less the loss for e = w, or that
-cost of leaving, whichever is less, bounds L_r.
+cost of leaving, whichever is less, bounds L_r. If the steps of a part are known, I differs from that of its middle
+angles by no more than s times the sum of its half widths: where this band is narrower, no train leaves it.
+
+*Open cells.* A_i is at either end of the cell of a_i, whatever is drawn. Where all trains of the lattice with angle i
+there, and a step up, cost too much with the loss, no train of interest has its angle i in the cell, and a step up.
+The recursion back and one forth have the least cost of the trains through every state, and so through every switch.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.hybrid.quarter import Quarter
@@ -45,22 +54,24 @@ from lin_freq_ocp.methods.native_code import compiled_library
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
 TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: rounding of some 10^3 sums that telescope is smaller
-LEAST_FRACTION = 1e-9  # of d/h above a whole number: its rounding is smaller
-COUNTS = 100  # numbers N among which one lets dwells be just above multiples of h
-MOST_CHOICES = 2**29  # bytes: a tube that needs more is not searched
-FIRST_WIDTH = 0.1  # half width of the first tube [rad]
-WIDER = 1.02  # of the width at which leaving the tube costs as much as the answer: at 1, rounding asks for more
+LEAST_FRACTION = 1e-9  # of a step, by which bounds of angles are wider: their rounding is smaller
+WHOLE = 1e-12  # of a step, up to which a dwell is a multiple of h: it changes L_r by less than rounding
+COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above
+MOST_STATES = 2**25  # of a recursion: half a gigabyte for the costs from and to each
+WIDER = 1 + 1e-9  # of the width at which leaving the tube costs what is enough: rounding is smaller
 RADIUS, LEAST_RADIUS, PROGRESS = 0.05, 1e-7, 1e-5  # trust region of r: the first, the least; relative gain that is none
 MOST_CUTS = 40
+PATIENCE, SHARE_OF_MISSING = 4, 0.1  # cuts in which the bound rises by this share of what it lacks of ``enough``
+SHARE_OF_LOSS = 0.1  # gain of the bound, of its loss, that is not worth a recursion
 
 
 class RecursionInC(ctypes.Structure):
     """lfo_lattice of lattice.c."""
 
     _fields_ = [
-        *((name, ctypes.c_int) for name in ("count", "switches", "levels", "lowest", "half", "ring")),
-        *((name, ctypes.c_void_p) for name in ("centre", "hold", "low", "high", "sign", "moments")),
-        *((name, ctypes.c_double) for name in ("h", "step")),
+        *((name, ctypes.c_int) for name in ("count", "switches", "levels", "lowest", "half")),
+        *((name, ctypes.c_void_p) for name in ("centre", "hold", "low", "high", "sign", "first", "last", "start")),
+        *(("moments", ctypes.c_void_p), ("h", ctypes.c_double), ("step", ctypes.c_double)),
     ]
 
 
@@ -72,50 +83,132 @@ class AngleRange:
     high: Array
     sign: Indices
 
+    def is_near(self, steps: Array, angles: Array) -> bool:
+        """Whether a train is one of these, or beside them within half of their range."""
+        signs = (self.sign == 0) | (self.sign == np.sign(steps))
+        return bool((signs & (np.abs(angles - (self.low + self.high) / 2) <= self.high - self.low)).all())
+
+    def halves(self) -> list[AngleRange]:
+        """Return two parts: by the first sign that is free, or else by the widest range of an angle."""
+        free = np.flatnonzero(self.sign == 0)
+        where = np.arange(len(self.sign)) == (free[0] if len(free) else (self.high - self.low).argmax())
+        if len(free):
+            return [replace(self, sign=np.where(where, s, self.sign)) for s in (1, -1)]
+        middle = (
+            np.where(where, (self.low + self.high) / 2, self.high),
+            np.where(where, (self.low + self.high) / 2, self.low),
+        )
+        return [replace(self, high=middle[0]), replace(self, low=middle[1])]
+
 
 @dataclass(frozen=True, eq=False)
 class LatticePoint:
-    """A bound on E of a part by one r, and the steps and angles (m,) of the best train of the lattice."""
+    """A bound on E of a part by one r, its loss, and the steps and angles (m,) of the best train of the lattice.
+
+    ``open`` are the cells (m, 2, N) that may hold an angle, with a step up or down, of a train below what is enough.
+    """
 
     bound: float
+    loss: float
     r: Array
     steps: Array
     angles: Array
+    open: Mask
 
 
 class AngleLattice:
     """The lattice of N or some more angles for a quarter."""
 
     def __init__(self, quarter: Quarter, count: int):
-        d = float(quarter.dwells[1:-1].min(initial=QUARTER))
-        self.count = min(range(count, count + COUNTS), key=lambda N: (d * N / QUARTER - LEAST_FRACTION) % 1.0)
-        self._quarter, self._h = quarter, QUARTER / self.count
-        hold = np.floor(quarter.dwells / self._h - LEAST_FRACTION).astype(np.int64)
-        hold[1:-1] -= 1
-        self._hold = np.maximum(hold, 0)
-        m, s = len(quarter.dwells) - 1, quarter.step
-        self._squares = self._h**2 * m * (1 if d > self._h else m) * s * s / 2
-        self._width, self.seconds = FIRST_WIDTH, 0.0
-        self._theta: Array = self._h * np.arange(self.count + 1, dtype=np.float64)
+        dwells = quarter.dwells / QUARTER
+        self.count = min(range(count, count + COUNTS), key=lambda N: float(((dwells * N + WHOLE) % 1.0).max()))
+        self.quarter, self.h = quarter, QUARTER / self.count
+        self._whole = np.floor(quarter.dwells / self.h + WHOLE).astype(np.int64)
+        self.seconds = 0.0
 
     def bound(self, r: Array, part: AngleRange, enough: float = np.inf) -> LatticePoint:
-        """Return the bound for some r; infinity if the part has no train. No tube is widened to exceed ``enough``."""
-        q, width = self._quarter, self._width
-        slope = (np.array(q.orders) * r) @ np.sin(np.outer(q.orders, self._theta))
+        """Return the bound for some r; infinity if the part has no train. No tube is wider than ``enough`` asks for."""
+        point = self._bound(r, part, enough, kept=False)
+        dwells = np.diff(point.angles) / self.h
+        if point.bound < enough and (dwells < self._whole[1:-1] - 0.5).any() and point.steps.all():
+            return max(point, self._bound(r, part, enough, kept=True), key=lambda one: one.bound)
+        return point
+
+    def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
+        """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
+        edge, low, high = LEAST_FRACTION * self.h, part.low.copy(), part.high.copy()
+        for j, cells in enumerate(opened.any(axis=1)):
+            where = np.flatnonzero(cells)
+            if not len(where):
+                return None
+            low[j] = max(low[j], where[0] * self.h - edge)
+            high[j] = min(high[j], (where[-1] + 1) * self.h + edge)
+        up, down = opened.any(axis=2).T
+        return AngleRange(low, high, np.where(up & down, part.sign, np.where(up, 1, -1)))
+
+    def _bound(self, r: Array, part: AngleRange, enough: float, kept: bool) -> LatticePoint:
+        """Return the bound with all whole steps of dwells, or one less where angles are independent."""
+        q, h, hold, k = self.quarter, self.h, self._whole.copy(), np.array(self.quarter.orders, dtype=float)
+        if not kept:
+            hold[1:-1] = np.maximum(hold[1:-1] - 1, 0)
+        apart = not kept and float(q.dwells[1:-1].min(initial=QUARTER)) > h
+        together = np.ones(len(part.sign)) if apart else self._chains(part, hold if kept else 0 * hold)
+        theta, middle = self.theta[: self.count + 1], self.waves[: self.count + 1] @ r
+        slope = np.sin(np.outer(theta, k)) @ (k * r)
         steepest = max(q.highest * q.step - slope.min(), slope.max() - q.lowest * q.step)
-        steepest += self._h / 2 * float(np.abs(r) @ np.square(q.orders))  # between angles of the lattice
+        steepest += h / 2 * float(np.abs(r) @ k**2)  # between the angles of the lattice
         farthest = QUARTER * max(q.highest, -q.lowest) * q.step + float(np.abs(r).sum())
-        while True:
-            least, steps, angles = self._least(r, width, part)
-            loss = self._squares + self._h**2 * len(steps) * width * q.step / np.pi
-            leaving = 4 * width**3 / (3 * np.pi * steepest) if width < farthest else np.inf
-            if least - loss <= leaving or leaving - TRACKING_ROUNDING + q.shift(r) >= enough:
-                break
-            width = WIDER * (3 * np.pi / 4 * steepest * least) ** (1 / 3) if least < np.inf else 2 * width
-        if least < np.inf:
-            needed = WIDER * (3 * np.pi / 4 * steepest * max(least, 0.0)) ** (1 / 3)
-            self._width = min(width, max(needed, self._h))
-        return LatticePoint(min(least - loss, leaving) - TRACKING_ROUNDING + q.shift(r), r, steps, angles)
+        most = max(enough - q.shift(r) + TRACKING_ROUNDING, 0.0)  # of L_r
+        width = e = min(WIDER * (3 * np.pi / 4 * steepest * most) ** (1 / 3), farthest)
+        leaving = np.inf if width == farthest else 4 * width**3 / (3 * np.pi * steepest)
+        band = float((part.high - part.low).sum() / 2 * q.step)
+        if part.sign.all() and band <= width:
+            rest = np.minimum(QUARTER - theta[:, None], QUARTER - np.sort(part.low + part.high) / 2) @ part.sign
+            e, leaving = min(float(np.abs(middle - rest * q.step).max()) + band + steepest * h / 2, farthest), np.inf
+            middle, width = rest * q.step, band
+        ends = np.minimum(part.high + h, QUARTER)
+        loss = h**2 * q.step / np.pi * float(q.step * together @ ends + len(ends) * e)
+        through = _least_through(self, r, middle, width, part, hold) - loss
+        cells = np.minimum(through[:, :, 1:], through[:, :, :-1]) <= most
+        best = [np.unravel_index(one.argmin(), one.shape) for one in through]
+        least = through[0].min(initial=np.inf)
+        steps, angles = np.array(best).T if least < np.inf else np.zeros((2, len(part.sign)))
+        bound = min(least, leaving) - TRACKING_ROUNDING + q.shift(r)
+        return LatticePoint(bound, loss, r, q.step * (1 - 2 * steps) if least < np.inf else steps, angles * h, cells)
+
+    def _chains(self, part: AngleRange, hold: Indices) -> Array:
+        """Return for each angle how many may be in one chain with it."""
+        free = part.low[1:] - part.high[:-1] >= (hold[1:-1] + 1 + LEAST_FRACTION) * self.h
+        _, chain, count = np.unique(np.cumsum([0, *free]), return_inverse=True, return_counts=True)
+        return count[chain].astype(float)
+
+    @cached_property
+    def theta(self) -> Array:
+        """The angles of the lattice, and beyond the quarter those that a dwell may reach."""
+        return self.h * np.arange(self.count + 1 + int(self._whole.max(initial=1)), dtype=np.float64)
+
+    @cached_property
+    def waves(self) -> Array:
+        """Cosines of the orders at all angles."""
+        return np.cos(np.outer(self.theta, self.quarter.orders))
+
+    @cached_property
+    def primitives(self) -> tuple[Array, Array, Array]:
+        """What r, r and its products have to be multiplied by for the integrals of R, of that integral, and of R^2."""
+        k, theta = np.array(self.quarter.orders, dtype=float), self.theta[:, None]
+        products = [
+            ((theta if a == b else np.sin((a - b) * theta) / (a - b)) + np.sin((a + b) * theta) / (a + b)) / 2
+            for a in k
+            for b in k
+        ]
+        return -np.sin(theta * k) / k, self.waves / k**2, np.hstack(products)
+
+    def moments(self, r: Array, span: int) -> Array:
+        """Return the integrals (3, N + 1) of R, (t - start) R and R^2 from every angle over ``span`` steps."""
+        of_R, of_that, of_square = self.primitives
+        F, G, S = of_R @ r, of_that @ r, of_square @ np.outer(r, r).ravel()
+        here, there = slice(self.count + 1), slice(span, self.count + 1 + span)
+        return np.array([F[there] - F[here], span * self.h * F[there] - (G[there] - G[here]), S[there] - S[here]])
 
     def best(self, part: AngleRange, r: Array, end: float, enough: float = np.inf) -> Iterator[LatticePoint]:
         """Yield the points of cutting planes from r on, until the bound is ``enough`` or stays, or time is over.
@@ -124,7 +217,7 @@ class AngleLattice:
         """
         from scipy.optimize import linprog  # slow to import
 
-        q, k = self._quarter, np.array(self._quarter.orders, dtype=float)
+        q, k = self.quarter, np.array(self.quarter.orders, dtype=float)
         fixed = ~np.isfinite(q.low) & ~np.isfinite(q.high)
         least, most = np.where(np.isfinite(q.high), -np.inf, 0.0), np.where(np.isfinite(q.low), np.inf, 0.0)
         centre, best, radius = np.clip(r, least, most), -np.inf, RADIUS
@@ -136,7 +229,7 @@ class AngleLattice:
                 row[i], row[len(k) + 1 + i] = -values[i] / k[i], 1.0
                 rows.append(row)
                 limits.append(0.0)
-        begin = now()
+        begin, missing = now(), [np.inf] * PATIENCE
         for _ in range(MOST_CUTS):
             point = self.bound(r, part, enough)
             yield point
@@ -151,104 +244,88 @@ class AngleLattice:
                 radius /= 3
             begin, before = now(), begin
             self.seconds = begin - before
-            if radius < LEAST_RADIUS or begin + self.seconds > end:
+            missing.append(enough - best)
+            stays = missing[-1] < np.inf and missing[-1] > (1 - SHARE_OF_MISSING) * missing[-1 - PATIENCE]
+            if radius < LEAST_RADIUS or begin + self.seconds > end or enough - best < 2 * point.loss or stays:
                 return
             box = [*zip(np.maximum(centre - radius, least), np.minimum(centre + radius, most), strict=True)]
             box += [(None, None), *((None, 0.0) if free else (None, None) for free in fixed)]
             objective = np.concatenate([np.zeros(len(k)), [-1.0], np.full(len(k), -2.0)])
             answer = linprog(objective, np.array(rows), np.array(limits), bounds=box, method="highs")
-            if answer.x is None or answer.fun is None or -answer.fun - best < PROGRESS * (abs(best) + self._squares):
+            none = max(PROGRESS * abs(best), SHARE_OF_LOSS * point.loss)
+            if answer.x is None or answer.fun is None or -answer.fun - best < none:
                 return
             r = answer.x[: len(k)]
 
-    def _least(self, r: Array, width: float, part: AngleRange) -> tuple[float, Array, Array]:
-        """Return the least L_r of the lattice in a tube, with steps and angles (m,); infinity if there is none."""
-        q, N, h, m = self._quarter, self.count, self._h, len(part.sign)
-        unit = h * q.step
-        wave = np.cos(np.outer(self._theta, q.orders)) @ r
-        centre = np.round(wave / unit).astype(np.int64)
-        half = int(np.ceil(width / unit)) + m + 1
-        shape = m + 1, q.highest - q.lowest + 1, 2 * half + 1
-        if (N + 1) * np.prod(shape, dtype=float) > MOST_CHOICES:
-            raise UnsupportedError(f"no bound on a lattice of {N} angles: its tube needs more than half a gigabyte.")
-        low = np.maximum(np.floor(part.low / h - LEAST_FRACTION).astype(np.int64), self._hold[0])
-        high = np.ceil(part.high / h + LEAST_FRACTION).astype(np.int64)
-        spans = np.concatenate([[1], self._hold])
-        moments = np.array([self._moments(r, int(span)) for span in spans])
-        ring = int(spans.max()) + 1
-        values, choices = np.empty((ring, *shape)), np.empty((N + 1, *shape), dtype=np.int8)
-        arrays: list[Array | Indices] = [centre, self._hold, low, high, part.sign.astype(np.int64), moments]
-        arrays = list(map(np.ascontiguousarray, arrays))
-        model = RecursionInC(N, m, shape[1], q.lowest, half, ring, *(a.ctypes.data for a in arrays), h, q.step)
-        library = compiled_library(__file__, "lattice.c")
-        if library is None:
-            _recursion(model, arrays, values, choices)
-        else:
-            library.lfo_lattice_run(ctypes.byref(model), *(ctypes.c_void_p(a.ctypes.data) for a in (values, choices)))
-        first = values[0, 0, -q.lowest]
-        a = int(first.argmin())
-        steps, angles = np.zeros(m), np.zeros(m)
-        if first[a] < np.inf:  # follow the choices
-            i, c, level, n = 0, 0, 0, a - half + int(centre[0])
-            while c < m:
-                choice, span = choices[i, c, level - q.lowest, n - centre[i] + half], 1
-                if choice:
-                    level += 1 if choice == 1 else -1
-                    steps[c], angles[c] = (1 if choice == 1 else -1) * q.step, i * h
-                    c += 1
-                    span = int(self._hold[c])
-                n -= level * span
-                i += span
-        return float(4 / np.pi * first[a]), steps, angles
 
-    def _moments(self, r: Array, span: int) -> Array:
-        """Return the integrals (3, N + 1) of R, (t - start) R and R^2 from every angle over ``span`` steps."""
-        k = np.array(self._quarter.orders, dtype=float)
-        stop: Array = self._theta + span * self._h
-
-        def primitives(theta: Array) -> tuple[Array, Array, Array]:
-            first, second = -np.sin(np.outer(theta, k)) @ (r / k), np.cos(np.outer(theta, k)) @ (r / k**2)
-            square = np.zeros(len(theta))
-            for a, of_a in zip(k, r, strict=True):
-                for b, of_b in zip(k, r, strict=True):
-                    apart = theta if a == b else np.sin((a - b) * theta) / (a - b)
-                    square += of_a * of_b / 2 * (apart + np.sin((a + b) * theta) / (a + b))
-            return first, second, square
-
-        (F, G, S), (F0, G0, S0) = primitives(stop), primitives(self._theta)
-        return np.array([F - F0, span * self._h * F - (G - G0), S - S0])
+def _least_through(
+    lattice: AngleLattice, r: Array, middle: Array, around: float, part: AngleRange, hold: Indices
+) -> Array:
+    """Return the least L_r (m, 2, N + 1) of all trains of a part, in a tube, with a switch, up or down, at an angle."""
+    q, h, N, m = lattice.quarter, lattice.h, lattice.count, len(part.sign)
+    half, centre = int(np.ceil(around / (h * q.step))) + m + 1, np.round(middle / (h * q.step)).astype(np.int64)
+    # where switches may be, in view of those before and after them, and the states after c switches
+    after = np.concatenate([[0], np.cumsum(hold[1:])])
+    low = np.maximum(np.floor(part.low / h - LEAST_FRACTION).astype(np.int64), hold[0]) - after[:-1]
+    high = np.minimum(np.ceil(part.high / h + LEAST_FRACTION).astype(np.int64), N - hold[-1]) - after[:-1]
+    low = np.maximum.accumulate(low) + after[:-1]
+    high = np.minimum.accumulate(high[::-1])[::-1] + after[:-1]
+    first, last = np.concatenate([[0], low + hold[1:]]), np.concatenate([high, [N]])
+    start, states, reached = np.full((m + 1, q.highest - q.lowest + 1), -1), 0, {0}
+    for c, sign in enumerate([*part.sign, 0]):
+        for level in reached:
+            start[c, level - q.lowest], states = states, states + int(last[c] - first[c] + 1)
+        reached = {v + s for v in reached for s in (1, -1) if sign != -s and q.lowest <= v + s <= q.highest}
+    least = np.full((m, 2, N + 1), np.inf)
+    if (low > high).any() or (start[m] < 0).all():
+        return least
+    if states * (2 * half + 1) > MOST_STATES:
+        raise UnsupportedError(f"no bound on a lattice of {N} angles: its tube needs more than half a gigabyte.")
+    moments = np.array([lattice.moments(r, int(span)) for span in (1, *hold)])
+    arrays = [centre, hold, low, high, part.sign.astype(np.int64), first, last, start, moments]
+    arrays = list(map(np.ascontiguousarray, arrays))
+    sizes = N, m, start.shape[1], q.lowest, half
+    model = RecursionInC(*sizes, *(one.ctypes.data for one in arrays), h, q.step)
+    V, W = np.full((2, states, 2 * half + 1), np.inf)
+    library = compiled_library(__file__, "lattice.c")
+    if library is None:
+        _recursion(model, arrays, V, W, least)
+    else:
+        given = V, W, least, np.empty(2 * half + 1)
+        library.lfo_lattice_run(ctypes.byref(model), *(ctypes.c_void_p(one.ctypes.data) for one in given))
+    return 4 / np.pi * least
 
 
-def _recursion(p: RecursionInC, arrays: Sequence[Array | Indices], V: Array, choices: NDArray[np.int8]) -> None:
+def _recursion(p: RecursionInC, arrays: list[Array], V: Array, W: Array, least: Array) -> None:
     """Do what lattice.c does, without a compiler."""
-    centre, hold, low, high, sign, moments = arrays
-    q, width = p.h * p.step, 2 * p.half + 1
-
-    def reach(i: int, c: int, at: int, span: int, place: int, to: tuple[int, int], label: int) -> None:
-        level = p.lowest + to[1]
-        shift = int(centre[i] - level * span - centre[i + span])
-        a, b = max(0, -shift), min(width, width - shift)
-        if a >= b:
-            return
-        n, t, v = np.arange(a, b) + float(centre[i] - p.half), p.h * span, p.step * level
-        of_R, of_tR, of_RR = moments[place, :, i]
-        cost = (q * q * t * n - q * (v * t * t - 2 * of_R)) * n + (v * v * t**3 / 3 - 2 * v * of_tR + of_RR)
-        cost += V[(i + span) % p.ring][to][a + shift : b + shift]
-        value, choice = V[i % p.ring, c, at, a:b], choices[i, c, at, a:b]
-        choice[cost < value] = label
-        np.minimum(value, cost, out=value)
-
-    for i in range(p.count, -1, -1):
-        V[i % p.ring], choices[i] = np.inf, 0
-        for c in range(p.switches, -1, -1):
-            if (c and i < low[c - 1]) or (c < p.switches and i > high[c]):
-                continue
-            for at in range((c + p.lowest) % 2, p.levels, 2):
-                if i == p.count and c == p.switches:
-                    V[i % p.ring, c, at, p.half - centre[i]] = 0.0
-                if i < p.count:
-                    reach(i, c, at, 1, 0, (c, at), 0)
-                if c < p.switches and low[c] <= i <= high[c] and i + hold[c + 1] <= p.count:
-                    for s in (1, -1):
-                        if 0 <= at + s < p.levels and sign[c] != -s:
-                            reach(i, c, at, int(hold[c + 1]), c + 2, (c + 1, at + s), 1 if s > 0 else 2)
+    centre, hold, low, high, sign, first, last, start, moments = arrays
+    rows = {
+        (i, int(c), int(at)): int(start[c, at]) + i - int(first[c])
+        for c, at in zip(*np.nonzero(start >= 0), strict=True)
+        for i in range(int(first[c]), int(last[c]) + 1)
+    }
+    for forth in (False, True):
+        for i, c, at in sorted(rows, reverse=not forth):
+            near, ways = rows[i, c, at], [(c, at, 1, 0, 0)]
+            if (i, c) == ((0, 0) if forth else (p.count, p.switches)):
+                (W if forth else V)[near, slice(None) if forth else p.half] = 0.0
+            if c < p.switches and low[c] <= i <= high[c]:
+                ways += [(c + 1, at + s, int(hold[c + 1]), c + 2, s) for s in (1, -1) if sign[c] != -s]
+            for to_c, to, span, place, s in ways:
+                far = rows.get((i + span, to_c, to))
+                if far is None:
+                    continue
+                v = p.lowest + to
+                shift = int(centre[i] - v * span - centre[i + span])
+                a = np.arange(max(0, -shift), min(2 * p.half + 1, 2 * p.half + 1 - shift))
+                n, q, t, (of_R, of_tR, of_RR) = a + centre[i] - p.half, p.h * p.step, p.h * span, moments[place, :, i]
+                v = v * p.step
+                cost = (q * q * t * n - q * (v * t * t - 2 * of_R)) * n + (v * v * t**3 / 3 - 2 * v * of_tR + of_RR)
+                if forth:
+                    cost += W[near, a]
+                    W[far, a + shift] = np.minimum(W[far, a + shift], cost)
+                    whole = (cost + V[far, a + shift]).min(initial=np.inf)
+                    if s:
+                        least[c, (1 - s) // 2, i] = min(least[c, (1 - s) // 2, i], whole)
+                else:
+                    V[near, a] = np.minimum(V[near, a], cost + V[far, a + shift])

@@ -1,234 +1,246 @@
-"""A lower bound on the cost of every pulse train, by branch and bound over boxes of its angles.
+"""Local optima over the angles of a pulse train, a proof that there is no better one near, and parts without a train.
 
-J = E + e_0 and b_k (quarter.py) are twice differentiable in the angles, with K_ab = pi/2 - max(a, b) and
-K_aa = -min(a, b) for a != b, and d^2 K(a, a)/da^2 = pi - 4a.
-With any lambda and l_k <= b_k <= h_k, a feasible train has
+With c a local optimum, s the steps, and multipliers of the amplitudes and dwells, L = E + lambda'(b - limit) - nu'x,
+x = the dwells less their least values, is below E for every train of the problem (quarter.py). L is zero in slope at
+c, but for rounding G. E is a polynomial of degree three in ordered angles, hence
 
-    J >= L = J + sum_k lambda_k b_k - sum_k max(lambda_k l_k, lambda_k h_k),
+    L(c + d) = L(c) + G'd + 1/2 d' M(d) d,    M(d) = H_E(c + d/3) + sum_k lambda_k diag w_k(d),
 
-and on a box with centre c and half widths r, by Taylor's formula,
+where w_k has the weighted second derivatives of b_k: 2 int (1 - t) cos k(c_i + t d_i) dt is cos kc_i - (kd_i/3) sin
+kc_i within (kd_i)^2/12. With 0 <= x <= W over the box and a multiplier mu >= 0, mu x >= mu x^2/W keeps the bound: the
+squares of dwells and of limited amplitudes are added, and of those with b_k = l_k = h_k any multiple rho. An amplitude
+is x(c) + u + v, with its slope u and |v| <= 1/2 sum |b_k''| d_i^2, and (u + v)^2 >= u^2/2 - v^2.
+M is linear in d, its constants aside: it is positive semidefinite over a box if it is at the corners. Then the bound
+over the box is L(c) less |G|'|d|. The box need not hold c.
 
-    L >= L(c) - sum_i |L_i(c)| r_i + 1/2 sum_i min(0, least of L_ii) r_i^2 - 1/2 sum_(i != j) |L_ij| r_i r_j.
+*Parts without a train.* A weighted sum of amplitudes is a sum over the angles, whose least value over a lattice takes
+one pass. Move all angles of a train to the lattice by one random offset, the mean kept: dwells keep their whole steps,
+and the mean of the sum rises by at most h^2/8 times its second derivatives. A sum that misses its limits by more than
+that excludes the part. Cutting planes find weights.
 
-lambda makes the slope at the centre small (least squares), or is zero. Boxes are left out where a dwell is too short,
-or a b_k misses its bounds; the others are halved until the least of their bounds is the cost wanted. Patterns of
-steps are all those with levels within the limit. A train with fewer switches is one of them: two opposite steps at the
-same angle do nothing, nor does a step at pi/2. No bound is below that of Parseval's equation, J = sum_k (b_k/k)^2 + e_0
-over all odd k: the least squares of the amplitudes that have bounds, and nothing of the others.
-
-The local search over angles is sequential quadratic programming.
+The local search over angles is sequential quadratic programming, and Newton's method with the limits that it meets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from fractions import Fraction
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
-from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Indices
 from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
-ROUNDING = 1e-12  # of the sums of the absolute terms of J and b_k: some 10^3 rounding errors are smaller
-MOST_BOXES = 2_000_000  # at once: some seconds and a gigabyte
-MOST_PATTERNS = 100_000  # of steps: of more, MOST_BOXES is reached while boxes are still wide
-BATCH = 20_000  # boxes bounded between two looks at the clock: some hundredths of a second
-STEEPEST = 100.0  # largest multiplier, in sizes of J over those of b_k: its terms' rounding is below that of J
-COST_ROUNDING = 1e-15  # change of the cost, relative to the sum of its terms, that is rounding: steps end there
+ENERGY_ROUNDING = 1e-13  # of the sums of the absolute terms of E and b_k, for ten angles: rounding is smaller
+COST_ACCURACY = 1e-13  # change of the cost, relative to the sum of its terms, at which the search ends
 AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
+SEARCH_STEPS = 80  # of a search: those that converge take half of them
+NEWTON_STEPS, NEWTON_REACH = 6, 1e-2  # after the search; a longer step [rad] is none from an optimum
+AT_LIMIT = 1e-7  # distance from a limit at which a local search leaves an amplitude or a dwell that meets it
+CLOSE_TO_LIMIT = 1e-4  # the same, where Newton's method begins
+MOST_CORNERS = 2**12  # of a box
+SUMS, MOST_SUMS = 4000, 40  # angles of a quarter for sums of amplitudes, and how many sums are tried at most
+SUM_ACCURACY = 1e-9  # of amplitudes of order 1, by which a sum must miss its limits to be worth a try
+SUM_FRACTION = 1e-9  # of a step, by which ranges of angles are wider: their rounding is smaller
+EIGENVALUE_ROUNDING = 1e-12  # of the largest entry of M: the rounding of eigenvalues is smaller for twelve angles
+STIFFNESS = 0.0, 1.0, 30.0  # rho that are tried
 
 
-@dataclass(frozen=True, eq=False)
-class AngleBoxes:
-    """Boxes of angles: patterns of steps, centres and half widths, each (boxes, d), and bounds (boxes,)."""
+def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array) -> float:
+    """Return a bound on E over trains with angles within low <= a <= high (m,), by those at c; -infinity if none."""
+    m, k, weight = len(c), np.array(quarter.orders, dtype=float)[:, None], 4 / np.pi * steps
+    if 2**m > MOST_CORNERS:
+        return -np.inf
+    (E, g), (b, slopes) = quarter.energy(steps, c), quarter.amplitudes(steps, c)
+    rows, x, multipliers = _multipliers(quarter, steps, c)
+    D, price, nu = rows[len(k) :], multipliers[: len(k)], -multipliers[len(k) :]
+    over = np.where(price == 0, 0.0, b - np.where(price > 0, quarter.high, np.where(price < 0, quarter.low, b)))
+    G = g + multipliers @ rows
+    corners = np.array(list(product(*zip(low - c, high - c, strict=True))))
+    reach, along = np.abs(corners).max(axis=0), np.abs(rows @ corners.T).max(axis=1)
+    second = weight * k
+    bent = price @ (second * np.cos(k * c)) - corners / 3 * (price @ (second * k * np.sin(k * c)))
+    bent += np.abs(price) @ (np.abs(second) * k**2) * reach**2 / 12
+    turn = np.abs(second) @ reach**2 / 2  # the largest v
+    stiff, fixed = nu / np.maximum(x + along[len(k) :], AT_LIMIT), quarter.low == quarter.high
+    M = _curvature(steps, c + corners / 3) - bent[:, None] * np.eye(m) + 2 * (D.T * stiff) @ D
+    value = E + price @ over - nu @ x - np.abs(G) @ reach - 2 * (stiff * np.abs(x)) @ along[len(k) :]
+    value -= ENERGY_ROUNDING * (1 + float(np.abs(price).sum())) * float(np.abs(weight).sum()) ** 2
+    of_price = np.abs(price) / np.maximum(np.abs(over) + along[: len(k)] + turn, AT_LIMIT)
+    for rho in STIFFNESS:
+        stiff = np.where(fixed, rho, np.minimum(of_price, rho))
+        bend = stiff @ np.square(np.abs(second) * reach).sum(axis=1) / 2
+        whole = M + (slopes.T * stiff) @ slopes - bend * np.eye(m)
+        if np.linalg.eigvalsh(whole).min() > EIGENVALUE_ROUNDING * np.abs(whole).max():
+            misses = np.where(fixed, np.abs(b - quarter.low), np.abs(over))
+            return float(value - 2 * (stiff * misses) @ (along[: len(k)] + turn))
+    return -np.inf
 
-    steps: Array
-    centre: Array
-    radius: Array
-    bound: Array
 
-    def take(self, kept: Indices | Mask) -> AngleBoxes:
-        """Return some of the boxes."""
-        return AngleBoxes(self.steps[kept], self.centre[kept], self.radius[kept], self.bound[kept])
-
-    @staticmethod
-    def joined(parts: Sequence[AngleBoxes]) -> AngleBoxes:
-        """Return the boxes of all parts."""
-        names = [field.name for field in fields(AngleBoxes)]
-        return AngleBoxes(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def halved(self) -> AngleBoxes:
-        """Return both halves of every box along its longest side."""
-        rows, side, radius = np.arange(len(self.bound)), self.radius.argmax(axis=1), self.radius.copy()
-        radius[rows, side] /= 2
-        shift = np.zeros_like(radius)
-        shift[rows, side] = radius[rows, side]
-        return AngleBoxes.joined([replace(self, centre=self.centre + s * shift, radius=radius) for s in (-1.0, 1.0)])
+def local_prices(quarter: Quarter, steps: Array, c: Array) -> Array:
+    """Return the prices r (angle_lattice.py) with which the slope of L_r is zero at a local optimum."""
+    _, _, multipliers = _multipliers(quarter, steps, c)
+    return -multipliers[: len(quarter.orders)] * np.array(quarter.orders) / 2
 
 
-class AngleBound:
-    """The boxes of one problem; ``halve`` them until ``value`` is the bound wanted.
+def _curvature(steps: Array, a: Array) -> Array:
+    """Return the second derivatives (n, m, m) of E at ordered angles (n, m)."""
+    i, j = np.indices((len(steps), len(steps)))
+    both, later = 8 / np.pi * np.outer(steps, steps), (QUARTER - a)[:, np.maximum(i, j)] * (i != j)
+    alone = np.diagonal(both) * (2 * a - QUARTER) - (both * later).sum(axis=2)
+    return np.where(i == j, alone[:, :, None], both * a[:, np.minimum(i, j)])
 
-    ``low`` and ``high`` are the bounds on the amplitudes, and ``size`` is the sum of the absolute terms of J.
-    """
 
-    def __init__(self, quarter: Quarter):
-        self._quarter = quarter
-        self._orders = np.array(quarter.orders, dtype=float)
-        self._price, self._offset = quarter.price, quarter.offset
-        self.low, self.high = quarter.low, quarter.high
-        d = len(quarter.dwells) - 1
-        self._amplitude = max(d, 1) * quarter.step * 4 / np.pi
-        self.size = self._price * (2 * self._amplitude**2 + abs(self._offset))
-        # all patterns of steps whose levels stay within their bounds
-        signs = np.zeros((1, 0))
-        for _ in range(d):
-            signs = np.vstack([np.column_stack([signs, np.full(len(signs), s)]) for s in (1.0, -1.0)])
-            levels = signs.sum(axis=1)
-            signs = signs[(levels >= quarter.lowest) & (levels <= quarter.highest)]
-            if len(signs) > MOST_PATTERNS:
-                raise UnsupportedError(
-                    f"no bound over angles: got more than {MOST_PATTERNS:,} orders of {d} steps up and down; expected "
-                    "a shorter horizon, or fewer levels."
-                )
-        steps = signs * quarter.step
-        least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), quarter.orders, strict=True)
-        trivial = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self._offset))
-        whole = self._price * np.nextafter(float(trivial), -np.inf)
-        middle = np.full(steps.shape, QUARTER / 2)
-        self.boxes = AngleBoxes(steps, middle, middle.copy(), np.full(len(steps), whole))
-        self.done = np.inf  # the least bound of the boxes that were dropped for their bound
+def _multipliers(quarter: Quarter, steps: Array, c: Array, active: float = AT_LIMIT) -> tuple[Array, Array, Array]:
+    """Return slopes of amplitudes and dwells (k + m + 1, m), dwells above the least, and multipliers that fit best."""
+    from scipy.optimize import nnls  # slow to import
 
-    @property
-    def value(self) -> float:
-        """Return the bound on the cost of every train."""
-        return min(self.done, float(self.boxes.bound.min(initial=np.inf)))
+    m, (b, slopes) = len(c), quarter.amplitudes(steps, c)
+    x = np.diff(np.concatenate([[0.0], c, [QUARTER]])) - quarter.dwells
+    rows = np.vstack([slopes, np.diff(np.vstack([np.zeros(m), np.eye(m), np.zeros(m)]), axis=0)])
+    below = np.concatenate([np.abs(b - quarter.low) < active, x < active])
+    above = np.concatenate([np.abs(b - quarter.high) < active, np.zeros(m + 1, dtype=bool)])
+    sides = np.hstack([np.eye(len(rows))[:, above], -np.eye(len(rows))[:, below]])
+    found = nnls(rows.T @ sides, -quarter.energy(steps, c)[1])[0] if sides.size else np.zeros(sides.shape[1])
+    return rows, x, sides @ found
 
-    @property
-    def widest(self) -> float:
-        """Return the largest half width; 0 without boxes."""
-        return float(self.boxes.radius.max(initial=0.0))
 
-    def best(self) -> Iterator[tuple[Array, Array]]:
-        """Yield steps and angles of the centre of the box with the least bound, of one pattern after the other."""
-        seen = set[bytes]()
-        for i in np.argsort(self.boxes.bound):
-            key = self.boxes.steps[i].tobytes()
-            if key not in seen:
-                seen.add(key)
-                yield self.boxes.steps[i], np.maximum.accumulate(self.boxes.centre[i])
-
-    def halve(self, cutoff: float, end: float = np.inf) -> bool:
-        """Halve every box with a bound below the cutoff along its longest side; False where there are too many.
-
-        Boxes whose turn comes after ``end``, by ``clock.now``, stay whole.
-        """
-        open_ = self.boxes.bound < cutoff
-        self.done = min(self.done, float(self.boxes.bound[~open_].min(initial=np.inf)))
-        self.boxes = self.boxes.take(open_)
-        count = len(self.boxes.bound)
-        if 2 * count > MOST_BOXES:
-            return False
-        batches = [self.boxes.take(rows) for rows in np.array_split(np.arange(count), count // BATCH + 1)]
-        self.boxes = AngleBoxes.joined([one if now() > end else self._bound_boxes(one.halved()) for one in batches])
-        return True
-
-    def _bound_boxes(self, boxes: AngleBoxes) -> AngleBoxes:
-        """Return the boxes that may hold a train, with their bounds: not below those of the boxes that they are of."""
-        s, c, r = boxes.steps, boxes.centre, boxes.radius
-        # boxes whose dwells and amplitudes may meet their bounds
-        ends = ((0, 0), (1, 1))
-        low, high = np.pad(c - r, ends), np.pad(c + r, ends)
-        low[:, -1] = high[:, -1] = QUARTER
-        ordered = (low[:, :-1] + self._quarter.dwells <= high[:, 1:] + ROUNDING).all(axis=1)
-        values, slopes, curvature = self._amplitudes(s, c, r)
-        reach = (np.abs(slopes) * r[:, None]).sum(2) + (curvature * r[:, None] ** 2).sum(2) / 2
-        reach += ROUNDING * self._amplitude
-        meets = ((values + reach >= self.low) & (values - reach <= self.high)).all(axis=1)
-        possible = np.flatnonzero(ordered & meets)
-        boxes, values, slopes, curvature = boxes.take(possible), values[possible], slopes[possible], curvature[possible]
-        s, c, r = boxes.steps, boxes.centre, boxes.radius
-        cost, slope, most, least = self._cost(s, c, r)
-        bound = boxes.bound
-        for active in (0, 1, len(self._orders)):
-            # lambda that makes the slope at the centre small; zero where it would be large
-            weights = np.zeros((len(slope), active))
-            if active:
-                weights = -np.einsum("nik,ni->nk", np.linalg.pinv(slopes[:, :active], rcond=1e-6), slope)
-                small = (np.abs(weights) < STEEPEST * self.size / self._amplitude).all(axis=1, keepdims=True)
-                weights = np.where(small, weights, 0.0)
-            value = cost + (weights * values[:, :active]).sum(1)
-            limits = np.where(weights > 0, self.high[:active], self.low[:active])
-            ends = weights * np.where(weights == 0, 0.0, limits)  # there may be no limit where there is no multiplier
-            steep = np.abs(slope + np.einsum("nk,nki->ni", weights, slopes[:, :active]))
-            diagonal = least + np.einsum("nk,nki->ni", np.abs(weights), -curvature[:, :active])
-            bend = (np.minimum(diagonal, 0.0) * r**2).sum(1) - np.einsum("ni,nij,nj->n", r, most, r)
-            bound = np.maximum(bound, value - ends.sum(1) - (steep * r).sum(1) + bend / 2 - ROUNDING * self.size)
-        return AngleBoxes(s, c, r, bound)
-
-    def _amplitudes(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array]:
-        """Return b_k at centres, (boxes, k), slopes and largest |second derivatives| on boxes, (boxes, k, d)."""
-        k, weight = self._orders[:, None], (4 / np.pi) * s[:, None]
-        waves, turned = np.cos(k * c[:, None]), -np.sin(k * c[:, None])
-        curved = np.minimum(np.abs(waves) + k * r[:, None], 1.0)
-        return (weight * waves / k).sum(2), weight * turned, np.abs(weight) * k * curved
-
-    def _cost(self, s: Array, c: Array, r: Array) -> tuple[Array, Array, Array, Array]:
-        """Return J and its slopes at centres, the largest |L_ij| (i != j, else 0) and the least L_ii of J on boxes."""
-        a, both = QUARTER - c, self._price * (4 / np.pi) * s[:, :, None] * s[:, None, :]
-        low, high = np.minimum(a[:, :, None], a[:, None, :]), np.maximum(a[:, :, None], a[:, None, :])
-        kernel = low * high * QUARTER - low**3 / 6 - low * high**2 / 2
-        cost = (both * kernel).sum((1, 2)) + self._price * self._offset
-        first, second = a[:, :, None], a[:, None, :]
-        of_first = np.where(first <= second, second * QUARTER - (first**2 + second**2) / 2, second * (QUARTER - first))
-        slope = -2 * (both * of_first).sum(2)
-        others = ~np.eye(a.shape[1], dtype=bool)
-        widest = np.maximum(r[:, :, None], r[:, None, :])
-        most = np.where(others, np.abs(2 * both) * np.maximum(QUARTER - high + widest, 0.0), 0.0)
-        mixed = -2 * both * np.where(both > 0, low + widest, np.maximum(low - widest, 0.0))
-        alone = np.diagonal(both, axis1=1, axis2=2) * (np.pi - 4 * a - 4 * r)
-        return cost, slope, most, alone + np.where(others, mixed, 0.0).sum(2)
+def _newton(quarter: Quarter, steps: Array, c: Array) -> Array:
+    """Return the angles (m,) after steps of Newton's method with the limits that have multipliers near c."""
+    k = np.array(quarter.orders, dtype=float)[:, None]
+    multipliers = _multipliers(quarter, steps, c, CLOSE_TO_LIMIT)[2]
+    kept, price = multipliers != 0, multipliers[: len(k)]
+    limits = np.where(price > 0, quarter.high, quarter.low)
+    for _ in range(NEWTON_STEPS):
+        rows, x, _ = _multipliers(quarter, steps, c)
+        A, misses = rows[kept], np.concatenate([quarter.amplitudes(steps, c)[0] - limits, x])[kept]
+        bent = np.diag(multipliers[: len(k)] @ (4 / np.pi * steps * k * np.cos(k * c)))
+        system = np.block([[_curvature(steps, c[None])[0] - bent, A.T], [A, np.zeros((len(A), len(A)))]])
+        right = -np.concatenate([quarter.energy(steps, c)[1], misses])
+        step = np.linalg.lstsq(system, right, rcond=None)[0]
+        c, multipliers = c + step[: len(c)], np.zeros(len(multipliers))
+        multipliers[kept] = step[len(c) :]
+    return c
 
 
 def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, float] | None:
-    """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails."""
+    """Return the angles (d,) of a local optimum near ``angles``, and its cost; None if the search fails.
+
+    Where it fails, a second one begins at angles whose amplitudes miss their limits least.
+    """
     from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
 
     low, high, count = quarter.low, quarter.high, len(angles)
     size = 2 * (max(count, 1) * quarter.step * 4 / np.pi) ** 2 + abs(quarter.offset)
+    first, last = quarter.dwells[0], QUARTER - quarter.dwells[-1]
+    dwells = [LinearConstraint(np.diff(np.eye(count), axis=0), quarter.dwells[1:-1], np.inf)] if count > 1 else []
 
     def cost(angles: Array) -> tuple[float, Array]:
         value, slope = quarter.energy(steps, angles)
         return (value + quarter.offset) / size, slope / size
 
+    def squares(angles: Array) -> tuple[float, Array]:
+        values, slopes = quarter.amplitudes(steps, angles)
+        over = values - np.clip(values, low, high)
+        return float(over @ over), 2 * over @ slopes
+
     def amplitudes(derivative: int, rows: Indices, angles: Array) -> Array:  # of order 0, or 1: their slopes
         return quarter.amplitudes(steps, angles)[derivative][rows]
 
-    constraints: list[LinearConstraint | NonlinearConstraint] = []
+    def misses(angles: Array) -> float:
+        values, _ = quarter.amplitudes(steps, angles)
+        short = float((quarter.dwells[1:-1] - np.diff(angles)).max(initial=0.0))
+        return max(short, float(np.maximum(low - values, values - high).max(initial=0.0)))
+
+    def search(
+        objective: Callable[[Array], tuple[float, Array]],
+        start: Array,
+        limits: Sequence[LinearConstraint | NonlinearConstraint],
+    ) -> Array:
+        found = minimize(
+            objective,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(first, last)] * count,
+            constraints=[*limits, *dwells],
+            options={"ftol": COST_ACCURACY, "maxiter": SEARCH_STEPS},
+        ).x
+        return np.clip(np.maximum.accumulate(found), first, last)
+
+    limits = list[NonlinearConstraint]()
     limited = np.isfinite(low) | np.isfinite(high)
     for rows in (np.flatnonzero(low == high), np.flatnonzero((low < high) & limited)):
         if len(rows):
             values, slopes = partial(amplitudes, 0, rows), partial(amplitudes, 1, rows)
-            constraints.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
-    if count > 1:
-        constraints.append(LinearConstraint(np.diff(np.eye(count), axis=0), quarter.dwells[1:-1], np.inf))
-    first, last = quarter.dwells[0], QUARTER - quarter.dwells[-1]
-    optimum = minimize(
-        cost,
-        angles,
-        jac=True,
-        method="SLSQP",
-        bounds=[(first, last)] * count,
-        constraints=constraints,
-        options={"ftol": COST_ROUNDING, "maxiter": 200},
-    )
-    at = np.clip(np.maximum.accumulate(optimum.x), first, last)
-    values, _ = quarter.amplitudes(steps, at)
-    violation = float(np.maximum(low - values, values - high).max(initial=0.0))
-    violation = max(violation, float((quarter.dwells[1:-1] - np.diff(at)).max(initial=0.0)))
-    return None if violation > AMPLITUDE_VIOLATION else (at, quarter.price * size * cost(at)[0])
+            limits.append(NonlinearConstraint(values, low[rows], high[rows], jac=slopes))
+    at = search(cost, angles, limits)
+    if misses(at) > AMPLITUDE_VIOLATION:
+        at = search(cost, search(squares, angles, ()), limits)
+    better = _newton(quarter, steps, at)
+    better = np.clip(np.maximum.accumulate(better), first, last)
+    if np.abs(better - at).max(initial=0.0) <= NEWTON_REACH and misses(better) <= AMPLITUDE_VIOLATION:
+        at = better
+    return None if misses(at) > AMPLITUDE_VIOLATION else (at, quarter.price * size * cost(at)[0])
+
+
+def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> tuple[Array, Array, float] | None:
+    """Return steps and angles (m,) of a train whose amplitudes miss their limits little, and by how much.
+
+    Angles are in a range, and steps have signs, 0 where both are allowed. None if no train meets the limits.
+    """
+    from scipy.optimize import linprog  # slow to import
+
+    q, k, best = quarter, np.array(quarter.orders, dtype=float), (np.zeros(0), np.zeros(0), np.inf)
+    ends = np.where(np.isfinite(q.high), q.high, 0.0), np.where(np.isfinite(q.low), q.low, 0.0)
+    bounds = [(0.0, float(one)) for one in np.isfinite([q.high, q.low]).ravel()] + [(None, None)]
+    curved = 4 / np.pi * q.step * len(sign) * (QUARTER / SUMS) ** 2 / 8 * k
+    weights, rows = np.zeros(len(k)), list[Array]()
+    for _ in range(MOST_SUMS):
+        found = _least_sum(q, low, high, sign, weights)
+        if found is None:
+            return None
+        steps, angles = found
+        values = q.amplitudes(steps, angles)[0]
+        most = np.maximum(weights, 0.0) @ ends[0] - np.maximum(-weights, 0.0) @ ends[1]
+        if weights @ values - np.abs(weights) @ curved - ENERGY_ROUNDING * len(sign) * np.abs(weights).sum() > most:
+            return None
+        missed = float(np.maximum(q.low - values, values - q.high).max(initial=0.0))
+        best = min(best, (steps, angles, missed), key=lambda one: one[2])
+        rows.append(np.concatenate([ends[0] - values, values - ends[1], [1.0]]))
+        objective = np.append(np.zeros(2 * len(k)), -1.0)
+        answer = linprog(objective, np.array(rows), np.zeros(len(rows)), bounds=bounds, method="highs")
+        if answer.x is None or answer.fun is None or -answer.fun <= SUM_ACCURACY:
+            break
+        weights = answer.x[: len(k)] - answer.x[len(k) : -1]
+    return best
+
+
+def _least_sum(quarter: Quarter, low: Array, high: Array, sign: Indices, weights: Array) -> tuple[Array, Array] | None:
+    """Return steps and angles of the train of a lattice with the least weighted sum of amplitudes; None without one."""
+    h, m, k = QUARTER / SUMS, len(sign), np.array(quarter.orders, dtype=float)
+    wave = 4 / np.pi * quarter.step * np.cos(h * np.outer(np.arange(SUMS + 1), k)) @ (weights / k)
+    hold = np.floor(quarter.dwells / h - SUM_FRACTION).astype(int).clip(0)
+    first, last = np.floor(low / h - SUM_FRACTION).astype(int), np.ceil(high / h + SUM_FRACTION).astype(int)
+    levels = quarter.highest - quarter.lowest + 1
+    rest, choices = np.zeros((levels, SUMS + 1)), np.full((m, levels, 2, SUMS + 1), np.inf)
+    for c in reversed(range(m)):
+        switch = slice(max(first[c], hold[0]), min(last[c], SUMS - hold[c + 1]) + 1)
+        after = slice(switch.start + hold[c + 1], switch.stop + hold[c + 1])
+        if switch.start >= switch.stop:
+            return None
+        for s in {1, -1} if sign[c] == 0 else {int(sign[c])}:
+            to = slice(max(s, 0), levels + min(s, 0))
+            choices[c, max(-s, 0) : levels + min(-s, 0), (1 - s) // 2, switch] = s * wave[switch] + rest[to, after]
+        rest = np.minimum.accumulate(choices[c].min(axis=1)[:, ::-1], axis=1)[:, ::-1]
+    level, i, steps, angles = -quarter.lowest, 0, np.zeros(m), np.zeros(m)
+    if rest[level, 0] == np.inf:
+        return None
+    for c in range(m):
+        side, at = np.unravel_index(choices[c, level, :, i:].argmin(), (2, SUMS + 1 - i))
+        s = 1 - 2 * int(side)
+        steps[c], angles[c] = s * quarter.step, (i + at) * h
+        level, i = level + s, i + int(at) + int(hold[c + 1])
+    return steps, angles

@@ -11,6 +11,7 @@ I(theta) = -sum_i s_i min(pi/2 - theta, c_i) over the quarter, so that for odd k
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
+ANGLE_ROUNDING = 1e-12  # of angles of a quarter: the rounding of their sums with dwells is smaller
 LEVEL_ROUNDING = 1e-9  # of a level's limit over the step: limits that are whole multiples of it are met
 
 
@@ -69,6 +71,20 @@ class Quarter:
         """Return the amplitudes b_k and their slopes (k, d) of one train."""
         k, weight = np.array(self.orders, dtype=float)[:, None], (4 / np.pi) * steps
         return (weight * np.cos(k * angles) / k).sum(1), -weight * np.sin(k * angles)
+
+    def apart(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return bounds of angles (d,) that those before and after leave: dwells are no less than the least."""
+        after = np.cumsum(self.dwells)
+        low = np.maximum.accumulate(np.maximum(low - after[:-1], 0.0)) + after[:-1]
+        high = np.minimum.accumulate(np.minimum(high - after[:-1], QUARTER - after[-1])[::-1])[::-1] + after[:-1]
+        return low - ANGLE_ROUNDING, high + ANGLE_ROUNDING
+
+    @property
+    def least_cost(self) -> float:
+        """Return a bound on the cost by the least squares of the amplitudes, rounded down (Parseval)."""
+        least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), self.orders, strict=True)
+        exact = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self.offset))
+        return self.price * float(np.nextafter(float(exact), -np.inf))
 
     def shift(self, r: Array) -> float:
         """Return -sum r_k^2 + 2 sum min(r_k l_k, r_k h_k) / k, of a bound on the energy by L_r."""

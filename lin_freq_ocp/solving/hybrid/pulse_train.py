@@ -1,11 +1,17 @@
-"""The method for pulse trains: branch and bound over angles, whose best is polished and judged."""
+"""The method for pulse trains: branch and bound over angles, whose best is polished and judged.
+
+A part of the angles is closed by the curvature around a local optimum (angles.py), or bounded on a lattice
+(angle_lattice.py) with the prices of such an optimum. What may hold a better train becomes a narrower part for the same
+or a finer lattice, or two parts.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import product
-from typing import ClassVar
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -15,8 +21,8 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.methods.candidate import zero_multipliers
-from lin_freq_ocp.methods.hybrid.angle_lattice import AngleLattice, AngleRange, LatticePoint
-from lin_freq_ocp.methods.hybrid.angles import AngleBound, local_angles
+from lin_freq_ocp.methods.hybrid.angle_lattice import AngleLattice, AngleRange
+from lin_freq_ocp.methods.hybrid.angles import bound_near, local_angles, local_prices, nearest_train
 from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, QUARTER, PulseTrain
@@ -28,15 +34,14 @@ from lin_freq_ocp.solving.outcome import Judged, Outcome
 from lin_freq_ocp.transform.simulation import simulate
 
 GAP = 1e-6  # default of the relative gap to prove
-SHARE_OF_BOXES = 0.95  # of the time, after which the best train is refined and judged
-LOCAL_WIDTH = 0.05  # half width of a box [rad] from which a local search starts at its centre
+SHARE_OF_PARTS = 0.95  # of the time, after which the best train is refined and judged
 SAME_OPTIMUM = 0.01  # distance of angles [rad] of two trains of a lattice from which the local optimum is the same
-FEW_ANGLES = 3  # boxes alone prove them within a second
-FEW_TO_NARROW = 5  # angles up to which boxes prove the gap that the lattice leaves
-LATTICES = 1000, 4000, 8000  # angles of a quarter: gaps of about 1, .1 and .03 % for eight switches
-NARROWING, HALVINGS = (1000, 4000), 3  # angles of lattices that narrow boxes, and how often each side may halve
+FIRST_LATTICE = 250  # angles of a quarter: where a first train is sought, without a tube
+LATTICES = [1000 * 2**n for n in range(7)]  # with eight switches, the first has gaps of about 1 %
+SMALLER = 0.7  # of the sum of the ranges of a part, below which it is bounded again before it is divided
+MOST_PARTS = 20_000  # in all: a minute or more
 LEAST_OVER = 1e-12  # of a bound on the energy over the cutoff: its rounding is smaller
-EXCLUDED_BY_BOXES = "proven by branch and bound: no box of angles contains a pulse train"
+EXCLUDED = "proven by branch and bound: no box of angles contains a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
 
 
@@ -62,7 +67,7 @@ class Angles:
     takes_start: ClassVar[bool] = True
 
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
-        """Halve boxes until the bound reaches the cost of the best local optimum, and judge that."""
+        """Narrow and divide parts until the bound reaches the cost of the best local optimum, and judge that."""
         search = _TrainSearch(problem, self.gap, now(), request)
         message, interrupted = "", False
         try:
@@ -72,88 +77,117 @@ class Angles:
         return search.outcome(message, interrupted)
 
 
+class _Node(NamedTuple):
+    """Some trains: a bound on their cost, their number, the lattice that is next, and prices of the amplitudes."""
+
+    bound: float
+    number: int
+    level: int
+    part: AngleRange
+    r: Array
+
+
 class _TrainSearch:
-    """One search: the boxes, and the best train so far."""
+    """One search: the parts that are left, and the best train so far."""
 
     def __init__(self, problem: OptimalControlProblem, gap: float, started: float, request: Request):
         dynamics = problem.dynamics
         assert isinstance(dynamics, PulseTrain)
         self._problem, self._gap, self._started, self._request = problem, gap, started, request
         self._quarter = quarter = Quarter.of_problem(problem, dynamics)
-        self._bound, self._dynamics = AngleBound(quarter), dynamics
-        self._floor = -np.inf  # the bound of the lattice
+        self._dynamics, self._done, count = dynamics, np.inf, problem.horizon - 1
         self._best: tuple[Array, Array] | None = None  # steps and angles
         self._cost = np.inf
-        self._tried: set[tuple[bytes, bytes]] = set()
+        self._optima = dict[tuple[bytes, bytes], tuple[Array, Array, Array]]()  # steps, angles, prices of local ones
+        self._tried = set[tuple[bytes, bytes]]()
+        self._lattices = [AngleLattice(quarter, N) for N in LATTICES]
+        whole = AngleRange(np.zeros(count), np.full(count, QUARTER), np.zeros(count, dtype=np.intp))
+        r = np.clip(0.0, quarter.low, quarter.high) / np.array(quarter.orders)
+        self._parts, self._numbers = list[_Node](), 0
+        self._push(_Node(quarter.least_cost, 0, 0, whole, r))
 
     def run(self) -> str:
         """Return why the search stopped early, or an empty string."""
         self._begin()
-        end = self._started + SHARE_OF_BOXES * self._request.time_limit
-        if self._problem.horizon - 1 > FEW_ANGLES and now() <= end:
-            self._search_lattice(end)
-            if self._problem.horizon - 1 > FEW_TO_NARROW and self._floor > -np.inf:
-                done = now() <= end
-                return f"{LATTICES[-1]} angles leave a gap" if done else f"time limit of {self._request.time_limit:g} s"
-        while self._value < self._cutoff:
-            if now() <= end and not self._bound.halve(self._cutoff, end):
-                return "too many boxes of angles"
-            if self._bound.widest < LOCAL_WIDTH:  # search near the best box of each pattern, once on this scale
-                for steps, angles in self._bound.best():
-                    if now() <= end:
-                        self._look_once(steps, angles, LOCAL_WIDTH)
+        end = self._started + SHARE_OF_PARTS * self._request.time_limit
+        if self._best is None:
+            self._find_train(end)
+        while self._parts and self._parts[0].bound < self._cutoff:
             if now() > end:
                 return f"time limit of {self._request.time_limit:g} s"
+            if self._numbers > MOST_PARTS:
+                return f"{MOST_PARTS:,} parts of the angles leave a gap"
+            for child in self._branch(self._parts[0], end):
+                self._push(child)
+            heappop(self._parts)  # its children have larger numbers, and an interrupt before leaves it in the list
         return ""
 
-    def _search_lattice(self, end: float) -> None:
-        """Bound all trains on lattices, finer ones while the gap is open, and look near the best trains of each."""
-        quarter, count = self._quarter, self._problem.horizon - 1
-        whole = AngleRange(np.zeros(count), np.full(count, QUARTER), np.zeros(count, dtype=np.intp))
-        r = np.clip(0.0, quarter.low, quarter.high) / np.array(quarter.orders)
-        with suppress(UnsupportedError):
-            lattices = [AngleLattice(quarter, N) for N in (LATTICES if count > FEW_TO_NARROW else LATTICES[:1])]
-            for coarser, lattice in zip([lattices[0], *lattices], lattices, strict=False):
-                if lattice is not coarser and now() + coarser.seconds * (lattice.count / coarser.count) ** 2 > end:
-                    return
-                for point in lattice.best(whole, r, end):
-                    if self._cost_at_least(point) > self._floor:
-                        self._floor, r = self._cost_at_least(point), point.r
-                    self._look_once(point.steps, point.angles, SAME_OPTIMUM)
-                if self._floor >= self._cutoff:
-                    return
-            if count <= FEW_TO_NARROW:
-                self._narrow(r, end)
-
-    def _narrow(self, r: Array, end: float) -> None:
-        """Raise the bounds of the boxes, one for each pattern of steps, and leave out what the lattice excludes."""
-        boxes = self._bound.boxes
-        low, high, bound = boxes.centre - boxes.radius, boxes.centre + boxes.radius, boxes.bound.copy()
-        for lattice, (i, steps) in product([AngleLattice(self._quarter, N) for N in NARROWING], enumerate(boxes.steps)):
-            if bound[i] >= self._cutoff:
+    def _find_train(self, end: float) -> None:
+        """Look for a train in parts whose amplitudes may meet their limits; without such a part there is none."""
+        whole, least = self._parts[0], np.inf
+        waiting = deque([whole.part])
+        while waiting and self._best is None and now() <= end:
+            part = waiting.popleft()
+            found = nearest_train(self._quarter, part.low, part.high, part.sign)
+            if found is None:
                 continue
-            sign, r_best = np.sign(steps).astype(np.intp), r
-            for point in lattice.best(AngleRange(low[i], high[i], sign), r, end, self._enough):
-                if self._cost_at_least(point) > bound[i]:
-                    bound[i], r_best = self._cost_at_least(point), point.r
-                self._look_once(point.steps, point.angles, SAME_OPTIMUM)
-            for j, side in product(range(len(sign)), (0, 1)):
-                if bound[i] >= self._cutoff or now() + lattice.seconds > end:
-                    break
-                for _ in range(HALVINGS):
-                    part = AngleRange(low[i].copy(), high[i].copy(), sign)
-                    (part.high, part.low)[side][j] = middle = (low[i, j] + high[i, j]) / 2
-                    if self._cost_at_least(lattice.bound(r_best, part, self._enough)) < self._cutoff:
-                        break
-                    (low, high)[side][i, j] = middle
-            if now() > end:
-                break
-        self._bound.boxes = replace(boxes, centre=(low + high) / 2, radius=(high - low) / 2, bound=bound)
-        self._bound.done = min(self._bound.done, self._cutoff)  # of the trains left out
+            steps, angles, missed = found
+            if part is whole.part:
+                with suppress(UnsupportedError):
+                    point = AngleLattice(self._quarter, FIRST_LATTICE).bound(whole.r, part)
+                    self._look_once(point.steps, point.angles)
+            if missed < least / 2 or part.sign.all():
+                least = min(least, missed)
+                self._look_once(steps, angles)
+            waiting.extend(part.halves())
+        if not waiting and self._best is None:
+            self._parts.clear()
 
-    def _cost_at_least(self, point: LatticePoint) -> float:
-        """Return the bound of the lattice on the cost."""
-        return self._quarter.price * (point.bound + self._quarter.offset)
+    def _branch(self, node: _Node, end: float) -> list[_Node]:
+        """Bound a part, and return what is open of it: narrower, for a finer lattice, or as two parts."""
+        part, quarter = node.part, self._quarter
+        for steps, angles, prices in self._optima.values():
+            if part.is_near(steps, angles):
+                node = node._replace(r=prices)
+                if part.sign.all():
+                    proven = self._cost_at_least(bound_near(quarter, steps, angles, part.low, part.high))
+                    if proven >= self._cutoff:
+                        self._done = min(self._done, proven)
+                        return []
+        if nearest_train(quarter, part.low, part.high, part.sign) is None:
+            return []
+        lattice = self._lattices[node.level]
+        try:
+            best = max(lattice.best(part, node.r, end, self._enough), key=lambda point: point.bound)
+            if self._cost_at_least(best.bound + best.loss) < self._cutoff:  # a finer lattice does not exclude it
+                self._look_once(best.steps, best.angles)
+            node = node._replace(bound=max(node.bound, self._cost_at_least(best.bound)), r=best.r)
+            if node.bound >= self._cutoff:
+                self._done = min(self._done, node.bound)
+                return []
+        except UnsupportedError:
+            return [node._replace(part=half) for half in part.halves()]
+        self._done = min(self._done, self._cutoff)  # of what is left out
+        narrow = lattice.narrow(part, best.open)
+        if narrow is None:
+            return []
+        finer = quarter.price * best.loss > (self._cutoff - node.bound) / 2 and node.level + 1 < len(LATTICES)
+        narrower = (narrow.high - narrow.low).sum() < SMALLER * (part.high - part.low).sum()
+        if narrower or (finer and narrow.sign.all()):
+            return [node._replace(part=narrow, level=node.level + finer)]
+        return [node._replace(part=half) for half in narrow.halves()]
+
+    def _push(self, node: _Node) -> None:
+        """Leave a part for later, unless no train is in it."""
+        low, high = self._quarter.apart(node.part.low, node.part.high)
+        if (low <= high).all():
+            part = AngleRange(low, high, node.part.sign)
+            heappush(self._parts, node._replace(number=self._numbers, part=part))
+        self._numbers += 1
+
+    def _cost_at_least(self, energy: float) -> float:
+        """Return the bound on the cost of one on the energy."""
+        return self._quarter.price * (energy + self._quarter.offset)
 
     @property
     def _enough(self) -> float:
@@ -168,23 +202,26 @@ class _TrainSearch:
             equal = QUARTER * np.arange(1, count + 1) / (count + 1)
             self._look_near(steps, equal if start.trajectory is None else start.trajectory.x[1:-1, ANGLE])
 
-    def _look_once(self, steps: Array, angles: Array, width: float) -> None:
-        """Look near these angles unless that was done within about a width."""
-        key = steps.tobytes(), np.round(angles / width).tobytes()
-        if steps.all() and key not in self._tried:  # a part without a train has no steps
+    def _look_once(self, steps: Array, angles: Array) -> None:
+        """Look near these angles, unless that was done near others that are almost the same."""
+        key = steps.tobytes(), np.round(angles / SAME_OPTIMUM).tobytes()
+        if key not in self._tried and steps.all():
             self._tried.add(key)
             self._look_near(steps, angles)
 
     def _look_near(self, steps: Array, angles: Array) -> None:
-        """Keep the local optimum near these angles if it is the best so far."""
+        """Remember the local optimum near these angles."""
         local = local_angles(self._quarter, steps, angles)
-        if local is not None and local[1] < self._cost:
-            self._best, self._cost = (steps, local[0]), local[1]
+        if local is not None:
+            key = steps.tobytes(), local[0].tobytes()
+            self._optima[key] = steps, local[0], local_prices(self._quarter, steps, local[0])
+            if local[1] < self._cost:
+                self._best, self._cost = (steps, local[0]), local[1]
 
     @property
     def _value(self) -> float:
         """Return the bound on the cost of every train."""
-        return max(self._floor, self._bound.value)
+        return min([self._done, *(node.bound for node in self._parts)])
 
     @property
     def _cutoff(self) -> float:
@@ -210,7 +247,7 @@ class _TrainSearch:
             status = Status.LIMIT if status == Status.NUMERICAL_ERROR and message else status
         else:
             excluded = not message and self._value == np.inf
-            status, message = (Status.INFEASIBLE, EXCLUDED_BY_BOXES) if excluded else (Status.LIMIT, message)
+            status, message = (Status.INFEASIBLE, EXCLUDED) if excluded else (Status.LIMIT, message)
         ending = status, "" if status == Status.OPTIMAL else message
         seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
         return outcome_of_search(problem, Angles.shorthand, judged, ending, seconds, interrupted)

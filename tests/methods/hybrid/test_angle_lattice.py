@@ -1,13 +1,13 @@
-"""The bound on a lattice of angles: against trains, a finer lattice, and the recursion without a compiler."""
+"""The bound on a lattice of angles, and the cells it leaves: against trains, a finer lattice, without a compiler."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from helpers.replacing import substitute
+import lin_freq_ocp as lfo
 from helpers.seeds import seeds
-from lin_freq_ocp.methods.hybrid import AngleLattice, AngleRange, Quarter, local_angles
+from lin_freq_ocp.methods.hybrid import AngleLattice, AngleRange, Quarter, local_angles, local_prices
 
 END = np.pi / 2
 
@@ -43,25 +43,62 @@ def allowed(quarter: Quarter, r: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", seeds(range(25)))
-@pytest.mark.parametrize("width", [0.002, 0.1])
-def test_no_bound_is_above_a_train(seed, width, monkeypatch):
-    """Whatever the prices, and however narrow the first tube; also of a part that holds the train."""
+@pytest.mark.parametrize("share", [0.3, 1.1, np.inf])
+def test_no_bound_is_above_a_train_and_no_cell_of_one_is_closed(seed, share):
+    """Whatever the prices, and however narrow the tube; also of a part that holds the train."""
     rng = np.random.default_rng(seed)
     quarter, steps, angles = random_quarter(rng)
-    substitute(monkeypatch, "methods.hybrid.FIRST_WIDTH", width)
     near = local_angles(quarter, steps, angles)
-    cost = min(quarter.energy(steps, angles)[0], np.inf if near is None else near[1])
+    energy = quarter.energy(steps, angles)[0]
+    cost, enough = min(energy, np.inf if near is None else near[1]), share * energy
     part = AngleRange(
         angles - rng.uniform(0, 0.3, len(steps)), angles + rng.uniform(0, 0.3, len(steps)), np.sign(steps)
     )
     lattice = AngleLattice(quarter, 150)
     first = np.clip(0.0, quarter.low, quarter.high) / np.array(quarter.orders)
     for r in (first, rng.normal(size=len(quarter.orders)), np.zeros(len(quarter.orders))):
-        assert lattice.bound(allowed(quarter, r), whole(quarter)).bound <= cost
-        assert lattice.bound(allowed(quarter, r), part).bound <= quarter.energy(steps, angles)[0]
+        assert lattice.bound(allowed(quarter, r), whole(quarter), enough).bound <= cost
+        for trains in (whole(quarter), part):
+            point = lattice.bound(allowed(quarter, r), trains, enough)
+            assert point.bound <= energy
+            if share > 1:
+                narrow = lattice.narrow(trains, point.open)
+                assert narrow is not None
+                assert ((narrow.low <= angles) & (angles <= narrow.high)).all()
+                assert ((narrow.sign == 0) | (narrow.sign == np.sign(steps))).all()
+                cells = np.floor(angles / lattice.h).astype(int).clip(0, lattice.count - 1)
+                assert point.open[np.arange(len(steps)), (steps < 0).astype(int), cells].all()
     points = list(lattice.best(whole(quarter), first, np.inf))
     assert max(point.bound for point in points) <= cost
     assert max(point.bound for point in points) >= points[0].bound
+
+
+def test_the_prices_of_the_best_optimum_leave_a_narrow_part_around_it():
+    problem = lfo.library.pulse_pattern(kind="opp", modulation=0.7, switches=16)
+    trajectory = lfo.solve(problem).trajectory
+    quarter = Quarter.of_problem(problem, problem.dynamics)
+    steps, angles = np.diff(trajectory.x[:-1, 1]), trajectory.x[1:-1, 0]
+    energy, lattice = quarter.energy(steps, angles)[0], AngleLattice(quarter, 1000)
+    point = lattice.bound(local_prices(quarter, steps, angles), whole(quarter), energy)
+    narrow = lattice.narrow(whole(quarter), point.open)
+    assert energy - 2 * point.loss <= point.bound <= energy
+    assert (narrow.sign == np.sign(steps)).all()
+    assert (narrow.high - narrow.low).max() < 0.1
+    again = lattice.bound(point.r, narrow, energy)  # in the band of the part, which is narrower than the tube
+    assert point.bound <= again.bound <= energy
+    assert lattice.narrow(narrow, np.zeros_like(again.open)) is None
+
+
+def test_parts_are_halved_by_a_free_sign_then_by_the_widest_range():
+    part = AngleRange(np.array([0.0, 0.5]), np.array([0.5, 1.5]), np.array([1, 0]))
+    up, down = part.halves()
+    assert (up.sign.tolist(), down.sign.tolist()) == ([1, 1], [1, -1])
+    early, late = up.halves()
+    assert early.high.tolist() == [0.5, 1.0]
+    assert late.low.tolist() == [0.0, 1.0]
+    assert up.is_near(np.array([0.5, 0.5]), np.array([0.6, 1.0]))
+    assert not up.is_near(np.array([0.5, 0.5]), np.array([0.9, 1.0]))
+    assert not up.is_near(np.array([0.5, -0.5]), np.array([0.2, 1.0]))
 
 
 @pytest.mark.parametrize("seed", seeds(range(10)))
@@ -86,12 +123,14 @@ def test_without_a_compiler_the_recursion_is_the_same(seed, no_compiler):
     rng = np.random.default_rng(seed)
     quarter, _, _ = random_quarter(rng)
     r = allowed(quarter, rng.uniform(-1, 1, len(quarter.orders)))
-    expected = AngleLattice(quarter, 100).bound(r, whole(quarter))
+    enough = AngleLattice(quarter, 100).bound(r, whole(quarter)).bound + 0.02
+    expected = AngleLattice(quarter, 100).bound(r, whole(quarter), enough)
     with no_compiler("lattice.c could not be compiled"):
-        found = AngleLattice(quarter, 100).bound(r, whole(quarter))
+        found = AngleLattice(quarter, 100).bound(r, whole(quarter), enough)
     assert found.bound == pytest.approx(expected.bound, abs=1e-13)
     assert found.angles == pytest.approx(expected.angles)
     assert (found.steps == expected.steps).all()
+    assert (found.open == expected.open).all()
 
 
 def test_parts_without_a_train_have_an_infinite_bound():
