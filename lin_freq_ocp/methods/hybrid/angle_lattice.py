@@ -137,13 +137,13 @@ class AngleLattice:
     def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
         """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
         edge, low, high = LEAST_FRACTION * self.h, part.low.copy(), part.high.copy()
-        for j, cells in enumerate(opened.any(axis=1)):
+        for j, cells in enumerate(np.logical_or.reduce(opened, axis=1)):
             where = np.flatnonzero(cells)
             if not len(where):
                 return None
             low[j] = max(low[j], where[0] * self.h - edge)
             high[j] = min(high[j], (where[-1] + 1) * self.h + edge)
-        up, down = opened.any(axis=2).T
+        up, down = np.logical_or.reduce(opened, axis=2).T
         return AngleRange(low, high, np.where(up & down, part.sign, np.where(up, 1, -1)))
 
     def _bound(self, r: Array, part: AngleRange, enough: float, kept: bool) -> LatticePoint:
@@ -165,7 +165,7 @@ class AngleLattice:
         if part.sign.all() and band <= width:
             rest = np.minimum(QUARTER - theta[:, None], QUARTER - np.sort(part.low + part.high) / 2) @ part.sign
             e, leaving = min(float(np.abs(middle - rest * q.step).max()) + band + steepest * h / 2, farthest), np.inf
-            middle, width = rest * q.step, band
+            middle, width = np.asarray(rest * q.step, dtype=float), band
         ends = np.minimum(part.high + h, QUARTER)
         loss = h**2 * q.step / np.pi * float(q.step * together @ ends + len(ends) * e)
         through = _least_through(self, r, middle, width, part, hold) - loss
