@@ -201,7 +201,7 @@ class AngleLattice:
             for a in k
             for b in k
         ]
-        return -np.sin(theta * k) / k, self.waves / k**2, np.hstack(products)
+        return -np.sin(theta * k) / k, self.waves / k**2, np.hstack([np.zeros((len(theta), 0)), *products])
 
     def moments(self, r: Array, span: int) -> Array:
         """Return the integrals (3, N + 1) of R, (t - start) R and R^2 from every angle over ``span`` steps."""

@@ -123,6 +123,22 @@ def test_amplitudes_may_have_no_limit(third):
     assert result.lower_bound <= result.cost <= lfo.solve(given).cost + 1e-9
 
 
+def test_without_amplitudes_the_level_that_stays_at_zero_is_the_best():
+    quarter = np.pi / 2
+    problem = lfo.OptimalControlProblem(
+        lfo.dynamics.PulseTrain(step=1.0, orders=[]),
+        horizon=3,
+        cost=lfo.QuadraticCost(p=[0, 0, 0, 1]),
+        control_set=lfo.Box([0, -1], [quarter, 1]),
+        state_set=lfo.Box([0, -1, -quarter, 0], [quarter, 1, quarter, 4]),
+        initial_state=lfo.Box([0, 0, -quarter, 0], [0, 0, quarter, 0]),
+        terminal_state=lfo.Box([quarter, -1, 0, 0], [quarter, 1, 0, 4]),
+    )
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(0.0, abs=1e-9)
+
+
 def test_an_interrupt_leaves_a_bound_of_all_trains(monkeypatch):
     """The part that was looked at when it came is not lost."""
     problem, calls = published(0.05, 16), [0]
