@@ -40,7 +40,7 @@ FIRST_LATTICE = 250  # angles of a quarter: where a first train is sought, witho
 LATTICES = [1000 * 2**n for n in range(7)]  # with eight switches, the first has gaps of about 1 %
 SMALLER = 0.7  # of the sum of the ranges of a part, below which it is bounded again before it is divided
 MOST_PARTS = 20_000  # in all: a minute or more
-LEAST_OVER = 1e-12  # of a bound on the energy over the cutoff: its rounding is smaller
+LEAST_OVER = 1e-12  # of a bound on the energy over the cutoff, and of the best energy over it: rounding is smaller
 EXCLUDED = "proven by branch and bound: no box of angles contains a pulse train"
 ANGLES = "branch and bound over boxes of the angles"
 
@@ -225,8 +225,9 @@ class _TrainSearch:
 
     @property
     def _cutoff(self) -> float:
-        """Return the bound at which the search ends: half of the gap is reserved for the refined answer."""
-        return np.inf if self._best is None else self._cost - self._gap / 2 * abs(self._cost)
+        """Return the bound at which the search ends: half of the gap, or rounding, is left to the refined answer."""
+        left = max(self._gap / 2 * abs(self._cost), self._quarter.price * LEAST_OVER)
+        return np.inf if self._best is None else self._cost - left
 
     def outcome(self, message: str, interrupted: bool) -> Outcome:
         """Return the refined answer with its bound, or why there is none."""
