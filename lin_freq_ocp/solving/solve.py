@@ -151,7 +151,10 @@ class _Round(NamedTuple):
 
 
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
-    """Solve a problem with masks at every frequency by exchange, and judge the answer."""
+    """Solve a problem with masks at every frequency by exchange, and judge the answer.
+
+    A problem with modes is proven in each round, and the best round is recovered; the best of another is judged.
+    """
     request = replace(request, cached=None, tree=None)
     of_round, end = replace(request, proof=False), now() + request.time_limit
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
@@ -203,5 +206,6 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
     if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall, outcome = f"at the frequencies of {plural(len(masks), 'mask')} only", best.outcome
-        return recover_outcome(best.reduced, replace(outcome, seconds=seconds), CONDITION_TOLERANCE, shortfall)
+        outcome = replace(outcome, seconds=seconds, interrupted=rounds[-1].outcome.interrupted)
+        return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
     return judge_round(best)

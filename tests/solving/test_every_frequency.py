@@ -16,6 +16,7 @@ from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.comparison import ProblemSignal, measured_solution
 from lin_freq_ocp.errors import ProblemError
 from lin_freq_ocp.files import result_summary
+from lin_freq_ocp.problem import peaks_above
 from lin_freq_ocp.results import Multipliers, Status
 from lin_freq_ocp.solving import LinearAuto, judge_candidate
 
@@ -78,6 +79,29 @@ def test_a_proof_that_is_cut_short_leaves_the_answer_of_the_rounds(solved, inter
     result = lfo.solve(masked(), throw=False)
     assert (result.status, result.interrupted) == ("optimal", interrupted)
     assert result.cost == pytest.approx(solved.cost, rel=1e-8)
+
+
+def test_ctrl_c_in_a_later_round_of_a_search_is_told(monkeypatch):
+    run, solves = lfo.solvers.BranchAndBound.solve, list[lfo.OptimalControlProblem]()
+
+    def interrupted_later(self, problem, request):
+        solves.append(problem)
+        outcome = run(self, problem, request)
+        gone = {"status": Status.LIMIT, "trajectory": None, "multipliers": None, "interrupted": True}
+        return outcome if len(solves) == 1 else replace(outcome, **gone)
+
+    def slightly_above(*given):
+        points, ratios = peaks_above(*given)
+        return points, np.append(ratios, 1 + 1e-7)  # enough for another round, too little to spoil the answer
+
+    monkeypatch.setattr(lfo.solvers.BranchAndBound, "solve", interrupted_later)
+    substitute(monkeypatch, "problem.peaks_above", slightly_above)
+    integrator = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(
+        integrator, 5, lfo.QuadraticCost(R=1.0), lfo.FiniteSet([-1, 0, 1]), initial_state=[0], terminal_state=[2]
+    )
+    result = lfo.solve(masked(9.0, problem=problem), throw=False)
+    assert (len(solves), result.status, result.interrupted) == (2, "optimal", True)
 
 
 def test_the_spectrum_stays_below_the_limit_between_the_bins(solved):

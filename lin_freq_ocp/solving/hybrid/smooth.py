@@ -1,4 +1,8 @@
-"""The method for piecewise-smooth dynamics: search, polish, judge, and bound from below."""
+"""The method for piecewise-smooth dynamics: search, polish, judge, and bound from below.
+
+``Nonsmooth.solve`` calls ``LocalSearch``, ``refine_optimum``, ``best_multipliers``, and so ``judge``; answers of linear
+methods alone pass through ``judge_candidate``.
+"""
 
 from __future__ import annotations
 
