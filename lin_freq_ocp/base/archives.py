@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import struct
 import zlib
 from io import BytesIO
@@ -29,10 +30,19 @@ def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None
         raise ProblemError(field, got, expected, "If you trust it, save it again without compression.")
 
 
+def decode_text(content: bytes) -> str:
+    """Return the text of a file in UTF-8, or in UTF-16 with its mark, as Windows writes it; else UnicodeDecodeError."""
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if marked else "utf-8-sig")  # some editors put a mark before UTF-8, too
+
+
 def mat_variables(field: str, content: bytes, command: str) -> dict[str, FileValue]:
     """Return the variables of a .mat file of version 5 or 7, by their names; ``command`` of MATLAB writes one."""
     from scipy.io import loadmat  # slow to import
 
+    expected, advice = "a .mat file of version 5 or 7", f"In MATLAB: {command}."
+    if content.startswith(b"MATLAB 7.3"):  # another format, which scipy does not read
+        raise ProblemError(field, "a .mat file of version 7.3", expected, advice)
     try:
         _require_modest_mat(field, content)
         stream: FileValue = BytesIO(content)  # stubs of scipy know names of files only
@@ -40,7 +50,7 @@ def mat_variables(field: str, content: bytes, command: str) -> dict[str, FileVal
     except ProblemError:
         raise
     except Exception as error:  # loadmat raises errors of many kinds for damaged files
-        raise ProblemError(field, f"{error}", "a .mat file of version 5 or 7", f"In MATLAB: {command}.") from None
+        raise ProblemError(field, f"{error}", expected, advice) from None
     return {name: value for name, value in variables.items() if not name.startswith("__")}
 
 

@@ -234,13 +234,15 @@ def suggestion(given: object, known: Iterable[str]) -> str:
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
 
 
+OPTIONS = 3  # parameters of a method that one may misspell without noticing
 _ANSWERING = dict[object, object]()
 
 
 def answering_misspelt(public: object) -> object:
-    """Let a function, or a class with its class methods, answer an unknown keyword by the nearest that it has.
+    """Let a function, or a class with its methods, answer an unknown keyword by the nearest that it has.
 
-    A class is changed in place; a function also where it is defined, so that it can be sent to other processes.
+    Of the methods of an object, those with at least OPTIONS parameters that may be left out. A class is changed in
+    place; a function also where it is defined, so that it can be sent to other processes.
     """
     called = _ANSWERING.get(public, public)
     if public in _ANSWERING:
@@ -252,6 +254,9 @@ def answering_misspelt(public: object) -> object:
                 setattr(public, name, _with_answer(member))
             elif isinstance(member, classmethod) and not name.startswith("_"):
                 setattr(public, name, classmethod(_with_answer(member.__func__)))
+            elif inspect.isfunction(member) and not name.startswith("_"):
+                if len(member.__defaults__ or ()) + len(member.__kwdefaults__ or ()) >= OPTIONS:
+                    setattr(public, name, _with_answer(member))
     elif inspect.isfunction(public):
         called = _with_answer(public)
         setattr(sys.modules[public.__module__], public.__name__, called)

@@ -1,8 +1,9 @@
 """Kinds of problems that register themselves.
 
-A table such as ``FAMILIES`` or ``JUDGES`` has entries by class. The floors fill those of linear problems. The folders
-``hybrid`` register their own entries on import, at the latest when a table lacks an entry: no module of these floors
-outside of a folder ``hybrid`` names one inside.
+Four tables have entries by the class of the dynamics: ``FORMS`` what a problem becomes, ``FAMILIES`` its methods,
+``CERTIFIERS`` how a trajectory alone is certified, ``JUDGES`` its judge. The floors fill those of linear problems. The
+folders ``hybrid`` register their own entries on import, at the latest when a table lacks an entry: no module of these
+floors outside of a folder ``hybrid`` names one inside.
 """
 
 from __future__ import annotations

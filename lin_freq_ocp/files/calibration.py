@@ -11,6 +11,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.comparison.shapers import bands_of
+from lin_freq_ocp.files.reading import read_text
 
 FREQUENCY, POWER = "freq", "psd_xyz"  # columns: Hz, and the power of all axes together
 
@@ -56,8 +57,8 @@ def read_calibration(
 def _columns(path: Path, column: str) -> tuple[Array, Array]:
     """Return frequencies in Hz, ascending, and a power, (k,) each."""
     try:
-        lines = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        lines = list(csv.reader(read_text(path).splitlines()))
+    except csv.Error as error:
         raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
     names = [name.strip().lstrip("#") for name in lines[0]] if lines else []
     if any(name.startswith("accel") for name in names):

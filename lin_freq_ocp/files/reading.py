@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.archives import FileValue, require_modest
+from lin_freq_ocp.base.archives import FileValue, decode_text, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -39,11 +39,11 @@ DAMAGED = (
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file; the field of a ProblemError is the path."""
+    """Return the text of a file in UTF-8 or UTF-16; the field of a ProblemError is the path."""
     try:
-        return read_bytes(path).decode("utf-8-sig")  # some editors on Windows put a byte-order mark first
+        return decode_text(read_bytes(path))
     except UnicodeDecodeError as error:
-        got = f"byte {error.start} that is not UTF-8"
+        got = f"byte {error.start} that is not {error.encoding.upper()}"
         raise ProblemError(str(path), got, "a text file", "Save it with the encoding UTF-8.") from None
 
 

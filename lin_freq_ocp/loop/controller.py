@@ -115,6 +115,9 @@ class Controller:
     ) -> tuple[Step | None, Outcome | None]:
         """Plan from a measured state; return the step, None if there is no control, and the answer of its problem.
 
+        ``WindowedPlanner`` plans windows of the applied control, ``Resolver.plan`` where only the state is new. What
+        neither plans, ``Resolver.solve`` does, for the hard problem and then the soft one.
+
         ``preview`` has the references, bounds and disturbance that the step foresees over its horizon. ``applied`` is
         the control that acted in the last step, if it was not the controller's.
         """
@@ -136,7 +139,7 @@ class Controller:
         if plain and not self._remembers:
             for resolver in self._trees:  # the hard problem, then the soft one
                 resolver.prepare(begin)  # so that also the first step without a solution takes no longer than others
-        quick = self._plan_uncertified(x, begin, started) if plain else None
+        quick = self._condensed_step(x, begin, started) if plain else None
         if quick is not None and not self._later:
             assert isinstance(quick.pending, PlannedStart)  # without limits it has settled
             quick = prove([quick], {0: quick.pending}).get(0)
@@ -147,7 +150,7 @@ class Controller:
             return self._steps[-1], None
         hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
-        plan = self._plan(outcome)
+        plan = self._applied_plan(outcome)
         if plan is None:
             return None, outcome
         own, compared = plan is outcome.trajectory, now() - solved
@@ -224,7 +227,7 @@ class Controller:
         self._steps.append(replace(step, reference=reference))
         self._applied.append(step.control)
 
-    def _plan_uncertified(self, x: Array, begin: Array, started: float) -> Step | None:
+    def _condensed_step(self, x: Array, begin: Array, started: float) -> Step | None:
         """Return the step of a plan from ``begin`` that is not judged; None if only a solve helps.
 
         Where changes or time end before the working set has settled, it is the better of the interrupted plan and the
@@ -288,7 +291,7 @@ class Controller:
                 self._steps[k] = proven[k]
         self._steps[:-1] = [replace(step, plan=None) for step in self._steps[:-1]]
 
-    def _plan(self, outcome: Outcome) -> Trajectory | None:
+    def _applied_plan(self, outcome: Outcome) -> Trajectory | None:
         """Return the plan of a step: its solution; without one, the better of its best point and the previous plan."""
         own = outcome.trajectory
         previous, rest = self._steps[-1].planned if self._steps else None, None

@@ -5,6 +5,11 @@ trajectory, multipliers, rays, directions of descent and the cost are mapped bac
 those that accept the problem are applied from left to right, and recovered from right to left. The judge
 checks the recovered answer, a claim about the given problem, on that problem.
 
+Masks, origins and own states are replaced in ``reformulations``, few controls between levels in ``level_rows``, costs
+by formulas in ``hybrid/priced``; what one method needs stands with it: ``methods/absorbed_cost``,
+``methods/spectral/reductions``, ``solving/hybrid/fixed_modes``. ``problem.form`` is the only other replacement that
+every solve makes.
+
 A new reduction is a subclass of ``Reduced`` that overrides some methods, and a function from a problem to this class.
 Its cases are in the table of ``tests/helpers/reductions.py``.
 

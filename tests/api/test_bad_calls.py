@@ -173,6 +173,7 @@ def test_an_unknown_keyword_of_solve_is_refused_with_the_right_one():
         lfo.solve(problem, timelimit=3)
 
 
+LOOP = lfo.RecedingHorizon(lfo.library.double_integrator())
 MISSPELT = {
     "amplitud": (lambda: lfo.MagnitudeBound(amplitud=1), "amplitude"),
     "lowr": (lambda: lfo.Box(lowr=1), "lower"),
@@ -185,6 +186,9 @@ MISSPELT = {
     "stag": (lambda: lfo.costs.SmoothCost(stag=1), "stage"),
     "horizn": (lambda: lfo.library.pendulum(horizn=300), "horizon"),
     "name": (lambda: lfo.maximum(1, 2, name=["a"]), "names"),
+    "reference": (lambda: LOOP.step([0, 0], reference=1), "references"),
+    "step": (lambda: LOOP.run([0, 0], step=3), "steps"),
+    "timelimit": (lambda: lfo.Solver(lfo.library.double_integrator()).solve(timelimit=1), "time_limit"),
 }
 
 

@@ -198,8 +198,9 @@ def table(power, head="freq,psd_x,psd_y,psd_z,psd_xyz,shapers:,zv(40.0)"):
     ids=["one peak", "two", "joined", "two above a larger share"],
 )
 def test_bands_are_where_the_power_is(tmp_path, power, share, bands):
-    (tmp_path / "calibration.csv").write_text(table(power))
-    assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
+    for encoding in ("utf-8", "utf-16"):
+        (tmp_path / "calibration.csv").write_text(table(power), encoding=encoding)
+        assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
     assert bands_of(HZ, power, share) == bands
 
 

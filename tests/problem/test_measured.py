@@ -62,15 +62,17 @@ def test_a_response_is_what_its_header_says(tmp_path, form, separator, decimal):
         ("1 2 3\n2 3 4\n", [1, 2, 3]),
     ],
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1", "utf-16"])
 def test_headers_of_analysers_and_spreadsheets(tmp_path, text, first, encoding):
-    (tmp_path / "frf.csv").write_bytes(text.encode(encoding if "\ufeff" not in text else "utf-8"))
+    unmarked = text.removeprefix("\ufeff") if encoding == "utf-16" else text  # which has a mark of its own
+    (tmp_path / "frf.csv").write_bytes(unmarked.encode("utf-8" if "\ufeff" in unmarked else encoding))
     assert read_response(tmp_path / "frf.csv")[0] == pytest.approx(first, abs=1e-12)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("0,0,0\n10,-20,-1.5\n", "frf.csv: header: got none; expected 'frequency [Hz],re,im' or 'frequency [Hz],magn"),
         ("0,1,0\n10,0.1,-90\n", "frf.csv: header: got none; expected 'frequency [Hz],re,im' or 'frequency [Hz],magn"),
         (
             "f,gain,phase\n1,2,3\n",
@@ -153,6 +155,9 @@ def test_what_is_no_plant_is_named(tmp_path, variables, message):
 def test_a_file_that_is_no_mat_file_is_named(tmp_path):
     with pytest.raises(ProblemError, match=r"expected a readable \.mat file"):
         lfo.LinearDynamics.from_mat(tmp_path / "none.mat")
+    (tmp_path / "plant.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+    with pytest.raises(ProblemError, match=r"got a \.mat file of version 7\.3; expected a \.mat file of ver"):
+        lfo.LinearDynamics.from_mat(tmp_path / "plant.mat")
     (tmp_path / "plant.mat").write_bytes(b"no plant")
     with pytest.raises(ProblemError, match=r"expected a .mat file of version 5 or 7\. In MATLAB: s = struct"):
         lfo.LinearDynamics.from_mat(tmp_path / "plant.mat")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.base.archives import FileValue, mat_variables
+from lin_freq_ocp.base.archives import FileValue, decode_text, mat_variables
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
@@ -30,8 +30,8 @@ TO_RADIANS = {"deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180,
 TO_RADIANS |= {"rad": 1.0, "radian": 1.0, "radians": 1.0}
 WITHOUT_HEADER = (FREQUENCY, "hz"), (REAL, ""), (IMAGINARY, "")
 FORMS = "'frequency [Hz],re,im' or 'frequency [Hz],magnitude [dB],phase [deg]'"
-PHASES = 7.0, 720.0  # largest values of a column that may be a phase in degrees
-POLAR = "A third column between 7 and 720 may be a phase in degrees: say in the first line what the columns are."
+POLAR = 7.0, 720.0  # largest values of a column that may be in dB or degrees
+QUESTION = "A column that reaches 7 to 720 may be in dB or degrees: say in the first line what the columns are."
 
 
 def read_response(path: Path) -> Array:
@@ -40,11 +40,11 @@ def read_response(path: Path) -> Array:
     Columns are separated by commas, semicolons, tabs or blanks; where it is not commas, numbers may have decimal
     commas. The header, which may be a comment, names the columns and their units: frequency in Hz, kHz or rad/s, real
     and imaginary part, or magnitude, in dB or not, and phase in degrees or radians. A coherence is left out. Without a
-    header, the columns are frequency in Hz, real and imaginary part.
+    header, the columns are frequency in Hz, real and imaginary part, unless they look like dB or degrees.
     """
     content = _content(path, "a readable CSV file")
     try:
-        text = content.decode("utf-8-sig")
+        text = decode_text(content)
     except UnicodeDecodeError:
         text = content.decode("latin-1")  # of spreadsheets on Windows, which write the sign of degrees so
     lines = [line for line in text.splitlines() if line.strip()]
@@ -73,8 +73,8 @@ def read_response(path: Path) -> Array:
     if not table:
         raise ProblemError(path.name, "no rows", f"rows of {kinds}")
     values = np.array(table)
-    if header is None and PHASES[0] <= np.abs(values[:, 2]).max() <= PHASES[1]:
-        raise ProblemError(f"{path.name}: header", "none", FORMS, POLAR)
+    if header is None and any(POLAR[0] <= largest <= POLAR[1] for largest in np.abs(values[:, 1:]).max(axis=0)):
+        raise ProblemError(f"{path.name}: header", "none", FORMS, QUESTION)
     return _cartesian(path.name, columns, values, first)
 
 
