@@ -254,11 +254,15 @@ class Certificate:
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
-        on_rims = self.borders is not None and self.borders.stationary_on_rims
-        extremal = (self.pmp == "satisfied" or on_rims) and self.normal
-        if extremal and self.second_order is not None and self.second_order.passed is False:
+        if self.extremal and self.second_order is not None and self.second_order.passed is False:
             return Status.EXTREMAL
-        return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
+        return Status.LOCALLY_OPTIMAL if self.extremal else Status.NUMERICAL_ERROR
+
+    @property
+    def extremal(self) -> bool:
+        """Whether the principle is satisfied with normal multipliers, at touched rims with the regions as constraints."""
+        on_rims = self.borders is not None and self.borders.stationary_on_rims
+        return bool((self.pmp == "satisfied" or on_rims) and self.normal)
 
     @property
     def pmp(self) -> str:

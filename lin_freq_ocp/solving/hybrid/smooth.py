@@ -206,13 +206,14 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = _with_weights(problem, local.trajectory, local.multipliers, local.sequence)
     plain = best_multipliers(problem, local.trajectory, first)
     # a cost that no search tells from zero may be what an iteration leaves of rest
-    rests = plain.certificate.failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
+    failed = plain.certificate.failed and not plain.certificate.extremal
+    rests = failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
     resting = trajectory_at_rest(problem, local.trajectory) if rests else None
     if resting is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting, first)
         allowed = plain.certificate.cost + plain.certificate.allowed_gap
         plain = at_rest if not at_rest.certificate.failed and at_rest.certificate.cost <= allowed else plain
-    if plain.certificate.pmp == "satisfied" and is_smooth(problem):
+    if plain.certificate.extremal and is_smooth(problem):
         return _prove_by_linear(problem, plain, end)
     best = plain
     for trajectory, multipliers in newton_points(problem, local, end):

@@ -21,7 +21,7 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
@@ -225,6 +225,7 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
+BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of the way from one time to the next at which a line that passes does
 # Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
 # start led to the best answer again, and else
 SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
@@ -286,9 +287,8 @@ class LocalSearch:
         self._known, self._decided = set[tuple[object, ...]](), set[bytes]()
         self._repeated, self._proven, self.attempts = False, False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
-        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
-        self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
-        self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
+        self._smooth, self._lines = is_smooth(self.problem), list[Trajectory]()
+        self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
         regions = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp)).regions
         obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
         if self._smooth and obstacles:
@@ -328,7 +328,7 @@ class LocalSearch:
     @property
     def enough_starts(self) -> int:
         """Return how many starts are enough if there is an answer and there are no modes to search."""
-        return len(self._lines) + (SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
+        return max(len(self._lines), SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -494,23 +494,27 @@ def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) 
 def lines_around_obstacles(obstacles: Sequence[PathConstraint], line: Trajectory, sizes: Array) -> list[Trajectory]:
     """Return a line through obstacles, bent along each state to either side until it is outside of them.
 
-    Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,).
+    Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,). Lines that jump
+    over an obstacle from one time to the next pass at no part of the way once they are bent twice as far.
     """
     hard = [one for one in obstacles if one.hard_part is not None]
 
-    def largest_violation(x: Array) -> float:
-        return max(
-            (float(np.nan_to_num(one.violation(x, line.u)[1:-1], nan=np.inf).max()) for one in hard), default=0.0
-        )
+    def passes(x: Array, times: slice) -> bool:
+        violations = (one.violation(x, line.u)[times] for one in hard)
+        return all(float(np.nan_to_num(part, nan=np.inf).max(initial=0.0)) == 0 for part in violations)
 
-    bend, bent = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory]()
-    if len(line.u) < 3 or largest_violation(line.x) == 0:
+    def passes_between(x: Array) -> bool:
+        return all(passes(x + part * np.diff(x, axis=0, append=x[-1:]), slice(-1)) for part in BETWEEN)
+
+    bend, bent, inner = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory](), slice(1, -1)
+    if passes(line.x, inner):
         return []
     for i in np.flatnonzero(np.any([one.used[:, : len(sizes)].any(axis=0) for one in hard], axis=0)):
         for side in SIDES:
             moves = (np.outer(side * share * sizes[i] * bend, np.arange(len(sizes)) == i) for share in REACHES)
-            passing = next((line.x + move for move in moves if largest_violation(line.x + move) == 0), None)
-            bent += [] if passing is None else [Trajectory(passing, line.u)]
+            passing = next((move for move in moves if passes(line.x + move, inner)), None)
+            if passing is not None and passes_between(line.x + 2 * passing):
+                bent.append(Trajectory(line.x + passing, line.u))
     return bent
 
 
