@@ -260,7 +260,7 @@ class Certificate:
 
     @property
     def extremal(self) -> bool:
-        """Whether the principle is satisfied with normal multipliers, at touched rims with the regions as constraints."""
+        """Whether the principle is satisfied with normal multipliers; at rims, with the regions as constraints."""
         on_rims = self.borders is not None and self.borders.stationary_on_rims
         return bool((self.pmp == "satisfied" or on_rims) and self.normal)
 

@@ -181,13 +181,25 @@ def _values_of_cost(formula: Formula | None, pairs: Array, t: int) -> Array:
     return np.zeros(len(pairs)) if formula is None else values_of([formula], pairs, np.array([t]))[:, 0]
 
 
-def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
+def states_of_controls(problem: OptimalControlProblem, first: Array, controls: Array) -> Array:
+    """Return the states (trials, T + 1, n) from first ones (trials, n) by controls (trials, T, m).
+
+    They are not numbers after a time at which no mode holds.
+    """
+    x = [first]
+    for t, u in enumerate(controls.swapaxes(0, 1)):
+        x.append(_successors(problem, np.hstack([x[-1], u]), t))
+    return np.stack(x, axis=1)
+
+
+def _successors(problem: OptimalControlProblem, pairs: Array, time: int = 0) -> Array:
     """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
     dynamics = piecewise_smooth(problem)
     successors = np.full((len(pairs), problem.state_dim), np.nan)
     missing = np.ones(len(pairs), dtype=bool)
     for mode in dynamics.modes:
-        values, region, domain = (values_of(part, pairs) for part in (mode.f, mode.region, mode.domain))
+        parts = (mode.f, mode.region, mode.domain)
+        values, region, domain = (values_of(part, pairs, np.array([time])) for part in parts)
         holds = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
         successors[holds] = values[holds]
         missing &= ~holds
@@ -210,11 +222,8 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
     start = np.clip(np.zeros(problem.state_dim), problem.ends[0].lower, problem.ends[0].upper)
     low, high = problem.control_tube.lower, problem.control_tube.upper
     shares = np.array([rng.random(low.shape) if i % 2 else np.full(low.shape, rng.random()) for i in range(SAMPLES)])
-    reached = [np.tile(start, (SAMPLES, 1))]
-    for controls in (low + shares * (high - low)).swapaxes(0, 1):
-        reached.append(_successors(problem, np.hstack([reached[-1], controls])))
-    complete = np.isfinite(reached).all(axis=(0, 2))
-    states = np.vstack([start, *(x[complete] for x in reached)])
+    reached = states_of_controls(problem, np.tile(start, (SAMPLES, 1)), low + shares * (high - low))
+    states = np.vstack([start, *reached[np.isfinite(reached).all(axis=(1, 2))]])
     margin = 0.05 * np.ptp(states, axis=0) + 1e-3
     return (
         np.where(np.isfinite(lower), lower, states.min(axis=0) - margin),
@@ -225,7 +234,9 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
-BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of the way from one time to the next at which a line that passes does
+BETWEEN = tuple(
+    k / 8 for k in range(1, 8)
+)  # parts of the way from one time to the next at which a line that passes does
 # Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
 # start led to the best answer again, and else
 SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
@@ -293,7 +304,7 @@ class LocalSearch:
         obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
         if self._smooth and obstacles:
             line = self._constant_trajectory(SHARES[0], replayed=False)
-            self._lines = [*lines_around_obstacles(obstacles, line, self._sizes), line]
+            self._lines = lines_around_obstacles(obstacles, line, self._sizes) or [line]
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
