@@ -148,9 +148,9 @@ class Dynamics(ABC):
         """Return linear dynamics that agree to first order at (x_t, u_t), with the modes of the trajectory."""
         return self.standard_form.linear_at(x, u)
 
-    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return for every norm the times t < T at which its arguments are zero, (T,)."""
-        return self.standard_form.active_kinks(x, u)
+    def active_kinks(self, x: Array, u: Array, sizes: Array) -> dict[Formula, Mask]:
+        """Return for every norm the times t < T at which its arguments are zero, (T,), by ``sizes`` (n + m,)."""
+        return self.standard_form.active_kinks(x, u, sizes)
 
     def translated(self, origin: Array, horizon: int) -> Dynamics | None:
         """Return the dynamics of x - origin, origin (n,); None if their zero has a meaning."""
@@ -232,7 +232,7 @@ class StandardDynamics(Dynamics):
         """Return these dynamics."""
         return self
 
-    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
+    def active_kinks(self, x: Array, u: Array, sizes: Array) -> dict[Formula, Mask]:
         """Return none: there are no norms."""
         return {}
 
