@@ -385,9 +385,8 @@ def kinks(
         return ()
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
-    selections: dict[Formula, Array] = {}
-    sizes = np.concatenate(trajectory_sizes(problem, trajectory))
-    for norm, active in problem.form.active_kinks(x, u, sizes).items():
+    sizes, selections = np.concatenate(trajectory_sizes(problem, trajectory)), dict[Formula, Array]()
+    for norm, active in (piecewise_smooth(problem).active_kinks(x, u, sizes) if judged else {}).items():
         selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         for t in np.flatnonzero(active):
             selections[norm][t] = judged.get((_norm_text(problem, norm), int(t)), 0.0)

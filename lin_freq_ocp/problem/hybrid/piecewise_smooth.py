@@ -33,7 +33,7 @@ from lin_freq_ocp.problem.hybrid.affine_mode import SIMULATION_ROUNDING, AffineM
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 
-# The arguments of a norm are zero if they are smaller, relative to what the sizes of states and controls make of them:
+# The arguments of a norm are zero if each is smaller, relative to what states and controls of their sizes change of it:
 # solvers leave 1e-8.
 ZERO_NORM = 1e-7
 OUTSIDE = 1e3  # the distance of a point from the linearised region of a mode that is not defined there
@@ -367,10 +367,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
     def active_kinks(self, x: Array, u: Array, sizes: Array) -> dict[Formula, Mask]:
-        """Return for every norm the times t < T at which its arguments are zero, (T,).
-
-        ``sizes`` (n + m,) are those of states and controls: each argument is compared with what these change of it.
-        """
+        """Return for every norm the times t < T at which its arguments are zero, (T,), by ``sizes`` (n + m,)."""
         y = np.hstack([x[: len(u)], u])
         active: dict[Formula, Mask] = {}
         for norm in self.norms:

@@ -205,8 +205,8 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = _with_weights(problem, local.trajectory, local.multipliers, local.sequence)
     plain = best_multipliers(problem, local.trajectory, first)
     # a cost that no search tells from zero may be what an iteration leaves of rest
-    failed = plain.certificate.failed and not plain.certificate.extremal
-    rests = failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
+    rounding = DECREASE * search_scale(problem, local.trajectory)
+    rests = not plain.certificate.extremal or 0 < plain.certificate.cost <= rounding
     resting = trajectory_at_rest(problem, local.trajectory) if rests else None
     if resting is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting, first)
@@ -285,9 +285,8 @@ def _starts_along(search: LocalSearch, judged: Judged, d: Trajectory) -> list[tu
         u = trajectory.u + sign * PARTS_OF_DIRECTION[:, None, None] * d.u
         first, controls = trajectory.x[0] + sign * PARTS_OF_DIRECTION[:, None] * d.x[0], problem.control_tube.project(u)
         states = states_of_controls(problem, problem.initial_box.project(first), controls)
-        for part, start, beyond in zip(
-            PARTS_OF_DIRECTION, map(Trajectory, states, controls), u - controls, strict=True
-        ):
+        trials = zip(PARTS_OF_DIRECTION, map(Trajectory, states, controls), u - controls, strict=True)
+        for part, start, beyond in trials:
             moved = NEARLY_WITHIN * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
             outside = np.hstack([problem.state_tube.violation(start.x)[:-1], beyond])
             cost = problem.value(start.x, start.u)

@@ -182,10 +182,7 @@ def _values_of_cost(formula: Formula | None, pairs: Array, t: int) -> Array:
 
 
 def states_of_controls(problem: OptimalControlProblem, first: Array, controls: Array) -> Array:
-    """Return the states (trials, T + 1, n) from first ones (trials, n) by controls (trials, T, m).
-
-    They are not numbers after a time at which no mode holds.
-    """
+    """Return states (trials, T + 1, n) from the ``first`` by controls (trials, T, m); NaN once no mode holds."""
     x = [first]
     for t, u in enumerate(controls.swapaxes(0, 1)):
         x.append(_successors(problem, np.hstack([x[-1], u]), t))
@@ -196,10 +193,9 @@ def _successors(problem: OptimalControlProblem, pairs: Array, time: int = 0) -> 
     """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
     dynamics = piecewise_smooth(problem)
     successors = np.full((len(pairs), problem.state_dim), np.nan)
-    missing = np.ones(len(pairs), dtype=bool)
+    missing, at = np.ones(len(pairs), dtype=bool), np.array([time])
     for mode in dynamics.modes:
-        parts = (mode.f, mode.region, mode.domain)
-        values, region, domain = (values_of(part, pairs, np.array([time])) for part in parts)
+        values, region, domain = (values_of(part, pairs, at) for part in (mode.f, mode.region, mode.domain))
         holds = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
         successors[holds] = values[holds]
         missing &= ~holds
@@ -234,16 +230,12 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
-BETWEEN = tuple(
-    k / 8 for k in range(1, 8)
-)  # parts of the way from one time to the next at which a line that passes does
+BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of a step at which a line that passes an obstacle is outside, too
 # Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
 # start led to the best answer again, and else
 SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
-DIVERGED_STATES = (
-    1e2  # size of a state, relative to its data, from which a smooth problem has a straight line as a better start
-)
+DIVERGED_STATES = 1e2  # size of a state, relative to its data, from which a straight line is a better start
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -300,9 +292,8 @@ class LocalSearch:
         self._sizes, self._units = stated_sizes(self.problem)
         self._smooth, self._lines = is_smooth(self.problem), list[Trajectory]()
         self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
-        regions = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp)).regions
-        obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
-        if self._smooth and obstacles:
+        alone = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp))
+        if self._smooth and (obstacles := alone.constrained(self.problem).path_constraints):
             line = self._constant_trajectory(SHARES[0], replayed=False)
             self._lines = lines_around_obstacles(obstacles, line, self._sizes) or [line]
 
@@ -329,8 +320,8 @@ class LocalSearch:
                     return
         self._on_grid(None)
         for trajectory, sequence in self.starts():
-            alone = len(piecewise_smooth(self.problem).modes) == 1
-            if alone and self._cost < np.inf and self.tried >= self.enough_starts:
+            enough = self._cost < np.inf and self.tried >= self.enough_starts
+            if enough and len(piecewise_smooth(self.problem).modes) == 1:
                 break
             yield trajectory, sequence, False
         if self._smooth and self.best is not None and not self.best.feasible:
@@ -510,22 +501,19 @@ def lines_around_obstacles(obstacles: Sequence[PathConstraint], line: Trajectory
     """
     hard = [one for one in obstacles if one.hard_part is not None]
 
-    def passes(x: Array, times: slice) -> bool:
-        violations = (one.violation(x, line.u)[times] for one in hard)
+    def passes(x: Array, parts: Sequence[float] = (0.0,)) -> bool:
+        ways = ((x + part * np.diff(x, axis=0, append=x[-1:]), slice(int(part == 0), -1)) for part in parts)
+        violations = (one.violation(way, line.u)[times] for way, times in ways for one in hard)
         return all(float(np.nan_to_num(part, nan=np.inf).max(initial=0.0)) == 0 for part in violations)
 
-    def passes_between(x: Array) -> bool:
-        return all(passes(x + part * np.diff(x, axis=0, append=x[-1:]), slice(-1)) for part in BETWEEN)
-
-    bend, bent, inner = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory](), slice(1, -1)
-    if passes(line.x, inner):
+    bend, bent = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory]()
+    if passes(line.x):
         return []
     for i in np.flatnonzero(np.any([one.used[:, : len(sizes)].any(axis=0) for one in hard], axis=0)):
         for side in SIDES:
             moves = (np.outer(side * share * sizes[i] * bend, np.arange(len(sizes)) == i) for share in REACHES)
-            passing = next((move for move in moves if passes(line.x + move, inner)), None)
-            if passing is not None and passes_between(line.x + 2 * passing):
-                bent.append(Trajectory(line.x + passing, line.u))
+            x = next((line.x + move for move in moves if passes(line.x + move)), None)
+            bent += [Trajectory(x, line.u)] if x is not None and passes(2 * x - line.x, BETWEEN) else []
     return bent
 
 
