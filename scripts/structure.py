@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_283,
-    "code lines": 46_873,
-    "code lines, linear part": 22_169,
+    "shipped lines": 50_280,
+    "code lines": 46_870,
+    "code lines, linear part": 22_166,
     "code lines, hybrid": 8_787,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 65,
     "lines of a file": 535,
     "lines of a function": 63,
-    "functions used once [%]": 12.3,
+    "functions used once [%]": 12.2,
     "files entered by a solve": 49,
     "functions entered by a solve": 381,
     "calls of a solve": 742,

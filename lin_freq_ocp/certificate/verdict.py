@@ -107,9 +107,8 @@ class Judgement:
     """The result of the judge of one kind of dynamics.
 
     ``extremal`` is None if no global bound follows from the multipliers; ``cost_scale`` is S, and ``cost`` is J, None
-    if not computed;
-    ``bound`` is a bound of another kind than that of the extremal; ``slopes`` (T, n + m) are the scales of the adjoint
-    equation and of stationarity in u, of dynamics with modes.
+    if not computed; ``bound`` is of another kind than that of the extremal; ``slopes`` (T, n + m) are the scales of
+    the adjoint equation and of stationarity in u, of dynamics with modes.
     """
 
     conditions: tuple[Condition, ...]
@@ -249,16 +248,18 @@ class Certificate:
 
         Locally optimal and extremal mean that the maximum principle is satisfied with normal multipliers. With linear
         dynamics, no feasible direction then lowers the cost to first order. With smooth dynamics, the test of second
-        order decides between the two. With modes, the principle is a necessary condition only. At the rim of a region
-        of a smooth mode, the conditions are those with the region as a constraint.
+        order decides between the two. With modes, the principle is a necessary condition only.
         """
         if self.proven_within(gap):
             return Status.OPTIMAL
-        on_rims = self.borders is not None and self.borders.stationary_on_rims
-        extremal = (self.pmp == "satisfied" or on_rims) and self.normal
-        if extremal and self.second_order is not None and self.second_order.passed is False:
+        if self.extremal and self.second_order is not None and self.second_order.passed is False:
             return Status.EXTREMAL
-        return Status.LOCALLY_OPTIMAL if extremal else Status.NUMERICAL_ERROR
+        return Status.LOCALLY_OPTIMAL if self.extremal else Status.NUMERICAL_ERROR
+
+    @property
+    def extremal(self) -> bool:
+        """Whether the principle is satisfied with normal multipliers; at rims, with the regions as constraints."""
+        return bool(self.normal and (self.pmp == "satisfied" or (self.borders and self.borders.stationary_on_rims)))
 
     @property
     def pmp(self) -> str:

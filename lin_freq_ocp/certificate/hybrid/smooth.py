@@ -271,7 +271,7 @@ def _judge_norms(
     selections: dict[Formula, Array] = {}
     kinks: list[NormKink] = []
     dynamics = piecewise_smooth(problem)
-    for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u).items():
+    for norm, active in dynamics.active_kinks(trajectory.x, trajectory.u, np.concatenate(scales.sizes)).items():
         selection = selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         if not active.any():
             continue
@@ -385,8 +385,8 @@ def kinks(
         return ()
     n, x, u = problem.state_dim, trajectory.x, trajectory.u
     judged = {(kink.norm, kink.time): kink.selection for kink in facts.norms}
-    selections: dict[Formula, Array] = {}
-    for norm, active in problem.form.active_kinks(x, u).items():
+    sizes, selections = np.concatenate(trajectory_sizes(problem, trajectory)), dict[Formula, Array]()
+    for norm, active in (piecewise_smooth(problem).active_kinks(x, u, sizes) if judged else {}).items():
         selections[norm] = np.full((problem.horizon, len(norm.arguments)), np.nan)
         for t in np.flatnonzero(active):
             selections[norm][t] = judged.get((_norm_text(problem, norm), int(t)), 0.0)

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, brief, positive_number, printable
+from lin_freq_ocp.base.arrays import Array, Indices, brief, positive_number, printable
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.kinds import register_all
 from lin_freq_ocp.base.names import component_names
@@ -148,10 +148,6 @@ class Dynamics(ABC):
         """Return linear dynamics that agree to first order at (x_t, u_t), with the modes of the trajectory."""
         return self.standard_form.linear_at(x, u)
 
-    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return for every norm the times t < T at which its arguments are zero, (T,)."""
-        return self.standard_form.active_kinks(x, u)
-
     def translated(self, origin: Array, horizon: int) -> Dynamics | None:
         """Return the dynamics of x - origin, origin (n,); None if their zero has a meaning."""
         return self.standard_form.translated(origin, horizon)
@@ -231,10 +227,6 @@ class StandardDynamics(Dynamics):
     def affine_at(self, x: Array, u: Array, selections: Selections | None = None) -> Dynamics:
         """Return these dynamics."""
         return self
-
-    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return none: there are no norms."""
-        return {}
 
 
 class StateEquations(StandardDynamics, words="LinearDynamics or FrequencyResponse"):

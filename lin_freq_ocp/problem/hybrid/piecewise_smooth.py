@@ -33,8 +33,8 @@ from lin_freq_ocp.problem.hybrid.affine_mode import SIMULATION_ROUNDING, AffineM
 from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 
-# The arguments of a norm are zero if they are smaller, relative to the largest norm of the trajectory or to 1: solvers
-# leave 1e-8.
+# The arguments of a norm are zero if each is smaller, relative to what states and controls of their sizes change of it:
+# solvers leave 1e-8.
 ZERO_NORM = 1e-7
 OUTSIDE = 1e3  # the distance of a point from the linearised region of a mode that is not defined there
 
@@ -280,7 +280,7 @@ class PiecewiseSmoothDynamics(StandardDynamics):
         """The norms in the maps, switching functions and costs that may be zero, inner ones first."""
         formulas = [formula for mode in self.modes for formula in (*mode.f, *mode.region, *mode.cost)]
         found = kinks(formulas, NORM)
-        return tuple(one for one in found if all(abs(part.constant or 0.0) <= ZERO_NORM for part in one.arguments))
+        return tuple(one for one in found if not any(part.constant for part in one.arguments))
 
     def facts(self, labels: Sequence[str]) -> list[tuple[str, str]]:
         """Return the modes, and the norms, which are not differentiable at zero."""
@@ -366,13 +366,14 @@ class PiecewiseSmoothDynamics(StandardDynamics):
             modes.append(AffineMode(F[..., :n], F[..., n:], offset, G[..., :n], G[..., n:], h, name))
         return PiecewiseAffineDynamics(modes, self.sampling_time, self.state_names, self.control_names)
 
-    def active_kinks(self, x: Array, u: Array) -> dict[Formula, Mask]:
-        """Return for every norm the times t < T at which its arguments are zero, (T,)."""
+    def active_kinks(self, x: Array, u: Array, sizes: Array) -> dict[Formula, Mask]:
+        """Return for every norm the times t < T at which its arguments are zero, (T,), by ``sizes`` (n + m,)."""
         y = np.hstack([x[: len(u)], u])
         active: dict[Formula, Mask] = {}
         for norm in self.norms:
-            size = np.linalg.norm(jets_of(norm.arguments, y).values, axis=1)
-            active[norm] = size <= ZERO_NORM * max(1.0, float(np.nanmax(size, initial=0.0)))
+            at = jets_of(norm.arguments, y)
+            changes = np.abs(at.slopes) @ sizes + 0.5 * np.abs(at.curvatures) @ sizes @ sizes
+            active[norm] = (np.abs(at.values) <= ZERO_NORM * np.nanmax(changes, axis=0, initial=0.0)).all(axis=1)
         return active
 
     def pull_of_norm(self, norm: Formula, y: Array, time: int, mode: int, eta: Array) -> float:

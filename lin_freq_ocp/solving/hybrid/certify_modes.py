@@ -64,7 +64,7 @@ def best_multipliers(
             certificate = judge(problem, trajectory, multipliers)
             if best is None or _rank(certificate) > _rank(best.certificate):
                 best = Judged(trajectory, multipliers, certificate)
-            if not best.certificate.failed and _facts(best.certificate).flip_stationary:
+            if (best.certificate.extremal or not best.certificate.failed) and _facts(best.certificate).flip_stationary:
                 break
             if first is not None and (not certificate.feasible or _facts(certificate).jumping is not None):
                 break  # no other multipliers can help

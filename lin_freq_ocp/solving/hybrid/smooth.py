@@ -16,7 +16,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
 from lin_freq_ocp.base.clock import now
-from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import join_words, plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
@@ -32,7 +32,7 @@ from lin_freq_ocp.methods.candidate import Attempt, require_convex, zero_multipl
 from lin_freq_ocp.methods.correction import trajectory_at_rest
 from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weights
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, is_smooth
-from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearch, SmoothProgress
+from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearch, SmoothProgress, states_of_controls
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.methods.hybrid.smooth.polish import newton_points, quadratic_model
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -47,7 +47,6 @@ from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
 from lin_freq_ocp.transform.limits import BOXES, SPECTRA, map_sets
-from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import search_scale
 from lin_freq_ocp.transform.starts import Start
 
@@ -210,13 +209,14 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     first = _with_weights(problem, local.trajectory, local.multipliers, local.sequence)
     plain = best_multipliers(problem, local.trajectory, first)
     # a cost that no search tells from zero may be what an iteration leaves of rest
-    rests = plain.certificate.failed or 0 < plain.certificate.cost <= DECREASE * search_scale(problem, local.trajectory)
+    rounding = DECREASE * search_scale(problem, local.trajectory)
+    rests = not plain.certificate.extremal or 0 < plain.certificate.cost <= rounding
     resting = trajectory_at_rest(problem, local.trajectory) if rests else None
     if resting is not None:  # where rounding would count
         at_rest = best_multipliers(problem, resting, first)
         allowed = plain.certificate.cost + plain.certificate.allowed_gap
         plain = at_rest if not at_rest.certificate.failed and at_rest.certificate.cost <= allowed else plain
-    if plain.certificate.pmp == "satisfied" and is_smooth(problem):
+    if plain.certificate.extremal and is_smooth(problem):
         return _prove_by_linear(problem, plain, end)
     best = plain
     for trajectory, multipliers in newton_points(problem, local, end):
@@ -286,17 +286,15 @@ def _starts_along(search: LocalSearch, judged: Judged, d: Trajectory) -> list[tu
     problem, (trajectory, _, certificate) = search.problem, judged
     starts, limit = list[tuple[float, Trajectory]](), certificate.cost + certificate.allowed_gap
     for sign in (1.0, -1.0):
-        for part in PARTS_OF_DIRECTION:
-            x, u = (y + sign * part * change for y, change in ((trajectory.x, d.x), (trajectory.u, d.u)))
-            controls = problem.control_tube.project(u)
-            try:
-                start = simulate(problem, controls, problem.initial_box.project(x[0]))
-            except NumericalError:
-                break
+        u = trajectory.u + sign * PARTS_OF_DIRECTION[:, None, None] * d.u
+        first, controls = trajectory.x[0] + sign * PARTS_OF_DIRECTION[:, None] * d.x[0], problem.control_tube.project(u)
+        states = states_of_controls(problem, problem.initial_box.project(first), controls)
+        trials = zip(PARTS_OF_DIRECTION, map(Trajectory, states, controls), u - controls, strict=True)
+        for part, start, beyond in trials:
             moved = NEARLY_WITHIN * part * np.abs(np.hstack([d.x[:-1], d.u])).max(axis=0)
-            outside = np.hstack([problem.state_tube.violation(start.x)[:-1], u - controls])
+            outside = np.hstack([problem.state_tube.violation(start.x)[:-1], beyond])
             cost = problem.value(start.x, start.u)
-            if now() > search.end or not cost <= limit or (np.abs(outside) > moved).any():
+            if now() > search.end or not cost <= limit or not (np.abs(outside) <= moved).all():
                 break
             starts.append((cost, start))
     return sorted(starts, key=lambda pair: pair[0])[:MOST_STARTS]

@@ -85,3 +85,28 @@ def test_rows_are_violated_at_rest_far_from_zero_in_every_unit(unit):
             ONE, 2, lfo.QuadraticCost(R=1.0), lfo.Box(-unit, unit), initial_state=[unit], stage_rows=[rows]
         )
         assert lfo.certify(problem, np.zeros((2, 1))).feasible is kept
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("third", "zero"), [("", [2, 3, 4, 5]), (", {}", [])], ids=["a kink", "smoothed"])
+def test_a_norm_is_zero_at_the_same_times_in_every_unit(unit, third, zero):
+    """The first step leaves a twelfth of it, and the second nothing; a constant in it, in this unit, leaves no kink."""
+    cost = lfo.costs.SmoothCost(stage=f"norm(x_0, x_1{third.format(0.01 * unit)})/{unit!r}")
+    cost = cost + lfo.QuadraticCost(R=1.2 / unit**2 * np.eye(2))
+    dynamics = lfo.LinearDynamics(np.eye(2), np.eye(2))
+    result = lfo.solve(lfo.OptimalControlProblem(dynamics, 6, cost, initial_state=[unit, 0.0]))
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    assert [kink.time for kink in result.certificate.borders.norms] == zero
+    if zero:
+        assert result.trajectory.x[1] == pytest.approx([unit / 12, 0.0])
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-6, 1.0, 1e6])
+def test_a_norm_in_the_dynamics_is_far_from_zero_in_every_unit(unit):
+    """Steer (x_0 (1 - u), |x| u): nothing of it depends on the unit of x."""
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(["x_0*(1 - u_0)", "norm(x_0, x_1)*u_0"], 2, 1)
+    cost = lfo.QuadraticCost(Q=2 / unit**2, R=2.0)
+    problem = lfo.OptimalControlProblem(dynamics, 3, cost, lfo.Box(0, 1), initial_state=[unit, 0.0])
+    result = lfo.solve(problem, global_bound=False)
+    assert (result.status, result.certificate.borders.norms) == ("locally_optimal", ())
+    assert result.cost == pytest.approx(1.9590236928, rel=1e-9)

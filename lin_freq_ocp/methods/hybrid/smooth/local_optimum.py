@@ -50,9 +50,9 @@ class LocalOptimum:
 
 
 def is_smooth(problem: OptimalControlProblem) -> bool:
-    """Whether the dynamics are one smooth map that holds everywhere it is defined."""
+    """Whether the dynamics are one smooth map, in a region at most."""
     dynamics = piecewise_smooth(problem)
-    return len(dynamics.modes) == 1 and not dynamics.modes[0].region and not dynamics.norms
+    return len(dynamics.modes) == 1 and not dynamics.norms
 
 
 def smooth_optimum(

@@ -21,7 +21,7 @@ from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.formulas.jets import values_of
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.candidate import Attempt, Progress, Reason
-from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, smooth_optimum
+from lin_freq_ocp.methods.hybrid.smooth.local_optimum import End, LocalOptimum, is_smooth, smooth_optimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.problem.hybrid.affine_mode import REGION
 from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
@@ -181,13 +181,21 @@ def _values_of_cost(formula: Formula | None, pairs: Array, t: int) -> Array:
     return np.zeros(len(pairs)) if formula is None else values_of([formula], pairs, np.array([t]))[:, 0]
 
 
-def _successors(problem: OptimalControlProblem, pairs: Array) -> Array:
+def states_of_controls(problem: OptimalControlProblem, first: Array, controls: Array) -> Array:
+    """Return states (trials, T + 1, n) from the ``first`` by controls (trials, T, m); NaN once no mode holds."""
+    x = [first]
+    for t, u in enumerate(controls.swapaxes(0, 1)):
+        x.append(_successors(problem, np.hstack([x[-1], u]), t))
+    return np.stack(x, axis=1)
+
+
+def _successors(problem: OptimalControlProblem, pairs: Array, time: int = 0) -> Array:
     """Return the successors of pairs in the first mode that holds, (points, n); NaN where none does."""
     dynamics = piecewise_smooth(problem)
     successors = np.full((len(pairs), problem.state_dim), np.nan)
-    missing = np.ones(len(pairs), dtype=bool)
+    missing, at = np.ones(len(pairs), dtype=bool), np.array([time])
     for mode in dynamics.modes:
-        values, region, domain = (values_of(part, pairs) for part in (mode.f, mode.region, mode.domain))
+        values, region, domain = (values_of(part, pairs, at) for part in (mode.f, mode.region, mode.domain))
         holds = missing & (region <= 0).all(axis=1) & (domain > 0).all(axis=1) & np.isfinite(values).all(axis=1)
         successors[holds] = values[holds]
         missing &= ~holds
@@ -210,11 +218,8 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
     start = np.clip(np.zeros(problem.state_dim), problem.ends[0].lower, problem.ends[0].upper)
     low, high = problem.control_tube.lower, problem.control_tube.upper
     shares = np.array([rng.random(low.shape) if i % 2 else np.full(low.shape, rng.random()) for i in range(SAMPLES)])
-    reached = [np.tile(start, (SAMPLES, 1))]
-    for controls in (low + shares * (high - low)).swapaxes(0, 1):
-        reached.append(_successors(problem, np.hstack([reached[-1], controls])))
-    complete = np.isfinite(reached).all(axis=(0, 2))
-    states = np.vstack([start, *(x[complete] for x in reached)])
+    reached = states_of_controls(problem, np.tile(start, (SAMPLES, 1)), low + shares * (high - low))
+    states = np.vstack([start, *reached[np.isfinite(reached).all(axis=(1, 2))]])
     margin = 0.05 * np.ptp(states, axis=0) + 1e-3
     return (
         np.where(np.isfinite(lower), lower, states.min(axis=0) - margin),
@@ -225,13 +230,12 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
+BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of a step at which a line that passes an obstacle is outside, too
 # Starts that are enough if there is an answer and no modes are searched: with bounds of all controls or if the last
 # start led to the best answer again, and else
 SMOOTH_STARTS, UNBOUNDED_STARTS = 2, 4
 LONGEST_REPLAY = 2000  # steps of a start, where it need not be a trajectory
-DIVERGED_STATES = (
-    1e2  # size of a state, relative to its data, from which a smooth problem has a straight line as a better start
-)
+DIVERGED_STATES = 1e2  # size of a state, relative to its data, from which a straight line is a better start
 DECREASE = 1e-9  # part of the cost by which a better sequence is cheaper
 
 
@@ -286,14 +290,12 @@ class LocalSearch:
         self._known, self._decided = set[tuple[object, ...]](), set[bytes]()
         self._repeated, self._proven, self.attempts = False, False, list[Attempt]()
         self._sizes, self._units = stated_sizes(self.problem)
-        dynamics, tube = piecewise_smooth(self.problem), self.problem.control_tube
-        self._smooth = len(dynamics.modes) == 1 and not dynamics.norms  # one map, in a region at most
-        self._bounded, self._lines = bool(np.isfinite(tube.bounds).all()), list[Trajectory]()
-        regions = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp)).regions
-        obstacles = [*self.problem.path_constraints, *(region for _, region in regions)]
-        if self._smooth and obstacles:
+        self._smooth, self._lines = is_smooth(self.problem), list[Trajectory]()
+        self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
+        alone = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp))
+        if self._smooth and (obstacles := alone.constrained(self.problem).path_constraints):
             line = self._constant_trajectory(SHARES[0], replayed=False)
-            self._lines = [*lines_around_obstacles(obstacles, line, self._sizes), line]
+            self._lines = lines_around_obstacles(obstacles, line, self._sizes) or [line]
 
     def run(self) -> LocalSearch:
         """Search from all starts, then improve the best; from a given start alone if no modes are to be searched."""
@@ -318,8 +320,8 @@ class LocalSearch:
                     return
         self._on_grid(None)
         for trajectory, sequence in self.starts():
-            alone = len(piecewise_smooth(self.problem).modes) == 1
-            if alone and self._cost < np.inf and self.tried >= self.enough_starts:
+            enough = self._cost < np.inf and self.tried >= self.enough_starts
+            if enough and len(piecewise_smooth(self.problem).modes) == 1:
                 break
             yield trajectory, sequence, False
         if self._smooth and self.best is not None and not self.best.feasible:
@@ -328,7 +330,7 @@ class LocalSearch:
     @property
     def enough_starts(self) -> int:
         """Return how many starts are enough if there is an answer and there are no modes to search."""
-        return len(self._lines) + (SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
+        return max(len(self._lines), SMOOTH_STARTS if self._bounded or self._repeated else UNBOUNDED_STARTS)
 
     def look_near(self, trajectory: Trajectory, sequence: Indices) -> bool:
         """Try one more start, and improve its local optimum; return whether that is a better trajectory."""
@@ -494,23 +496,24 @@ def neighbouring_sequences(problem: OptimalControlProblem, local: LocalOptimum) 
 def lines_around_obstacles(obstacles: Sequence[PathConstraint], line: Trajectory, sizes: Array) -> list[Trajectory]:
     """Return a line through obstacles, bent along each state to either side until it is outside of them.
 
-    Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,).
+    Obstacles are hard path constraints that the line violates; ``sizes`` are those of states, (n,). Lines that jump
+    over an obstacle from one time to the next pass at no part of the way once they are bent twice as far.
     """
     hard = [one for one in obstacles if one.hard_part is not None]
 
-    def largest_violation(x: Array) -> float:
-        return max(
-            (float(np.nan_to_num(one.violation(x, line.u)[1:-1], nan=np.inf).max()) for one in hard), default=0.0
-        )
+    def passes(x: Array, parts: Sequence[float] = (0.0,)) -> bool:
+        ways = ((x + part * np.diff(x, axis=0, append=x[-1:]), slice(int(part == 0), -1)) for part in parts)
+        violations = (one.violation(way, line.u)[times] for way, times in ways for one in hard)
+        return all(float(np.nan_to_num(part, nan=np.inf).max(initial=0.0)) == 0 for part in violations)
 
     bend, bent = np.sin(np.linspace(0.0, np.pi, len(line.x))), list[Trajectory]()
-    if len(line.u) < 3 or largest_violation(line.x) == 0:
+    if passes(line.x):
         return []
     for i in np.flatnonzero(np.any([one.used[:, : len(sizes)].any(axis=0) for one in hard], axis=0)):
         for side in SIDES:
             moves = (np.outer(side * share * sizes[i] * bend, np.arange(len(sizes)) == i) for share in REACHES)
-            passing = next((line.x + move for move in moves if largest_violation(line.x + move) == 0), None)
-            bent += [] if passing is None else [Trajectory(passing, line.u)]
+            x = next((line.x + move for move in moves if passes(line.x + move)), None)
+            bent += [Trajectory(x, line.u)] if x is not None and passes(2 * x - line.x, BETWEEN) else []
     return bent
 
 

@@ -30,6 +30,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 MOST_STEPS = 6  # one is enough near an optimum; where active rows depend on each other, the first ones may leave it
 
@@ -60,7 +61,8 @@ def quadratic_model(
     """Return the problem of a mode sequence to second order: linear dynamics, rows, and the Hessian as a cost."""
     (T, n, m), x, u = (problem.horizon, problem.state_dim, problem.control_dim), trajectory.x, trajectory.u
     selections, zeros = dict[Formula, Array](), list[PathConstraint]()
-    for i, (norm, at_zero) in enumerate(pieces.dynamics.active_kinks(x, u).items()):
+    sizes = np.concatenate(stated_sizes(problem)) + np.hstack([np.abs(x).max(axis=0), np.abs(u).max(axis=0)])
+    for i, (norm, at_zero) in enumerate(pieces.dynamics.active_kinks(x, u, sizes).items()):
         if at_zero.any():
             q = [*norm.arguments, *(-1.0 * one for one in norm.arguments)]
             limits = np.where(at_zero[:, None], 0.0, np.inf) * np.ones(len(q))

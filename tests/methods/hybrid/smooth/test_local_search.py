@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.path_constraints import mass
 from helpers.replacing import substitute
 from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.methods import zero_multipliers
-from lin_freq_ocp.methods.hybrid import SMOOTH_STARTS, End, LocalOptimum, LocalSearch
+from lin_freq_ocp.methods.hybrid import SMOOTH_STARTS, End, LocalOptimum, LocalSearch, states_of_controls
 from lin_freq_ocp.results import Reason
 from lin_freq_ocp.transform import start_of
 
@@ -183,3 +185,41 @@ def test_an_optimum_that_costs_no_more_than_any_trajectory_ends_the_search(least
     search = LocalSearch(replace(PROBLEM, dynamics=kinked), least=least).run()
     assert (len(starts) == 1) is ends
     assert (search.attempts[-1].reason is Reason.PROVEN) is ends
+
+
+@pytest.mark.parametrize("horizon", [8, 20])
+def test_around_an_obstacle_lines_to_either_side_are_the_first_starts(horizon):
+    """Bent far along its own direction, a line jumps over the disc from one time to the next: it is no start."""
+    problem = mass(horizon=horizon)
+    search = LocalSearch(problem)
+    first, second, third = (start for start, _ in itertools.islice(search.starts(), 3))
+    straight = np.linspace(-1, 1, horizon + 1)
+    for line in (first, second):
+        np.testing.assert_allclose(line.x[:, 0], straight)
+        assert (line.x[1:-1, :2] ** 2).sum(axis=1).min() >= 0.25
+    assert (np.sign(first.x[horizon // 2, 1]), np.sign(second.x[horizon // 2, 1])) == (1, -1)
+    np.testing.assert_allclose(third.x[-1], lfo.simulate(problem, third.u).x[-1])  # of constant controls
+    assert search.enough_starts == 2
+
+
+def test_an_obstacle_that_can_only_be_jumped_over_leaves_the_straight_line():
+    line = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(
+        line, 6, lfo.QuadraticCost(R=1.0), control_set=lfo.Box(-2, 2),
+        initial_state=[-1.1], terminal_state=[1.1], stage_rows=lfo.sets.PathConstraint("0.25 - x_0**2"),
+    )  # fmt: skip
+    start = next(LocalSearch(problem).starts())[0]
+    np.testing.assert_allclose(start.x[:, 0], np.linspace(-1.1, 1.1, 7))
+
+
+def test_states_of_several_controls_are_those_of_each():
+    pushes = [0.5, -0.2, 0.3]
+    dynamics = lfo.PiecewiseSmoothDynamics.from_formulas(
+        lambda t, x, u: [x[0] + 0.1 * x[1], x[1] + t.look_up(pushes) * np.sin(u[0]), 1 / x[2]], 3, 1
+    )
+    problem = lfo.OptimalControlProblem(dynamics, 3, lfo.QuadraticCost(), initial_state=[0.0, 1.0, 2.0])
+    u = np.array([[[0.1], [0.2], [0.3]], [[-1.0], [0.0], [1.0]]])
+    first = np.array([[0.0, 1.0, 2.0], [0.5, 0.0, 0.0]])
+    states = states_of_controls(problem, first, u)
+    np.testing.assert_allclose(states[0], lfo.simulate(problem, u[0]).x, rtol=1e-15)
+    assert np.isnan(states[1, 1:]).all()  # the map is not defined there

@@ -7,7 +7,9 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.published import PUBLISHED, mass_around_disc
+from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
+from lin_freq_ocp import certificate
 
 QUICK = [
     "DTOC1L, N = 10",
@@ -53,6 +55,22 @@ def test_an_optimum_at_the_rim_of_a_region_is_named(around):
     assert "docs/borders.md" in result.message
     distance = (result.trajectory.x[:, :2] ** 2).sum(axis=1)
     assert list(result.certificate.borders.gaps) == [t for t in range(20) if distance[t] <= 1 + 1e-6]
+
+
+@expensive
+def test_an_optimum_at_a_rim_is_judged_once(around, monkeypatch):
+    """No step cures the conditions of the theorem, which does not apply: with the region as a constraint, all hold."""
+    substitute(monkeypatch, "methods.hybrid.newton_points", lambda *given: pytest.fail("refined"))
+    judged = list[lfo.results.Trajectory]()
+    honest = certificate.judge
+
+    def count(problem, trajectory, *others):
+        judged.append(trajectory)
+        return honest(problem, trajectory, *others)
+
+    substitute(monkeypatch, "certificate.judge", count)
+    assert lfo.solve(around.problem, start=around, global_bound=False).cost == pytest.approx(around.cost, rel=1e-9)
+    assert len(judged) <= 2  # the answer, and the start
 
 
 @expensive
