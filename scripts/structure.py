@@ -51,7 +51,7 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_283,
+    "shipped lines": 50_308,
     "code lines": 46_873,
     "code lines, linear part": 22_169,
     "code lines, hybrid": 8_787,
