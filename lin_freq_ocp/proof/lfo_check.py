@@ -85,9 +85,9 @@ class Lines:
         require(needed <= got <= needed | allowed, f"got the fields {sorted(got)}; expected {needed}, maybe {allowed}")
         return self.advance()
 
-    def section(self, name, fields):
+    def section(self, name, fields, allowed=""):
         require(self.ahead.get("section") == name, f"expected the section {name}")
-        return self.take(f"section {fields}")
+        return self.take(f"section {fields}", allowed)
 
 
 def distinct(pairs):
@@ -528,15 +528,23 @@ def eliminated(pivot, rest, row):
     return [x - factor * y for x, y in zip(row[1:], rest)]
 
 
-def quadratic(cost, v):
-    """Return 1/2 (v - center)'hessian (v - center) + linear'v and its gradient; show first that it is convex."""
-    spend(3 * v.nrows() ** 2)
-    rows = [] if "convex" in cost else [[rational(x) for x in row] for row in cost["hessian"].tolist()]
+def least(hessian, last):
+    """Return the least v'H v of v with a last component of 1, the last pivot of L D L'; show that H is convex."""
+    order = [i for i in range(hessian.nrows()) if i != last] + [last]
+    rows, pivot = [[rational(hessian[i, j]) for j in order] for i in order], ZERO
     require(all(row[j] == rows[j][i] for i, row in enumerate(rows) for j in range(i)), "a Hessian is not symmetric")
     while rows:  # L D L' without rounding
         (pivot, *rest), rows = rows[0], rows[1:]
         require(pivot > 0 or (pivot == 0 and not any(rest)), "a Hessian is not positive semidefinite")
         rows = [eliminated(pivot, rest, row) if row[0] else row[1:] for row in rows]
+    return arb(pivot)
+
+
+def quadratic(cost, v):
+    """Return 1/2 (v - center)'hessian (v - center) + linear'v and its gradient; show first that it is convex."""
+    spend(3 * v.nrows() ** 2)
+    if "convex" not in cost:
+        least(cost["hessian"], v.nrows() - 1)
     cost["convex"], moved = True, v - cost["center"]
     bent = cost["hessian"] * moved
     return (moved.transpose() * bent)[0, 0] / 2 + (cost["linear"].transpose() * v)[0, 0], bent + cost["linear"]
@@ -645,10 +653,30 @@ def stage_bound(problem, stages, line, slope, normal, later):
     return before, vertex, found
 
 
+def narrow(problem, level):
+    """Cut the bounds to those of trajectories that cost less than a level: no part of the cost is ever negative."""
+    for cost in once(problem.costs):
+        require(all(c.is_zero() for c in cost["linear"].entries()), "a level, and a cost that may be negative")
+        spend(3 * cost["hessian"].nrows() ** 3)
+        bent = [least(cost["hessian"], i) for i in range(cost["hessian"].nrows())]
+        radii = [(2 * level / c).sqrt() if c > 0 else INFINITY for c in bent]
+        cost["sides"] = [[c + sign * r for c, r in zip(cost["center"].entries(), radii)] for sign in (-1, 1)]
+    for t, (cost, low, high) in enumerate(zip(problem.costs, problem.lower, problem.upper)):
+        lower, upper = cost["sides"]  # a side without a bound gets one, which no trajectory of the level misses
+        problem.lower[t] = [a.max(b.min(c).lower()) for a, b, c in zip(low, lower, high)]
+        problem.upper[t] = [c.min(b.max(a).upper()) for a, b, c in zip(low, upper, high)]
+        pairs = zip(problem.lower[t], problem.upper[t])
+        problem.boxes[t] = [a.union(b) if (b - a).is_finite() else UNKNOWN for a, b in pairs]
+
+
 def lower_bound(problem, lines):
-    """Return a lower bound on the cost of all trajectories: the least of the leaves of a tree."""
-    forward, everything = lines.section("nodes", "reach")["reach"], set(range(len(problem.modes)))
+    """Return a lower bound on the cost of all trajectories: the least of the leaves of a tree, or its level."""
+    head, everything = lines.section("nodes", "reach", "level"), set(range(len(problem.modes)))
+    forward, level = head["reach"], number(head["level"]) if "level" in head else INFINITY
     require(isinstance(forward, bool), "reach: expected true or false")
+    if "level" in head:
+        require(level > 0, "expected a level above zero")
+        narrow(problem, level)
     nodes, children, bounds = [], {}, {}
     while "node" in lines.ahead:
         if "section" in lines.ahead:
@@ -674,7 +702,7 @@ def lower_bound(problem, lines):
         t, modes = children.get(index, (0, set()))
         require(set(stages[t].modes) <= modes, f"the children of node {index} do not cover it, or it has no dual")
     require(nodes, "expected a node")
-    return -largest(-bound for bound in bounds.values())
+    return -largest((-bound for bound in bounds.values()), -level)
 
 
 # ------------------------------------------------------------ the whole proof

@@ -26,7 +26,7 @@ from lin_freq_ocp.base.semidefinite import is_semidefinite
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, optimum_box
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
-from lin_freq_ocp.certificate.hybrid.tree import IntervalReach
+from lin_freq_ocp.certificate.hybrid.tree import IntervalReach, within_level
 from lin_freq_ocp.certificate.reach import Region, stated_bounds
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE, RADIUS_MARGIN
@@ -234,7 +234,8 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     """Return a proof by a search over modes, with the point of the best sequence alone if the checker accepts it."""
     problem, found = convex_problem(outcome.problem), None
     _require_statement(problem)
-    dual = TreeDual(problem, written_nodes(problem, tree))
+    inside = within_level(problem, tree.level)
+    dual = TreeDual(inside, written_nodes(inside, tree), tree.level)
     bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
         with suppress(SolveError, Failed):
@@ -244,11 +245,12 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             found = proof, checked_enclosure(proof.lines())
     proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
     if problem is not outcome.problem:
-        region, whole = stated_bounds(outcome.problem), IntervalReach(outcome.problem).whole
+        given = within_level(outcome.problem, tree.level)
+        region, whole = stated_bounds(given), IntervalReach(given).whole
         if whole is not None:  # a box around all trajectories
             lower, upper = whole.lower, whole.upper
             x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
-            region = Region(x, outcome.problem.control_tube.bounds, np.inf, "forward reach")
+            region = Region(x, given.control_tube.bounds, np.inf, "forward reach")
         by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
     return replace(proof, claim=_relaxed_claim(enclosure)), enclosure

@@ -39,7 +39,7 @@ class WrittenNode:
 
 
 def written_nodes(problem: OptimalControlProblem, tree: ModeTree) -> list[WrittenNode]:
-    """Return the nodes of the file, parents before their children."""
+    """Return the nodes of the file, parents before their children, of a problem within the level of the tree."""
     reached, _ = reached_nodes(problem, tree)
     children: dict[int, list[int]] = {}
     for index, node in enumerate(tree.nodes):
@@ -91,14 +91,15 @@ def _over_time(part: Array, T: int, ndim: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TreeDual:
-    """The nodes of a search and the multipliers of its leaves."""
+    """The nodes of a search for costs below a level, and the multipliers of its leaves; the problem is within it."""
 
     problem: OptimalControlProblem
     nodes: list[WrittenNode]
+    level: float
 
     def lines(self) -> Iterator[str]:
         """Yield the sections NODES and DUAL."""
-        yield line(section="nodes", reach=True)
+        yield line(section="nodes", reach=True, **({"level": self.level} if self.level < np.inf else {}))
         for number, node in enumerate(self.nodes):
             parent = None if node.parent < 0 else node.parent
             yield line(node=number, parent=parent, t=node.stage, modes=node.modes.tolist())

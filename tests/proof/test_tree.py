@@ -1,11 +1,14 @@
 """Proofs of searches over modes: every leaf is checked, and modes that no child keeps are leaves that reach nothing."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from flint import arb_mat
 
 import lin_freq_ocp as lfo
+from helpers.hand_proofs import check, text, two_modes
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp.proof import lfo_check, proof_of, written_nodes
 from lin_freq_ocp.testing import PIECEWISE_AFFINE
@@ -104,3 +107,60 @@ def test_a_hessian_of_rank_one_costs_no_more_than_the_gap():
     problem = replace(lfo.library.switched_rotation(horizon=6), cost=lfo.QuadraticCost(Q=c.T @ c, R=1.0, P=c.T @ c))
     proven = lfo.solve(problem).enclosure
     assert proven.width <= GAP * proven.upper
+
+
+@pytest.mark.parametrize("start", [1e-7, 1e-13])
+def test_a_motion_far_smaller_than_its_bounds_is_enclosed(start):
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), [[0.5], [1.0]]
+    modes = [lfo.AffineMode(A + np.diag([0, c]), B, [0, 0], [[0, s]], h=[0]) for c, s in ((-0.1, 1), (0.1, -1))]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        6,
+        lfo.QuadraticCost(Q=np.array([[0.5, 0.1], [0.1, 0.1]]), R=0.2, P=1.0),
+        control_set=lfo.Box(-1, 1),
+        state_set=lfo.Box(-5, 5),
+        initial_state=[start, 0.0],
+    )
+    result = lfo.solve(problem)
+    assert 0 < result.enclosure.lower <= result.cost
+    assert result.enclosure.width <= GAP * result.cost
+
+
+def with_level(level, lower, goal_slope=0):
+    """Return the hand proof of two modes with a level, a claim, a linear end cost, and no dual of mode 0."""
+    lines = two_modes()
+    for one in lines:
+        if one.get("section") == "nodes":
+            one["level"] = level
+        if one.get("section") == "claim":
+            one["lower"] = lower
+        if one.get("cost") == "end":
+            one["linear"] = [goal_slope]
+    first = next(k for k, one in enumerate(lines) if one.get("section") == "dual")
+    return text(lines[:first] + lines[first + 3 :])
+
+
+def test_what_costs_less_than_a_level_does_not_reach_mode_0(tmp_path):
+    """Below 1/4 + 1/64, u is below 0.73 and x_1 above 2.27: from x_0 <= 0, x_1 = x_0 + u is not."""
+    assert check(with_level(0.25 + 2.0**-6, 0.25), tmp_path).interval == ("0.25", "0.25")
+
+
+@pytest.mark.parametrize(
+    ("level", "lower", "slope", "reason"),
+    [
+        (0.125, 0.25, 0, "does not imply the claim"),  # what costs more than the level is not bounded
+        (4.0, 0.25, 0, "the children of node 0|it has no dual"),  # mode 0 is within this level
+        (0.26, 0.25, 1, "a cost that may be negative"),
+        (-1.0, -1.0, 0, "a level above zero"),
+    ],
+)
+def test_a_level_proves_no_more_than_it_may(level, lower, slope, reason, tmp_path):
+    verdict = check(with_level(level, lower, slope), tmp_path)
+    assert verdict.status == 1
+    assert re.search(reason, verdict.printed)
+
+
+@pytest.mark.parametrize(("last", "least"), [(0, 0.5), (1, 1.0), (2, 4.0)])
+def test_the_last_pivot_is_the_least_with_a_component_of_one(last, least):
+    """By hand: 1/2 = 1 - 1/2 and 1 = 2 - 1 are Schur complements of the coupled block; the third is alone."""
+    assert lfo_check.least(arb_mat([[1, 1, 0], [1, 2, 0], [0, 0, 4]]), last) == least
