@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_283,
-    "code lines": 46_873,
+    "shipped lines": 50_282,
+    "code lines": 46_872,
     "code lines, linear part": 22_169,
-    "code lines, hybrid": 8_787,
+    "code lines, hybrid": 8_786,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,

@@ -77,7 +77,7 @@ def test_the_prices_of_the_best_optimum_leave_a_narrow_part_around_it():
     problem = lfo.library.pulse_pattern(kind="opp", modulation=0.7, switches=16)
     trajectory = lfo.solve(problem).trajectory
     quarter = Quarter.of_problem(problem, problem.dynamics)
-    steps, angles = np.diff(trajectory.x[:-1, 1]), trajectory.x[1:-1, 0]
+    steps, angles = quarter.step * np.sign(np.diff(trajectory.x[:-1, 1])), trajectory.x[1:-1, 0]
     energy, lattice = quarter.energy(steps, angles)[0], AngleLattice(quarter, 1000)
     point = lattice.bound(local_prices(quarter, steps, angles), whole(quarter), energy)
     narrow = lattice.narrow(whole(quarter), point.open)
