@@ -1,189 +1,265 @@
-"""Formulas in docstrings, written for terminals, as LaTeX for the site.
+"""Formulas of docstrings, which are written for terminals, as LaTeX for the site.
 
-A formula is the longest run of text that is a relation or an expression of the grammar below and has a mark of
-mathematics: an index, a power, a comparison, a Greek letter or a function. What does not fit remains text.
+A formula is the longest text of this grammar that has a mark of mathematics: an index, a power, a comparison, a Greek
+letter, bars or a function. All other text stays as it is.
 
-    relation = sum {("=" | "<=" | ...) sum}        sum = product {("+" | "-") product}
-    product = power {["*" | "/"] power}            power = atom ["^" atom]
-    atom = number | name | function "(" ... ")" | "(" relation {"," relation} ")" | "|" sum "|" | "sum_t" product
+    relation = sum {("=" | "<=" | "in" | ...) sum}
+    sum      = ["-"] product {("+" | "-") product}
+    product  = quotient {quotient}
+    quotient = power {("*" | "/" | "//") power}
+    power    = atom ["^" ["+" | "-"] atom]
+    atom     = number | name | "(" items ")" | "|" items "|" | "<" items ">" | "{" items [":" relation] "}"
+    items    = relation {"," relation}
+    name     = function "(" items ")" | ("sum_t" | "max_t" | "sum" | ...) product | quantity | letter
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 GREEK = "alpha beta gamma delta eta theta lambda mu nu xi pi rho sigma tau phi psi zeta omega".split()
 FUNCTIONS = set("exp sqrt cos sin tan log max min Re conj diag ceil sinc irfft".split())
-KNOWN = {"cos", "sin", "tan", "log", "max", "min", "exp"}  # to LaTeX
+KNOWN = {"cos", "sin", "tan", "log", "max", "min", "exp"}  # the functions that LaTeX has
 QUANTITIES = set(
     """limit percent reference hover angle rate speed position price weight phase lower upper centre radius offset scale
     stimulation raster amplitude constant base damping input slack terminal coefficients response slew_rate band_level
     terminal_weight limit_db db oversampling""".split()
 )
 HATS = {"uhat", "xhat", "Ghat"}
-SPELT = {"iwt": r"i\,w\,t"}
-RELATIONS = {"<=": r"\le", ">=": r"\ge", "=": "=", "<": "<", ">": ">", "in": r"\in", "..": r",\dots,"}
-QUOTIENTS = {"*": r"\cdot", "/": "/", "//": "/"}
-BRACKETS = {"(": ")", "|": "|", "{": "}", "<": ">"}
-LATEX = {"{": r"\{", "}": r"\}", "<": r"\langle ", ">": r"\rangle"}
-OPERATORS = {*RELATIONS, *"+*/^"}
+WITHOUT_BLANKS = {"iwt": r"i\,w\,t"}
 WORDS_ALONE = {"a", "A", "I"}  # also words of English: part of a formula only next to an operator
-NAME = r"[A-Za-z]+\d*(?:_(?:\{[^}]*\}|[A-Za-z0-9]+(?:,[a-z])?))?'*"
-TOKEN = re.compile(rf"(?P<number>\d+(?:\.\d+)?)|(?P<name>{NAME})|<=|>=|\.\.|//|\S")
+
 BREAK = "\0"  # where a long formula may be broken
 LONGEST = 40  # characters of LaTeX between two breaks
-BEFORE = "([{-/ \n"  # a role may follow these
+COMPARISONS = {"<=": r"\le", ">=": r"\ge", "<": "<", ">": ">", "in": r"\in", "..": r",\dots,"}
+RELATIONS = {mark: BREAK + latex for mark, latex in {**COMPARISONS, "=": "="}.items()}
+SIGNS = {mark: BREAK + mark for mark in "+-"}
+QUOTIENTS = {"*": BREAK + r"\cdot", "/": " /", "//": " //"}
+COMMA = {",": " ,"}
+OPERATORS = {*RELATIONS, *"+*/^"}
+BRACKETS = {"(": ")", "|": "|", "{": "}", "<": ">"}
+BRACKETS_IN_LATEX = {"{": r"\{", "}": r"\}", "<": r"\langle ", ">": r"\rangle"}
+
+NAME = r"[A-Za-z]+\d*(?:_(?:\{[^}]*\}|[A-Za-z0-9]+(?:,[a-z])?))?'*"
+TOKEN = re.compile(rf"(?P<number>\d+(?:\.\d+)?)|(?P<name>{NAME})|<=|>=|\.\.|//|\S")
+BLANK = re.compile(r"[ ]*(?:\n[ ]*(?!\n))?")  # no empty line
+SET = re.compile(r" (?:[B-HJ-Z]\b|[B-Z][_^]|\{)")  # what follows "in" in a formula
+NEVER_FIRST = "+*/=>,"
+MAY_PRECEDE = "([{-/ \n"  # reStructuredText knows a role after these
+MAY_NOT_FOLLOW = {"_", "`", '"', "'", "[", "(", "/", "^"}
 UNITS = re.compile(r"\b((?:m|mm|km|kg|N|Nm|rad|mT|T)[/ ](?:m )?(?:m|mm|s|ms))\^([23])")
 SUPERSCRIPT = {"2": "\N{SUPERSCRIPT TWO}", "3": "\N{SUPERSCRIPT THREE}"}
-Parsed = tuple[str, int, bool]  # LaTeX, the position behind, and whether it has a mark of mathematics
 
 
 class NoFormulaError(Exception):
-    """The text does not go on as a formula."""
+    """No part of a formula begins here."""
+
+
+class Token(NamedTuple):
+    """A number, a name or a mark, and its place in the text; the text is empty at the end."""
+
+    kind: str
+    text: str
+    start: int
+    end: int
+
+
+class Parsed(NamedTuple):
+    """A part of a formula in LaTeX, the place where it ends, and whether it has a mark of mathematics."""
+
+    latex: str
+    end: int
+    marked: bool
 
 
 class Parser:
-    """The grammar of the module, from a position of a text."""
+    """The grammar of the module. A rule parses from a place of the text on, or raises NoFormulaError."""
 
     def __init__(self, text: str):
         self.text = text
 
-    def token(self, at: int) -> tuple[str, str, int, int]:
-        """Return kind, text, start and end of the next token; blanks are skipped, but no empty line."""
-        blank = re.compile(r"[ ]*(?:\n[ ]*(?!\n))?").match(self.text, at)
-        found = TOKEN.match(self.text, blank.end() if blank else at)
-        return (found.lastgroup or "mark", found[0], found.start(), found.end()) if found else ("end", "", at, at)
-
-    def chain(self, at: int, part: Callable[[int], Parsed], marks: dict[str, str], marked: bool) -> Parsed:
-        """Parse parts between marks; a mark without a part behind it is left to the text."""
-        latex, end, found = part(at)
-        while True:
-            _, mark, start, after = self.token(end)
-            spaced = start > end, self.text[after : after + 1].isspace()
-            if mark not in marks or (mark == "-" and spaced[0] != spaced[1]):
-                return latex, end, found
-            if mark == "in" and not re.match(r" (?:[B-HJ-Z]\b|[B-Z][_^]|\{)", self.text[after:]):
-                return latex, end, found
-            try:
-                more, behind, trigger = part(after)
-            except NoFormulaError:
-                return latex, end, found
-            gap = BREAK if mark in RELATIONS or mark in "+-*" else " "
-            latex = rf"\lfloor {latex} / {more} \rfloor" if mark == "//" else f"{latex}{gap}{marks[mark]} {more}"
-            end, found = behind, found or trigger or (marked and mark != "=")
+    def formula(self, at: int) -> Parsed:
+        """Parse a relation that has a mark of mathematics and neither begins nor ends within a word."""
+        before, first = self.text[max(at - 2, 0) : at], self.token(at)
+        of_call = before[-1:] == "(" and before[0].isalnum()
+        if (before and before[-1] not in MAY_PRECEDE) or of_call or first.start > at or self.text[at] in NEVER_FIRST:
+            raise NoFormulaError
+        parsed = self.relation(at)
+        alone = first.text in WORDS_ALONE and self.token(first.end).text not in {*OPERATORS, *"-("}
+        after = self.character(parsed.end)
+        if alone or not parsed.marked or after.isalnum() or after in MAY_NOT_FOLLOW:
+            raise NoFormulaError
+        return parsed
 
     def relation(self, at: int) -> Parsed:
-        """Parse sums between comparisons."""
-        return self.chain(at, self.sum, RELATIONS, True)
+        """Parse sums with comparisons between them."""
+        return self.chain(at, self.sum, RELATIONS)
 
     def sum(self, at: int) -> Parsed:
-        """Parse products between signs."""
-        _, mark, _, end = self.token(at)
-        sign, at = ("-", end) if mark == "-" and not self.text[end : end + 1].isspace() else ("", at)
-        latex, end, found = self.chain(at, self.product, {"+": "+", "-": "-"}, False)
-        return sign + latex, end, found
+        """Parse products with signs between them."""
+        first = self.token(at)
+        negative = first.text == "-" and not self.character(first.end).isspace()
+        latex, end, marked = self.chain(first.end if negative else at, self.product, SIGNS)
+        return Parsed(f"-{latex}" if negative else latex, end, marked)
 
     def product(self, at: int) -> Parsed:
-        """Parse powers one after another, or between * and /."""
-        latex, end, found = self.chain(at, self.power, QUOTIENTS, False)
-        while True:
+        """Parse factors that follow each other without a sign."""
+        latex, end, marked = self.quotient(at)
+        while self.is_factor(first := self.token(end), end):
             try:
-                kind, word, start, after = self.token(end)
-                lone = word in WORDS_ALONE and self.token(after)[1] not in {*OPERATORS, *")-"}
-                tight = start == end and not (word == "(" or (kind == "name" and self.text[end - 1] == "'"))
-                if tight or lone or kind == "number" or word in "-" or word == "in":
-                    return latex, end, found
-                more, behind, trigger = self.chain(end, self.power, QUOTIENTS, False)
-                if start > end and word == "(" and "," in more and not trigger:  # a shape
-                    return latex, end, found
-                space = "" if start == end else r"\,"
-                latex, end, found = f"{latex}{space}{more}", behind, found or trigger
+                factor = self.quotient(end)
             except NoFormulaError:
-                return latex, end, found
+                break
+            if first.start > end and first.text == "(" and "," in factor.latex and not factor.marked:  # a shape
+                break
+            space = r"\," if first.start > end else ""
+            latex, end, marked = f"{latex}{space}{factor.latex}", factor.end, marked or factor.marked
+        return Parsed(latex, end, marked)
+
+    def is_factor(self, first: Token, end: int) -> bool:
+        """Whether a token begins another factor of a product that ends at ``end``."""
+        if first.kind == "number" or first.text in ("", "-", "in"):
+            return False
+        if first.text in WORDS_ALONE and self.token(first.end).text not in {*OPERATORS, *")-"}:
+            return False
+        return first.start > end or first.text == "(" or (first.kind == "name" and self.text[end - 1] == "'")
+
+    def quotient(self, at: int) -> Parsed:
+        """Parse powers with "*" or "/" between them."""
+        return self.chain(at, self.power, QUOTIENTS)
 
     def power(self, at: int) -> Parsed:
-        """Parse an atom and its exponent."""
-        latex, end, found = self.atom(at)
-        if self.text[end : end + 1] == "^":
-            _, sign, _, behind = self.token(end + 1)
-            exponent, end, _ = self.atom(behind if sign in "-+" else end + 1)
-            exponent = exponent[1:-1] if exponent.startswith("(") else exponent
-            return f"{latex}^{{{sign if sign in '-+' else ''}{exponent}}}", end, True
-        return latex, end, found
+        """Parse an atom and its exponent, if there is one."""
+        base = self.atom(at)
+        if self.character(base.end) != "^":
+            return base
+        sign = self.token(base.end + 1)
+        signed = sign.text in ("+", "-")
+        latex, end, _ = self.atom(sign.end if signed else base.end + 1)
+        latex = latex[1:-1] if latex.startswith("(") else latex
+        return Parsed(f"{base.latex}^{{{sign.text if signed else ''}{latex}}}", end, True)
 
     def atom(self, at: int) -> Parsed:
-        """Parse a number, a name, a function, or what brackets or bars enclose."""
+        """Parse a number, a name, or what brackets or bars enclose."""
         kind, word, _, end = self.token(at)
         if kind == "number":
-            return word, end, False
+            return Parsed(word, end, False)
         if kind == "name":
             return self.name(word, end)
         closing = BRACKETS.get(word)
-        if closing is None or self.text[end : end + 1].isspace():
+        if closing is None or self.character(end).isspace():
             raise NoFormulaError
-        inner, end, found = self.listed(end, closing)
-        primes = re.compile("'*").match(self.text, end)
-        enclosed = f"{LATEX.get(word, word)}{inner}{LATEX.get(closing, closing)}{primes[0] if primes else ''}"
-        return enclosed, primes.end() if primes else end, found or word in "|<{"
+        latex, end, marked = self.items(end, closing)
+        left, right = (BRACKETS_IN_LATEX.get(bracket, bracket) for bracket in (word, closing))
+        primes = self.primes(end)
+        return Parsed(f"{left}{latex}{right}{primes}", end + len(primes), marked or word != "(")
 
-    def listed(self, at: int, closing: str) -> Parsed:
-        """Parse relations between commas up to the closing bracket."""
-        latex, end, found = self.chain(at, self.relation if closing != "|" else self.sum, {",": ","}, False)
-        _, mark, start, after = self.token(end)
-        if closing == "}" and mark == ":":
-            condition, end, found = self.relation(after)
-            latex, (_, mark, start, after) = rf"{latex} : {condition}", self.token(end)
-        if mark != closing or (closing == "|" and start != end):
+    def items(self, at: int, closing: str) -> Parsed:
+        """Parse what brackets or bars enclose, and the closing one."""
+        latex, end, marked = self.chain(at, self.sum if closing == "|" else self.relation, COMMA)
+        last = self.token(end)
+        if closing == "}" and last.text == ":":
+            condition, end, marked = self.relation(last.end)
+            latex, last = rf"{latex} : {condition}", self.token(end)
+        if last.text != closing or (closing == "|" and last.start > end):
             raise NoFormulaError
-        return latex.replace(BREAK, " "), after, found
+        return Parsed(latex.replace(BREAK, " "), last.end, marked)
 
     def name(self, word: str, end: int) -> Parsed:
-        """Parse a letter, a Greek letter, an indexed one, or a function of what is in brackets behind it."""
+        """Parse what a name begins, which ends at ``end``: a function, a sum, a quantity or a letter."""
         stem, _, index = word.rstrip("'").partition("_")
-        primes, bracket = "'" * (len(word) - len(word.rstrip("'"))), self.text[end : end + 1] == "("
-        if stem in ("sum", "max", "min") and index:
-            summed, end, _ = self.product(end)
-            lower = re.sub(r"<=", r"\\le ", index.strip("{}"))
-            return rf"\{stem}_{{{lower}}} {summed}", end, True
-        if stem in FUNCTIONS and bracket and not index:
-            inner, end, _ = self.listed(end + 1, ")")
-            if stem == "sqrt":
-                return rf"\sqrt{{{inner}}}", end, True
+        if index and stem in ("sum", "max", "min"):
+            lower = index.strip("{}").replace("<=", r"\le ")
+            latex, end, _ = self.product(end)
+            return Parsed(rf"\{stem}_{{{lower}}} {latex}", end, True)
+        if stem in FUNCTIONS and not index and self.character(end) == "(":
+            latex, end, _ = self.items(end + 1, ")")
             head = rf"\{stem}" if stem in KNOWN else rf"\operatorname{{{stem}}}"
-            return f"{head}({inner})", end, True
-        if word in SPELT:
-            return SPELT[word], end, True
-        if word in ("sum", "Re") and self.text[end : end + 1] == " ":
-            summed, end, _ = self.product(end)
-            return rf"\sum {summed}" if word == "sum" else rf"\operatorname{{Re}} {summed}", end, True
+            return Parsed(rf"\sqrt{{{latex}}}" if stem == "sqrt" else f"{head}({latex})", end, True)
+        if word in WITHOUT_BLANKS:
+            return Parsed(WITHOUT_BLANKS[word], end, True)
+        if word in ("sum", "Re") and self.character(end) == " ":
+            latex, end, _ = self.product(end)
+            return Parsed(rf"\sum {latex}" if word == "sum" else rf"\operatorname{{Re}} {latex}", end, True)
         if word in QUANTITIES or (stem in QUANTITIES and len(index) == 1):
-            before = self.text[: end - len(word)].rstrip()[-1:]
-            if word == stem and self.token(end)[1] not in {*OPERATORS, ")"} and before not in {*"=*/+-(<>|^"}:
+            return self.quantity(word, end)
+        return self.letter(stem, index, word[len(word.rstrip("'")) :], end)
+
+    def quantity(self, word: str, end: int) -> Parsed:
+        """Parse a word that stands for a number: with an index, or next to an operator."""
+        if word in QUANTITIES:
+            before, after = self.text[: end - len(word)].rstrip()[-1:], self.token(end).text
+            if "_" not in word and after not in {*OPERATORS, ")"} and before not in {*"=*/+-(<>|^"}:
                 raise NoFormulaError
-            of = f"_{{{index}}}" if word not in QUANTITIES else ""
-            return rf"\text{{{(word if not of else stem).replace('_', ' ')}}}{of}", end, bool(of)
-        hat = stem in HATS
-        letter = stem[0] if hat else stem
-        if len(letter.rstrip("0123456789")) > 1 and letter not in GREEK:
+            return Parsed(rf"\text{{{word.replace('_', ' ')}}}", end, False)
+        stem, _, index = word.rstrip("'").partition("_")
+        return Parsed(rf"\text{{{stem}}}_{{{index}}}", end, True)
+
+    def letter(self, stem: str, index: str, primes: str, end: int) -> Parsed:
+        """Parse a Latin or Greek letter with its index: x_t, x2, xhat_k, lambda."""
+        letter = stem.rstrip("0123456789")
+        digits = stem[len(letter) :]
+        greek = stem in GREEK
+        if stem in HATS:
+            latex, digits = rf"\hat{{{stem[0]}}}", ""
+        elif greek or len(letter) == 1:
+            latex = rf"\{letter}" if greek else letter
+        else:
             raise NoFormulaError
-        digits = letter.lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz")
-        latex = rf"\{letter}" if letter in GREEK else letter[: len(letter) - len(digits)]
-        latex, index = rf"\hat{{{latex}}}" if hat else latex, index.strip("{}") or digits
-        index = ",".join(rf"\{one}" if one in GREEK else _upright(one) for one in index.split(","))
+        index = ",".join(map(_index_in_latex, (index.strip("{}") or digits).split(",")))
         latex += primes + (f"_{{{index}}}" if index else "")
         if self.text[end : end + 3] in ("+ =", "+ >"):  # the next value
-            return f"{latex}^+", end + 1, True
-        return latex, end, bool(index) or letter in GREEK
+            return Parsed(f"{latex}^+", end + 1, True)
+        return Parsed(latex, end, bool(index) or greek)
+
+    def chain(self, at: int, part: Callable[[int], Parsed], joints: Mapping[str, str]) -> Parsed:
+        """Parse parts between joints; a joint that no part follows is left to the text."""
+        latex, end, marked = part(at)
+        while (joint := self.token(end)).text in joints and self.joins(joint, end):
+            try:
+                more = part(joint.end)
+            except NoFormulaError:
+                break
+            if joint.text == "//":
+                latex = rf"\lfloor {latex} / {more.latex} \rfloor"
+            else:
+                latex = f"{latex}{joints[joint.text]} {more.latex}"
+            end, marked = more.end, marked or more.marked or joint.text in COMPARISONS
+        return Parsed(latex, end, marked)
+
+    def joins(self, joint: Token, end: int) -> bool:
+        """Whether a joint after ``end`` is one: no hyphen or dash, nor the word "in"."""
+        if joint.text == "-":
+            return (joint.start > end) == self.character(joint.end).isspace()
+        return joint.text != "in" or SET.match(self.text, joint.end) is not None
+
+    def token(self, at: int) -> Token:
+        """Return the next token after blanks."""
+        blank = BLANK.match(self.text, at)
+        match = TOKEN.match(self.text, blank.end() if blank else at)
+        return Token(match.lastgroup or "mark", match[0], *match.span()) if match else Token("end", "", at, at)
+
+    def character(self, at: int) -> str:
+        """Return the character at a place; nothing at the end of the text."""
+        return self.text[at : at + 1]
+
+    def primes(self, at: int) -> str:
+        """Return the primes from a place on."""
+        rest = self.text[at:]
+        return rest[: len(rest) - len(rest.lstrip("'"))]
 
 
-def _upright(index: str) -> str:
-    """Return an index, upright if it is a word."""
+def _index_in_latex(index: str) -> str:
+    """Return an index in LaTeX: a word is upright."""
+    if index in GREEK:
+        return rf"\{index}"
     return rf"\mathrm{{{index}}}" if len(index) > 1 and index.isalpha() else index
 
 
 def _roles(latex: str) -> str:
-    """Return a formula as roles that lines of a narrow page may separate."""
+    """Return a formula as roles, between which lines of a narrow page may be broken."""
     first, *more = latex.split(BREAK)
     pieces = [first]
     for piece in more:
@@ -204,22 +280,12 @@ def as_formulas(text: str, plain: Callable[[str], str] = lambda text: text) -> s
     text = with_superscripts(text)
     parser, parts, at, last = Parser(text), list[str](), 0, 0
     while at < len(text):
-        before = text[max(at - 2, 0) : at]
-        if before and (before[-1] not in BEFORE or (before[-1] == "(" and before[0].isalnum())):
-            at += 1
-            continue
         try:
-            if text[at].isspace() or text[at] in "+*/=>,":
-                raise NoFormulaError
-            latex, end, found = parser.relation(at)
-            first = parser.token(at)[1]
-            alone = first in WORDS_ALONE and parser.token(parser.token(at)[3])[1] not in {*RELATIONS, *"+*/^-("}
-            behind = text[end : end + 1]
-            if not found or alone or behind.isalnum() or behind in ("_", "`", '"', "'", "[", "(", "/", "^"):
-                raise NoFormulaError
+            latex, end, _ = parser.formula(at)
         except (NoFormulaError, RecursionError):
             at += 1
             continue
-        parts += [plain(text[last:at]), _roles(latex), "" if behind in " \n.,;:)" else "\\ "]
+        apart = "" if parser.character(end) in " \n.,;:)" else "\\ "
+        parts += [plain(text[last:at]), _roles(latex), apart]
         at = last = end
     return "".join(parts) + plain(text[last:])

@@ -164,19 +164,17 @@ def plain_text(app: Sphinx, kind: str, name: str, value: object, options: object
     parts = AS_WRITTEN.split("\n".join(lines))
     for i, part in enumerate(parts):
         if i % 2 == 0:
-            parts[i] = as_formulas(part, escaped)
+            parts[i] = as_formulas(part, escape_markup)
         elif not part.lstrip().startswith((">>>", "``")):
-            parts[i] = "".join(piece if piece.startswith("``") else escaped(piece) for piece in CODE.split(part))
+            parts[i] = "".join(one if one.startswith("``") else escape_markup(one) for one in CODE.split(part))
     lines[:] = "".join(parts).split("\n")
 
 
 def skip_internals(app: Sphinx, kind: str, name: str, member: object, skip: bool, options: object) -> bool | None:
     """Skip members of a problem's parts that serve the package: those without sections that "Methods" does not list."""
     function = getattr(member, "fget", None) or getattr(member, "func", member)
-    module, owner = (
-        getattr(function, "__module__", None) or "",
-        getattr(function, "__qualname__", "").rpartition(".")[0],
-    )
+    module = getattr(function, "__module__", None) or ""
+    owner = getattr(function, "__qualname__", "").rpartition(".")[0]
     if not owner or not module.startswith("lin_freq_ocp.problem."):
         return None
     methods = (getattr(sys.modules[module], owner).__doc__ or "").partition("Methods\n")[2]
@@ -184,7 +182,7 @@ def skip_internals(app: Sphinx, kind: str, name: str, member: object, skip: bool
     return None if listed or "---" in (function.__doc__ or "") else True
 
 
-def escaped(text: str) -> str:
+def escape_markup(text: str) -> str:
     """Return a text whose bars, stars and quotes are no markup."""
     return re.sub(r"(?<!\\)([|*`])", r"\\\1", text)
 

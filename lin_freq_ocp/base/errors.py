@@ -244,10 +244,10 @@ def answering_misspelt(public: object) -> object:
     Of the methods of an object, those with at least OPTIONS parameters that may be left out. A class is changed in
     place; a function also where it is defined, so that it can be sent to other processes.
     """
-    called = _ANSWERING.get(public, public)
     if public in _ANSWERING:
-        pass
-    elif isinstance(public, type):
+        return _ANSWERING[public]
+    called = public
+    if isinstance(public, type):
         members = {"__init__": inspect.getattr_static(public, "__init__"), **vars(public)}  # one of a base, too
         for name, member in members.items():
             if name == "__init__" and inspect.isfunction(member):

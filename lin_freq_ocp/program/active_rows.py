@@ -162,15 +162,15 @@ def _newton_step(
     M, H, _, W = map(sp.csc_array, linearised_rows(program, z, y, active))
     curved = np.flatnonzero(np.diff(W.indptr))
     # v = A z of curved edges and W v stay unknowns: rows over all times would make H dense
-    W, edge, one = W[curved][:, curved], sp.csr_array(program.A)[curved], -sp.eye_array(len(curved))
+    W, A, minus = W[curved][:, curved], sp.csr_array(program.A)[curved], -sp.eye_array(len(curved))
     slope = program.P @ z + program.q + program.A.T @ held
     system, dz, dy = None, z, y
     for proximal in (weight for weight in PROXIMAL_WEIGHTS if weight >= least):
         try:
             K = regularised_kkt(program.P, M, proximal, proximal)
             if len(curved):
-                beside = sp.hstack([edge, sp.csr_array((len(curved), M.shape[0]))])
-                K = sp.csc_array(sp.block_array([[K, None, beside.T], [None, W, one], [beside, one, None]]))
+                v = sp.hstack([A, sp.csr_array((len(curved), M.shape[0]))])
+                K = sp.csc_array(sp.block_array([[K, None, v.T], [None, W, minus], [v, minus, None]]))
             factor = splu(K)
         except RuntimeError:  # exactly singular
             continue

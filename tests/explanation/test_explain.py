@@ -269,12 +269,12 @@ def test_a_repair_needs_no_more_digits_than_its_margin(monkeypatch):
     end = next(one for one in constraints(problem) if one.name.startswith("initial state"))
     endings = []
 
-    def recorded(*given, **options):
+    def record_the_ending(*given, **options):
         result = solve_judged(*given, **options)
         endings.append((given[1].method, result.status))
         return result
 
-    substitute(monkeypatch, "solving.solve_judged", recorded)
+    substitute(monkeypatch, "solving.solve_judged", record_the_ending)
     assert least_cure(problem, end, lambda cured: True).amount > 0
     assert endings == [("structured", "optimal")]
 

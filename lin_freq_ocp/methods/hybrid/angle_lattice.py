@@ -15,26 +15,29 @@ of h next to a_i, at random, with the mean a_i. With g_i = max(theta, A_i) - max
 +-s g_i. |g_i| <= |A_i - a_i| up to the end of the cell of a_i, and is zero from there; its mean is zero but within the
 cell, where it is >= 0 with an integral of half the variance of A_i, h^2/8 at most. Hence 2 int (I - R) sum_i +-s g_i
 has a mean of at most m s e h^2/4. Draw one offset U for each cell, A_i = h floor(a_i/h + U): for angles of different
-cells means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. With
-a_i + h <= t_i for the end of its cell, the mean of L_r grows in all by at most
+cells means of products vanish, and those of f angles within a cell raise the mean of the squares at most f times. If
+the cell of a_i ends at t_i or before, t_i = min(a_i + h, pi/2), the mean of L_r grows in all by at most
 
-    h^2 sum_i (f s^2 t_i/pi + s e/pi),    t_i <= pi/2,
+    h^2 sum_i (f s^2 t_i/pi + s e/pi),
 
 and some train of the lattice costs no more than that. Angles stay in order, and of a dwell d, floor(d/h) - 1 steps
-remain, floor(d/h) at both ends. f = 1 if dwells between switches are longer than h, else m.
+remain, floor(d/h) at both ends. f = 1 if dwells between switches are longer than h; else f is the number of angles that
+may follow each other at less than h.
 
 *Least dwells.* Where the best train of the lattice has a dwell that is too short, draw one U for each chain of angles
 whose dwells may be less than floor(d/h) h + h: floor(d/h) steps remain of each dwell. The squares of a chain of f
 angles rise at most f times.
 
-*Tube.* I - R is zero at pi/2, with a slope of at most q. A train that leaves |I - R| <= w costs L_r >= 4 w^3/(3 pi q).
-The lattice holds |I - R| <= w and the m s h by which angles move I: what it finds, less the loss for e = w, or that
-cost of leaving, whichever is less, bounds L_r. If the steps of a part are known, I differs from that of its middle
-angles by no more than s times the sum of its half widths: where this band is narrower, no train leaves it.
+*Tube.* I - R is zero at pi/2, with a slope of at most q. A train that leaves |I - R| <= w costs L_r >= 4 w^3/(3 pi q):
+w is such that this is enough. The lattice has the trains within w and the m s h by which angles move I: the least cost
+of these, less the loss for e = w, or the cost of leaving, whichever is less, bounds L_r. If the steps of a part are
+known, I differs from that of its middle angles by no more than s times the sum of its half widths: where this band is
+narrower, no train leaves it.
 
-*Open cells.* A_i is at either end of the cell of a_i, whatever is drawn. Where all trains of the lattice with angle i
-there, and a step up, cost too much with the loss, no train of interest has its angle i in the cell, and a step up.
-The recursion back and one forth have the least cost of the trains through every state, and so through every switch.
+*Open cells.* A_i is at an end of the cell of a_i, whatever is drawn. Where all trains of the lattice with angle i at
+these ends, and a step up there, cost too much less the loss, no train of interest has its angle i in the cell with a
+step up. A recursion from the end and one from the start give the least cost of the trains through every state, and so
+through every switch.
 """
 
 from __future__ import annotations
@@ -49,20 +52,20 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.hybrid.quarter import Quarter
+from lin_freq_ocp.methods.hybrid.quarter import RANGE_ROUNDING, Quarter
 from lin_freq_ocp.methods.native_code import compiled_library
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
-TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: rounding of some 10^3 sums that telescope is smaller
-LEAST_FRACTION = 1e-9  # of a step, by which bounds of angles are wider: their rounding is smaller
+# Roundings, on which claims rest
+TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: their rounding telescopes over the lattice
+SUM_ROUNDING = 2.0**-52  # of a sum of costs, relative: twice what one addition rounds
 WHOLE = 1e-12  # of a step, up to which a dwell is a multiple of h: it changes L_r by less than rounding
-COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above
-MOST_STATES = 2**25  # of a recursion: half a gigabyte for the costs from and to each
-WIDER = 1 + 1e-9  # of the width at which leaving the tube costs what is enough: rounding is smaller
-RADIUS, LEAST_RADIUS, PROGRESS = 0.05, 1e-7, 1e-5  # trust region of r: the first, the least; relative gain that is none
-MOST_CUTS = 40
-PATIENCE, SHARE_OF_MISSING = 4, 0.1  # cuts in which the bound rises by this share of what it lacks of ``enough``
-SHARE_OF_LOSS = 0.1  # gain of the bound, of its loss, that is not worth a recursion
+# Effort: bounds hold whatever these are
+COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above: less of them is lost
+MOST_STATES = 2**25  # of a recursion, half a gigabyte for the costs from and to each; larger parts are halved
+RADIUS = 0.05  # of the first trust region of r, in units of b_k
+MOST_CUTS, SHARE_OF_LOSS = 40, 0.1  # recursions for one part; gain of the bound, of its loss, that is not worth one
+PATIENCE, SHARE_OF_MISSING = 4, 0.1  # recursions in which the bound rises by this share of what it lacks of ``enough``
 
 
 class RecursionInC(ctypes.Structure):
@@ -84,7 +87,7 @@ class AngleRange:
     sign: Indices
 
     def is_near(self, steps: Array, angles: Array) -> bool:
-        """Whether a train is one of these, or beside them within half of their range."""
+        """Whether a train is one of these, or would be if each range were twice as wide."""
         signs = (self.sign == 0) | (self.sign == np.sign(steps))
         return bool((signs & (np.abs(angles - (self.low + self.high) / 2) <= self.high - self.low)).all())
 
@@ -105,6 +108,7 @@ class AngleRange:
 class LatticePoint:
     """A bound on E of a part by one r, its loss, and the steps and angles (m,) of the best train of the lattice.
 
+    Without a train, steps are zero. Of trains that cost the same, each angle may be that of another.
     ``open`` are the cells (m, 2, N) that may hold an angle, with a step up or down, of a train below what is enough.
     """
 
@@ -124,19 +128,18 @@ class AngleLattice:
         self.count = min(range(count, count + COUNTS), key=lambda N: float(((dwells * N + WHOLE) % 1.0).max()))
         self.quarter, self.h = quarter, QUARTER / self.count
         self._whole = np.floor(quarter.dwells / self.h + WHOLE).astype(np.int64)
-        self.seconds = 0.0
 
     def bound(self, r: Array, part: AngleRange, enough: float = np.inf) -> LatticePoint:
         """Return the bound for some r; infinity if the part has no train. No tube is wider than ``enough`` asks for."""
-        point = self._bound(r, part, enough, kept=False)
-        dwells = np.diff(point.angles) / self.h
-        if point.bound < enough and (dwells < self._whole[1:-1] - 0.5).any() and point.steps.all():
-            return max(point, self._bound(r, part, enough, kept=True), key=lambda one: one.bound)
+        point = self._bound(r, part, enough, whole=False)
+        short = np.diff(point.angles) / self.h < self._whole[1:-1] - 0.5
+        if point.bound < enough and short.any() and point.steps.all():
+            return max(point, self._bound(r, part, enough, whole=True), key=lambda one: one.bound)
         return point
 
     def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
         """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
-        edge, low, high = LEAST_FRACTION * self.h, part.low.copy(), part.high.copy()
+        edge, low, high = RANGE_ROUNDING * self.h, part.low.copy(), part.high.copy()
         for j, cells in enumerate(np.logical_or.reduce(opened, axis=1)):
             where = np.flatnonzero(cells)
             if not len(where):
@@ -146,55 +149,57 @@ class AngleLattice:
         up, down = np.logical_or.reduce(opened, axis=2).T
         return AngleRange(low, high, np.where(up & down, part.sign, np.where(up, 1, -1)))
 
-    def _bound(self, r: Array, part: AngleRange, enough: float, kept: bool) -> LatticePoint:
-        """Return the bound with all whole steps of dwells, or one less where angles are independent."""
-        q, h, hold, k = self.quarter, self.h, self._whole.copy(), np.array(self.quarter.orders, dtype=float)
-        if not kept:
+    def _bound(self, r: Array, part: AngleRange, enough: float, whole: bool) -> LatticePoint:
+        """Return the bound by trains with all whole steps of each dwell between switches, or with one less."""
+        q, h, hold, m = self.quarter, self.h, self._whole.copy(), len(part.sign)
+        if not whole:
             hold[1:-1] = np.maximum(hold[1:-1] - 1, 0)
-        apart = not kept and float(q.dwells[1:-1].min(initial=QUARTER)) > h
-        together = np.ones(len(part.sign)) if apart else self._chains(part, hold if kept else 0 * hold)
+        apart = not whole and float(q.dwells[1:-1].min(initial=QUARTER)) > h
+        f = np.ones(m) if apart else self._chains(part, hold if whole else 0 * hold)
+        most = max(enough - q.shift(r) + TRACKING_ROUNDING, 0.0)  # of L_r
+        middle, width, e, leaving = self._tube(r, part, most)
+        loss = h**2 * q.step / np.pi * float(q.step * f @ np.minimum(part.high + h, QUARTER) + m * e)
+        least = (1 - self.count * SUM_ROUNDING) * _least_through(self, r, middle, width, part, hold) - loss
+        cells = np.minimum(least[:, :, 1:], least[:, :, :-1]) <= most
+        bound = min(float(least[0].min(initial=np.inf)), leaving) - TRACKING_ROUNDING + q.shift(r)
+        down, at = np.array([np.unravel_index(one.argmin(), one.shape) for one in least]).T
+        return LatticePoint(bound, loss, r, np.isfinite(least).any() * q.step * (1.0 - 2 * down), at * h, cells)
+
+    def _tube(self, r: Array, part: AngleRange, most: float) -> tuple[Array, float, float, float]:
+        """Return the middle of a tube around -I, its half width, a bound e on |I - R|, and the least L_r outside."""
+        q, h, k = self.quarter, self.h, np.array(self.quarter.orders, dtype=float)
         theta, middle = self.theta[: self.count + 1], self.waves[: self.count + 1] @ r
         slope = np.sin(np.outer(theta, k)) @ (k * r)
         steepest = max(q.highest * q.step - slope.min(), slope.max() - q.lowest * q.step)
         steepest += h / 2 * float(np.abs(r) @ k**2)  # between the angles of the lattice
         farthest = QUARTER * max(q.highest, -q.lowest) * q.step + float(np.abs(r).sum())
-        most = max(enough - q.shift(r) + TRACKING_ROUNDING, 0.0)  # of L_r
-        width = e = min(WIDER * (3 * np.pi / 4 * steepest * most) ** (1 / 3), farthest)
-        leaving = np.inf if width == farthest else 4 * width**3 / (3 * np.pi * steepest)
+        width = (3 * np.pi / 4 * steepest * most) ** (1 / 3)
         band = float((part.high - part.low).sum() / 2 * q.step)
         if part.sign.all() and band <= width:
-            rest = np.minimum(QUARTER - theta[:, None], QUARTER - np.sort(part.low + part.high) / 2) @ part.sign
-            e, leaving = min(float(np.abs(middle - rest * q.step).max()) + band + steepest * h / 2, farthest), np.inf
-            middle, width = np.asarray(rest * q.step, dtype=float), band
-        ends = np.minimum(part.high + h, QUARTER)
-        loss = h**2 * q.step / np.pi * float(q.step * together @ ends + len(ends) * e)
-        through = _least_through(self, r, middle, width, part, hold) - loss
-        cells = np.minimum(through[:, :, 1:], through[:, :, :-1]) <= most
-        best = [np.unravel_index(one.argmin(), one.shape) for one in through]
-        least = through[0].min(initial=np.inf)
-        steps, angles = np.array(best).T if least < np.inf else np.zeros((2, len(part.sign)))
-        bound = min(least, leaving) - TRACKING_ROUNDING + q.shift(r)
-        return LatticePoint(bound, loss, r, q.step * (1 - 2 * steps) if least < np.inf else steps, angles * h, cells)
+            rest = np.minimum(QUARTER - theta[:, None], QUARTER - (part.low + part.high) / 2) @ part.sign
+            e = float(np.abs(middle - q.step * rest).max()) + band + steepest * h / 2
+            return np.asarray(q.step * rest, dtype=float), band, min(e, farthest), np.inf
+        return (middle, width, width, most) if width < farthest else (middle, farthest, farthest, np.inf)
 
     def _chains(self, part: AngleRange, hold: Indices) -> Array:
         """Return for each angle how many may be in one chain with it."""
-        free = part.low[1:] - part.high[:-1] >= (hold[1:-1] + 1 + LEAST_FRACTION) * self.h
+        free = part.low[1:] - part.high[:-1] >= (hold[1:-1] + 1 + RANGE_ROUNDING) * self.h
         _, chain, count = np.unique(np.cumsum([0, *free]), return_inverse=True, return_counts=True)
         return count[chain].astype(float)
 
     @cached_property
     def theta(self) -> Array:
-        """The angles of the lattice, and beyond the quarter those that a dwell may reach."""
+        """The angles of the lattice, and those after the quarter that a dwell may reach."""
         return self.h * np.arange(self.count + 1 + int(self._whole.max(initial=1)), dtype=np.float64)
 
     @cached_property
     def waves(self) -> Array:
-        """Cosines of the orders at all angles."""
+        """The cosines of all orders at these angles."""
         return np.cos(np.outer(self.theta, self.quarter.orders))
 
     @cached_property
     def primitives(self) -> tuple[Array, Array, Array]:
-        """What r, r and its products have to be multiplied by for the integrals of R, of that integral, and of R^2."""
+        """Primitives of R and of that primitive, for each r_k, and of R^2, for each product r_a r_b."""
         k, theta = np.array(self.quarter.orders, dtype=float), self.theta[:, None]
         products = [
             ((theta if a == b else np.sin((a - b) * theta) / (a - b)) + np.sin((a + b) * theta) / (a + b)) / 2
@@ -243,17 +248,15 @@ class AngleLattice:
             else:
                 radius /= 3
             begin, before = now(), begin
-            self.seconds = begin - before
             missing.append(enough - best)
             stays = missing[-1] < np.inf and missing[-1] > (1 - SHARE_OF_MISSING) * missing[-1 - PATIENCE]
-            if radius < LEAST_RADIUS or begin + self.seconds > end or enough - best < 2 * point.loss or stays:
+            if stays or missing[-1] < 2 * point.loss or 2 * begin - before > end:
                 return
             box = [*zip(np.maximum(centre - radius, least), np.minimum(centre + radius, most), strict=True)]
             box += [(None, None), *((None, 0.0) if free else (None, None) for free in fixed)]
             objective = np.concatenate([np.zeros(len(k)), [-1.0], np.full(len(k), -2.0)])
             answer = linprog(objective, np.array(rows), np.array(limits), bounds=box, method="highs")
-            none = max(PROGRESS * abs(best), SHARE_OF_LOSS * point.loss)
-            if answer.x is None or answer.fun is None or -answer.fun - best < none:
+            if answer.x is None or answer.fun is None or -answer.fun - best < SHARE_OF_LOSS * point.loss:
                 return
             r = answer.x[: len(k)]
 
@@ -266,8 +269,8 @@ def _least_through(
     half, centre = int(np.ceil(around / (h * q.step))) + m + 1, np.round(middle / (h * q.step)).astype(np.int64)
     # where switches may be, in view of those before and after them, and the states after c switches
     after = np.concatenate([[0], np.cumsum(hold[1:])])
-    low = np.maximum(np.floor(part.low / h - LEAST_FRACTION).astype(np.int64), hold[0]) - after[:-1]
-    high = np.minimum(np.ceil(part.high / h + LEAST_FRACTION).astype(np.int64), N - hold[-1]) - after[:-1]
+    low = np.maximum(np.floor(part.low / h - RANGE_ROUNDING).astype(np.int64), hold[0]) - after[:-1]
+    high = np.minimum(np.ceil(part.high / h + RANGE_ROUNDING).astype(np.int64), N - hold[-1]) - after[:-1]
     low = np.maximum.accumulate(low) + after[:-1]
     high = np.minimum.accumulate(high[::-1])[::-1] + after[:-1]
     first, last = np.concatenate([[0], low + hold[1:]]), np.concatenate([high, [N]])

@@ -1,17 +1,17 @@
 """Local optima over the angles of a pulse train, a proof that there is no better one near, and parts without a train.
 
 With c a local optimum, s the steps, and multipliers of the amplitudes and dwells, L = E + lambda'(b - limit) - nu'x,
-x = the dwells less their least values, is below E for every train of the problem (quarter.py). L is zero in slope at
-c, but for rounding G. E is a polynomial of degree three in ordered angles, hence
+x = the dwells less their least values, is below E for every train of the problem (quarter.py). G, its slope at c, is
+zero but for rounding. E is a polynomial of degree three in ordered angles, hence
 
     L(c + d) = L(c) + G'd + 1/2 d' M(d) d,    M(d) = H_E(c + d/3) + sum_k lambda_k diag w_k(d),
 
 where w_k has the weighted second derivatives of b_k: 2 int (1 - t) cos k(c_i + t d_i) dt is cos kc_i - (kd_i/3) sin
 kc_i within (kd_i)^2/12. With 0 <= x <= W over the box and a multiplier mu >= 0, mu x >= mu x^2/W keeps the bound: the
-squares of dwells and of limited amplitudes are added, and of those with b_k = l_k = h_k any multiple rho. An amplitude
-is x(c) + u + v, with its slope u and |v| <= 1/2 sum |b_k''| d_i^2, and (u + v)^2 >= u^2/2 - v^2.
+squares of dwells and of limited amplitudes are added, and of those with b_k = l_k = h_k any multiple, here once. An
+amplitude less its limit is y(c) + u + v, u its slope times d, |v| <= 1/2 sum |b_k''| d_i^2, (u + v)^2 >= u^2/2 - v^2.
 M is linear in d, its constants aside: it is positive semidefinite over a box if it is at the corners. Then the bound
-over the box is L(c) less |G|'|d|. The box need not hold c.
+over the box is L(c) less |G|'|d| and what y(c) and x(c) take from the squares. The box need not hold c.
 
 *Parts without a train.* A weighted sum of amplitudes is a sum over the angles, whose least value over a lattice takes
 one pass. Move all angles of a train to the lattice by one random offset, the mean kept: dwells keep their whole steps,
@@ -30,22 +30,21 @@ from itertools import product
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices
-from lin_freq_ocp.methods.hybrid.quarter import Quarter
+from lin_freq_ocp.methods.hybrid.quarter import RANGE_ROUNDING, Quarter
 from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 
-ENERGY_ROUNDING = 1e-13  # of the sums of the absolute terms of E and b_k, for ten angles: rounding is smaller
-COST_ACCURACY = 1e-13  # change of the cost, relative to the sum of its terms, at which the search ends
-AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge
-SEARCH_STEPS = 80  # of a search: those that converge take half of them
-NEWTON_STEPS, NEWTON_REACH = 6, 1e-2  # after the search; a longer step [rad] is none from an optimum
-AT_LIMIT = 1e-7  # distance from a limit at which a local search leaves an amplitude or a dwell that meets it
-CLOSE_TO_LIMIT = 1e-4  # the same, where Newton's method begins
-MOST_CORNERS = 2**12  # of a box
+# Roundings, on which claims rest
+ENERGY_ROUNDING = 1e-13  # of the sums of the absolute terms of E and b_k, for twelve angles: rounding is smaller
+EIGENVALUE_ROUNDING = 1e-12  # of the largest entry of M: the rounding of eigenvalues is smaller for twelve angles
+# Effort: bounds and exclusions hold whatever these are
+MOST_CORNERS = 2**12  # of a box whose curvature is asked
 SUMS, MOST_SUMS = 4000, 40  # angles of a quarter for sums of amplitudes, and how many sums are tried at most
 SUM_ACCURACY = 1e-9  # of amplitudes of order 1, by which a sum must miss its limits to be worth a try
-SUM_FRACTION = 1e-9  # of a step, by which ranges of angles are wider: their rounding is smaller
-EIGENVALUE_ROUNDING = 1e-12  # of the largest entry of M: the rounding of eigenvalues is smaller for twelve angles
-STIFFNESS = 0.0, 1.0, 30.0  # rho that are tried
+AT_LIMIT = 1e-7  # distance from a limit up to which an amplitude or a dwell has a multiplier at an optimum
+COST_ACCURACY = 1e-13  # change of the cost, relative to the sum of its terms, at which the search ends
+AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge, who decides
+SEARCH_STEPS = 80  # of a search: those that converge take half of them
+NEWTON_STEPS, NEWTON_REACH = 6, 1e-2  # after the search; a longer step [rad] is none from an optimum
 
 
 def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array) -> float:
@@ -67,16 +66,16 @@ def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array
     stiff, fixed = nu / np.maximum(x + along[len(k) :], AT_LIMIT), quarter.low == quarter.high
     M = _curvature(steps, c + corners / 3) - bent[:, None] * np.eye(m) + 2 * (D.T * stiff) @ D
     value = E + price @ over - nu @ x - np.abs(G) @ reach - 2 * (stiff * np.abs(x)) @ along[len(k) :]
-    value -= ENERGY_ROUNDING * (1 + float(np.abs(price).sum())) * float(np.abs(weight).sum()) ** 2
-    of_price = np.abs(price) / np.maximum(np.abs(over) + along[: len(k)] + turn, AT_LIMIT)
-    for rho in STIFFNESS:
-        stiff = np.where(fixed, rho, np.minimum(of_price, rho))
-        bend = stiff @ np.square(np.abs(second) * reach).sum(axis=1) / 2
-        whole = M + (slopes.T * stiff) @ slopes - bend * np.eye(m)
-        if np.linalg.eigvalsh(whole).min() > EIGENVALUE_ROUNDING * np.abs(whole).max():
-            misses = np.where(fixed, np.abs(b - quarter.low), np.abs(over))
-            return float(value - 2 * (stiff * misses) @ (along[: len(k)] + turn))
-    return -np.inf
+    size = float(np.abs(weight).sum())
+    value -= ENERGY_ROUNDING * size * (size + float(np.abs(price).sum()))
+    most = along[: len(k)] + turn  # of u + v
+    stiff = np.where(fixed, 1.0, np.minimum(np.abs(price) / np.maximum(np.abs(over) + most, AT_LIMIT), 1.0))
+    bend = stiff @ np.square(np.abs(second) * reach).sum(axis=1) / 2
+    M = M + (slopes.T * stiff) @ slopes - bend * np.eye(m)
+    if np.linalg.eigvalsh(M).min() <= EIGENVALUE_ROUNDING * np.abs(M).max():
+        return -np.inf
+    misses = np.where(fixed, np.abs(b - quarter.low), np.abs(over))
+    return float(value - 2 * (stiff * misses) @ most)
 
 
 def local_prices(quarter: Quarter, steps: Array, c: Array) -> Array:
@@ -93,24 +92,24 @@ def _curvature(steps: Array, a: Array) -> Array:
     return np.where(i == j, alone[:, :, None], both * a[:, np.minimum(i, j)])
 
 
-def _multipliers(quarter: Quarter, steps: Array, c: Array, active: float = AT_LIMIT) -> tuple[Array, Array, Array]:
+def _multipliers(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array, Array]:
     """Return slopes of amplitudes and dwells (k + m + 1, m), dwells above the least, and multipliers that fit best."""
     from scipy.optimize import nnls  # slow to import
 
     m, (b, slopes) = len(c), quarter.amplitudes(steps, c)
     x = np.diff(np.concatenate([[0.0], c, [QUARTER]])) - quarter.dwells
     rows = np.vstack([slopes, np.diff(np.vstack([np.zeros(m), np.eye(m), np.zeros(m)]), axis=0)])
-    below = np.concatenate([np.abs(b - quarter.low) < active, x < active])
-    above = np.concatenate([np.abs(b - quarter.high) < active, np.zeros(m + 1, dtype=bool)])
+    below = np.concatenate([np.abs(b - quarter.low) < AT_LIMIT, x < AT_LIMIT])
+    above = np.concatenate([np.abs(b - quarter.high) < AT_LIMIT, np.zeros(m + 1, dtype=bool)])
     sides = np.hstack([np.eye(len(rows))[:, above], -np.eye(len(rows))[:, below]])
-    found = nnls(rows.T @ sides, -quarter.energy(steps, c)[1])[0] if sides.size else np.zeros(sides.shape[1])
-    return rows, x, sides @ found
+    forces = nnls(rows.T @ sides, -quarter.energy(steps, c)[1])[0] if sides.size else np.zeros(sides.shape[1])
+    return rows, x, sides @ forces
 
 
 def _newton(quarter: Quarter, steps: Array, c: Array) -> Array:
     """Return the angles (m,) after steps of Newton's method with the limits that have multipliers near c."""
     k = np.array(quarter.orders, dtype=float)[:, None]
-    multipliers = _multipliers(quarter, steps, c, CLOSE_TO_LIMIT)[2]
+    multipliers = _multipliers(quarter, steps, c)[2]
     kept, price = multipliers != 0, multipliers[: len(k)]
     limits = np.where(price > 0, quarter.high, quarter.low)
     for _ in range(NEWTON_STEPS):
@@ -222,8 +221,8 @@ def _least_sum(quarter: Quarter, low: Array, high: Array, sign: Indices, weights
     """Return steps and angles of the train of a lattice with the least weighted sum of amplitudes; None without one."""
     h, m, k = QUARTER / SUMS, len(sign), np.array(quarter.orders, dtype=float)
     wave = 4 / np.pi * quarter.step * np.cos(h * np.outer(np.arange(SUMS + 1), k)) @ (weights / k)
-    hold = np.floor(quarter.dwells / h - SUM_FRACTION).astype(int).clip(0)
-    first, last = np.floor(low / h - SUM_FRACTION).astype(int), np.ceil(high / h + SUM_FRACTION).astype(int)
+    hold = np.floor(quarter.dwells / h - RANGE_ROUNDING).astype(int).clip(0)
+    first, last = np.floor(low / h - RANGE_ROUNDING).astype(int), np.ceil(high / h + RANGE_ROUNDING).astype(int)
     levels = quarter.highest - quarter.lowest + 1
     rest, choices = np.zeros((levels, SUMS + 1)), np.full((m, levels, 2, SUMS + 1), np.inf)
     for c in reversed(range(m)):

@@ -57,8 +57,8 @@ static double hold(const lfo_lattice *p, double *V, double *W, double *restrict 
   return least;
 }
 
-/* From infinite V, W and least: fill V, from the end on, then W, the cost to arrive, and least (m, 2, N + 1), that of
-   the trains with switch c at i, up and down. `cost` has room for 2 half + 1 numbers. */
+/* Fill V, the cost to go, from the end, then W, the cost to arrive, from the start, and least (m, 2, N + 1), that of
+   the trains with switch c at i, up or down. All three are infinite before. `cost` has room for 2 half + 1 numbers. */
 void lfo_lattice_run(const lfo_lattice *p, double *V, double *W, double *least, double *cost) {
   int N = p->count, m = p->switches, width = 2 * p->half + 1;
   for (int forth = 0; forth < 2; forth++)
@@ -70,15 +70,15 @@ void lfo_lattice_run(const lfo_lattice *p, double *V, double *W, double *least, 
           if (at < 0) continue;
           if (forth && i == 0 && c == 0)
             for (int a = 0; a < width; a++) W[at + a] = 0;
-          if (!forth && i == N && c == m) V[at + p->half - p->centre[N]] = 0;
+          if (!forth && i == N && c == m) V[at + p->half] = 0;
           if (next >= 0) hold(p, V, W, cost, forth, at, next, i, 1, l, p->moments);
           for (int s = 1; s >= -1 && c < m && i >= p->low[c] && i <= p->high[c]; s -= 2) {
             int64_t far = p->sign[c] == -s ? -1 : place(p, c + 1, l + s, i + p->hold[c + 1]);
             if (far < 0) continue;
             const double *moments = p->moments + (c + 2) * 3 * (int64_t)(N + 1);
             double whole = hold(p, V, W, cost, forth, at, far, i, p->hold[c + 1], l + s, moments);
-            double *known = least + ((int64_t)c * 2 + (s < 0)) * (N + 1) + i;
-            *known = whole < *known ? whole : *known;
+            double *here = least + ((int64_t)c * 2 + (s < 0)) * (N + 1) + i;
+            *here = whole < *here ? whole : *here;
           }
         }
 }

@@ -21,6 +21,7 @@ from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, DWELL, ENERG
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 ANGLE_ROUNDING = 1e-12  # of angles of a quarter: the rounding of their sums with dwells is smaller
+RANGE_ROUNDING = 1e-9  # of a step of a lattice, by which ranges of angles are wider: their rounding is smaller
 LEVEL_ROUNDING = 1e-9  # of a level's limit over the step: limits that are whole multiples of it are met
 
 
@@ -28,7 +29,8 @@ LEVEL_ROUNDING = 1e-9  # of a level's limit over the step: limits that are whole
 class Quarter:
     """A train's d steps, the least and the highest level in steps, least dwells (d + 1,), and l <= b_k <= h of orders.
 
-    The cost is ``price`` (E + ``offset``).
+    The unit of levels is a power of two near the step, so that rounding does not depend on the unit of the problem. The
+    cost is ``price`` (E + ``offset``).
     """
 
     step: float
@@ -45,17 +47,18 @@ class Quarter:
     def of_problem(problem: OptimalControlProblem, dynamics: PulseTrain) -> Quarter:
         """Return it; UnsupportedError for a problem of another form than that of docs/levels.md."""
         _require_form(problem)
-        (start, end), levels, s = problem.ends, problem.state_boxes, dynamics.step
+        (start, end), levels, step = problem.ends, problem.state_boxes, dynamics.step
+        unit = float(2.0 ** np.floor(np.log2(step)))  # division by it is exact
         return Quarter(
-            step=s,
-            lowest=int(np.ceil(levels.lower[0, LEVEL] / s - LEVEL_ROUNDING)),
-            highest=int(np.floor(levels.upper[0, LEVEL] / s + LEVEL_ROUNDING)),
+            step=step / unit,
+            lowest=int(np.ceil(levels.lower[1, LEVEL] / step - LEVEL_ROUNDING)),
+            highest=int(np.floor(levels.upper[1, LEVEL] / step + LEVEL_ROUNDING)),
             dwells=np.broadcast_to(problem.control_tube.lower[:, DWELL], problem.horizon).copy(),
             orders=dynamics.orders,
-            low=end.lower[4:] - start.upper[4:],
-            high=end.upper[4:] - start.lower[4:],
-            price=float(problem.quadratic.p[ENERGY]),
-            offset=float(start.lower[ENERGY]),
+            low=(end.lower[4:] - start.upper[4:]) / unit,
+            high=(end.upper[4:] - start.lower[4:]) / unit,
+            price=float(problem.quadratic.p[ENERGY]) * unit**2,
+            offset=float(start.lower[ENERGY]) / unit**2,
         )
 
     def energy(self, steps: Array, angles: Array) -> tuple[float, Array]:
@@ -81,10 +84,10 @@ class Quarter:
 
     @property
     def least_cost(self) -> float:
-        """Return a bound on the cost by the least squares of the amplitudes, rounded down (Parseval)."""
+        """The least squares of the amplitudes, which bound the cost by Parseval's equation, rounded down."""
         least = zip(np.maximum(np.maximum(self.low, -self.high), 0.0), self.orders, strict=True)
-        exact = sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self.offset))
-        return self.price * float(np.nextafter(float(exact), -np.inf))
+        exact = Fraction(self.price) * sum(((Fraction(b) / k) ** 2 for b, k in least), Fraction(self.offset))
+        return float(np.nextafter(float(exact), -np.inf))
 
     def shift(self, r: Array) -> float:
         """Return -sum r_k^2 + 2 sum min(r_k l_k, r_k h_k) / k, of a bound on the energy by L_r."""
@@ -108,8 +111,9 @@ def _require_form(problem: OptimalControlProblem) -> None:
         and start.lower[ENERGY] == start.upper[ENERGY],
         "another end than theta = pi/2 with I = 0": _is_fixed(end.lower, end.upper, ANGLE, QUARTER)
         and _is_fixed(end.lower, end.upper, CURRENT, 0.0),
-        "levels whose bounds depend on time": bool((boxes.lower[:, LEVEL] == boxes.lower[0, LEVEL]).all())
-        and bool((boxes.upper[:, LEVEL] == boxes.upper[0, LEVEL]).all()),
+        # the first level is fixed, and a loop leaves its bounds out
+        "levels whose bounds depend on time": bool((boxes.lower[1:, LEVEL] == boxes.lower[-1, LEVEL]).all())
+        and bool((boxes.upper[1:, LEVEL] == boxes.upper[-1, LEVEL]).all()),
         "dwells that may be below zero": bool((problem.control_tube.lower[:, DWELL] >= 0).all()),
     }
     unmet = [words for words, holds in named.items() if not holds]

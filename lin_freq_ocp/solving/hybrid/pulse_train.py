@@ -41,8 +41,8 @@ LATTICES = [1000 * 2**n for n in range(7)]  # with eight switches, the first has
 SMALLER = 0.7  # of the sum of the ranges of a part, below which it is bounded again before it is divided
 MOST_PARTS = 20_000  # in all: a minute or more
 LEAST_OVER = 1e-12  # of a bound on the energy over the cutoff, and of the best energy over it: rounding is smaller
-EXCLUDED = "proven by branch and bound: no box of angles contains a pulse train"
-ANGLES = "branch and bound over boxes of the angles"
+EXCLUDED = "proven by branch and bound over the angles: no pulse train satisfies the constraints"
+ANGLES = "branch and bound over the angles"
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class _TrainSearch:
         """Look near the start, if there is one: near its angles, or of a mode sequence, near equal dwells."""
         start, count = self._request.start, self._problem.horizon - 1
         if start is not None:
-            steps = np.where(start.sequence[:count] == 0, self._dynamics.step, -self._dynamics.step)
+            steps = self._quarter.step * np.where(start.sequence[:count] == 0, 1.0, -1.0)
             equal = QUARTER * np.arange(1, count + 1) / (count + 1)
             self._look_near(steps, equal if start.trajectory is None else start.trajectory.x[1:-1, ANGLE])
 
@@ -235,13 +235,14 @@ class _TrainSearch:
         judged: Judged | None = None
         if self._best is not None:
             steps, angles = self._best
-            every = np.append(steps, -np.sign(steps.sum() or -1.0) * self._dynamics.step)  # the last is to level 0
+            last = -1.0 if steps.sum() > 0 or self._quarter.highest == 0 else 1.0  # to a level that is allowed
+            directions = np.append(np.sign(steps), last)
             dwell = np.diff(np.concatenate([[0.0], angles, [QUARTER]]))
             first = problem.ends[0].project(np.zeros(problem.state_dim))
-            first[CURRENT] = -(steps * (QUARTER - angles)).sum()
-            train = simulate(problem, np.column_stack([dwell, np.sign(every) / 2]), first)
+            first[CURRENT] = -self._dynamics.step * directions[:-1] @ (QUARTER - angles)
+            train = simulate(problem, np.column_stack([dwell, directions / 2]), first)
             multipliers = best_multipliers(problem, train, zero_multipliers(problem, 1.0)).multipliers
-            local = LocalOptimum((every < 0).astype(np.intp), train, multipliers, self._cost, 0.0)
+            local = LocalOptimum((directions < 0).astype(np.intp), train, multipliers, self._cost, 0.0)
             judged = refine_optimum(problem, local, self._started + self._request.time_limit)
             judged = judged.with_bound(Bound(self._value, RIGOROUS, sets=ANGLES))
             status = judged.certificate.status_within(self._gap)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import ClassVar
 
 import numpy as np
@@ -72,7 +73,7 @@ NO_SECONDS = {"setup": 0.0, "solve": 0.0, "certify": 0.0}
 
 @dataclass(frozen=True)
 class Nonsmooth:
-    """Local optima of mode sequences, the best refined by a semismooth Newton method (docs/nonsmooth.md).
+    """Local optima of mode sequences, of which the best is polished (docs/nonsmooth.md).
 
     Attributes
     ----------
@@ -219,7 +220,8 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
     if plain.certificate.extremal and is_smooth(problem):
         return _prove_by_linear(problem, plain, end)
     best = plain
-    for trajectory, multipliers in newton_points(problem, local, end):
+    steps = chain.from_iterable(newton_points(problem, local, end, solved) for solved in (False, True))
+    for trajectory, multipliers in steps:
         first = _with_weights(problem, trajectory, multipliers, local.sequence)
         point = best_multipliers(problem, trajectory, first)
         better = _shortfall(point) < _shortfall(best)
@@ -230,19 +232,19 @@ def refine_optimum(problem: OptimalControlProblem, local: LocalOptimum, end: flo
 
 
 def _prove_by_linear(problem: OptimalControlProblem, plain: Judged, end: float) -> Judged:
-    """Return a convex answer with multipliers that prove it: by the linear methods, of its problem to second order.
+    """Return a convex answer with multipliers that prove it: those of its problem to second order.
 
-    Where sets meet in one point alone, multipliers grow without a limit, and the barrier ends before they prove enough.
+    Where sets meet in a single point, multipliers grow without limit, and the barrier ends before they prove enough.
     """
-    (trajectory, multipliers, certificate), alone = plain, np.zeros(problem.horizon, dtype=np.intp)
-    bound = certificate.bound
-    if bound is None or bound.kind != RIGOROUS or certificate.proven_within(GAP_TOLERANCE):
+    trajectory, multipliers, certificate = plain
+    if certificate.bound is None or certificate.bound.kind != RIGOROUS or certificate.proven_within(GAP_TOLERANCE):
         return plain
-    linear = quadratic_model(problem, Pieces.of(problem, alone), trajectory, multipliers)
-    with suppress(UnsupportedError):  # rounding makes its Hessian indefinite
-        found = LinearAuto().solve(linear, Request(end - now()))
-        if found.multipliers is not None:
-            proven = Judged(trajectory, found.multipliers, judge(problem, trajectory, found.multipliers))
+    one_mode = Pieces.of(problem, np.zeros(problem.horizon, dtype=np.intp))
+    with suppress(UnsupportedError):  # rounding makes the Hessian indefinite
+        linear = quadratic_model(problem, one_mode, trajectory, multipliers)
+        others = LinearAuto().solve(linear, Request(end - now())).multipliers
+        if others is not None:
+            proven = Judged(trajectory, others, judge(problem, trajectory, others))
             return proven if proven.certificate.proven_within(GAP_TOLERANCE) else plain
     return plain
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from flint import arb, ctx
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
@@ -77,7 +78,7 @@ def test_the_prices_of_the_best_optimum_leave_a_narrow_part_around_it():
     problem = lfo.library.pulse_pattern(kind="opp", modulation=0.7, switches=16)
     trajectory = lfo.solve(problem).trajectory
     quarter = Quarter.of_problem(problem, problem.dynamics)
-    steps, angles = np.diff(trajectory.x[:-1, 1]), trajectory.x[1:-1, 0]
+    steps, angles = quarter.step * np.sign(np.diff(trajectory.x[:-1, 1])), trajectory.x[1:-1, 0]
     energy, lattice = quarter.energy(steps, angles)[0], AngleLattice(quarter, 1000)
     point = lattice.bound(local_prices(quarter, steps, angles), whole(quarter), energy)
     narrow = lattice.narrow(whole(quarter), point.open)
@@ -131,6 +132,36 @@ def test_without_a_compiler_the_recursion_is_the_same(seed, no_compiler):
     assert found.angles == pytest.approx(expected.angles)
     assert (found.steps == expected.steps).all()
     assert (found.open == expected.open).all()
+
+
+def exact_tracking(quarter: Quarter, r: np.ndarray, steps: np.ndarray, angles: np.ndarray, count: int) -> arb:
+    """Return L_r of a train of the lattice in balls of 200 bits, by the sums of quarter.py."""
+    with ctx.workprec(200):
+        a = [arb.pi() / 2 * arb(round(one * count / END)) / count for one in angles]
+        c, s = [arb.pi() / 2 - one for one in a], [arb(one) for one in steps]
+        pairs = [(i, j, *sorted((c[i], c[j]), key=float)) for i in range(len(c)) for j in range(len(c))]
+        kernel = [s[i] * s[j] * (x * y * arb.pi() / 2 - x**3 / 6 - x * y**2 / 2) for i, j, x, y in pairs]
+        total = 4 / arb.pi() * sum(kernel, arb(0))
+        for k, price in zip(quarter.orders, r, strict=True):
+            b = 4 / arb.pi() / k * sum((si * (k * ai).cos() for si, ai in zip(s, a, strict=True)), arb(0))
+            total += arb(price) ** 2 - 2 * arb(price) * b / k
+        return total
+
+
+@pytest.mark.parametrize("count", [1000, 64000])
+def test_rounding_of_the_recursion_is_less_than_what_is_subtracted(count):
+    """Of the least L_r: 1e-13, and 2^-52 for each of its sums, which leaves the bound below the exact one and close."""
+    rng = np.random.default_rng(count)
+    for _ in range(5):
+        steps, orders = np.tile([1.0, -1.0], 4), (1, 3)
+        angles, r = np.sort(rng.uniform(0.1, 1.5, 8)), rng.normal(size=2)
+        quarter = Quarter(1.0, -1, 1, np.zeros(9), orders, -np.ones(2), np.ones(2), 1.0, 0.0)
+        lattice = AngleLattice(quarter, count)
+        part = AngleRange(angles - 1e-5, angles + 1e-5, np.sign(steps).astype(int))
+        point = lattice.bound(r, part)
+        exact = exact_tracking(quarter, r, point.steps, point.angles, lattice.count)
+        lost = float(exact - arb(point.bound - quarter.shift(r) + point.loss))
+        assert 0 < lost < 2 * (1e-13 + lattice.count * 2.0**-52 * float(exact))
 
 
 def test_parts_without_a_train_have_an_infinite_bound():

@@ -98,7 +98,7 @@ class Pieces:
         terminal = tuple(one for one in problem.cost.formulas[1:] if one is not None)
         return cls(dynamics, tuple(parts), tuple(regions), terminal)
 
-    def constrained(self, problem: OptimalControlProblem) -> OptimalControlProblem:
+    def with_regions(self, problem: OptimalControlProblem) -> OptimalControlProblem:
         """Return the problem with the regions as path constraints."""
         if not self.regions:
             return problem
@@ -191,7 +191,7 @@ class SmoothModel:
         """
         alone = np.zeros(given.horizon, dtype=np.intp)
         sizes, pieces = stated_sizes(given), Pieces.of(given, alone if sequence is None else sequence)
-        problem = pieces.constrained(given)
+        problem = pieces.with_regions(given)
         linear = replace_fields(
             problem,
             dynamics=pieces.linear_at(trajectory),

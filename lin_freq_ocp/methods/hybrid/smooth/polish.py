@@ -1,13 +1,14 @@
 """A local optimum of a mode sequence, exact on its active rows: Newton's method on their conditions.
 
-An interior point ends at a small distance from the rows that hold its answer, and so beside a kink. To second order,
-with d the deviation from it, the problem of the mode sequence is
+An interior point ends at a small distance from the rows that hold its answer, and so near a kink, not on it. To second
+order, with d the deviation from it, the problem of the mode sequence is
 
     minimise  g'd + 1/2 d'H d   subject to   the tangents of maps, path constraints and regions, and all other rows,
 
 H the Hessian of the Lagrangian. The solution on its active rows is one step of Newton's method, for any sets, costs and
-linked ends (``methods/correction``): rows that are active hold to rounding, kinks included. At the zero of a norm, its
-arguments q are zero by the rows q <= 0 and -q <= 0, whose multipliers are its selection times the pull of the norm.
+linked ends (``methods/correction``): active rows hold to rounding, kinks included. At the zero of a norm, the rows
+q <= 0 and -q <= 0 keep its arguments q at zero. Their multipliers are an element of its subdifferential, times its
+factor in the Lagrangian.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -36,11 +38,13 @@ MOST_STEPS = 6  # one is enough near an optimum; where active rows depend on eac
 
 
 def newton_points(
-    problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf
+    problem: OptimalControlProblem, local: LocalOptimum, end: float = np.inf, solved: bool = False
 ) -> Iterator[tuple[Trajectory, Multipliers]]:
     """Yield the points of Newton's method from a local optimum, with the multipliers of the mode sequence.
 
-    It ends at ``end``, by ``clock.now``, or where the active rows determine no step.
+    The active rows are those of each point or, if ``solved``, those of the optimum of its quadratic problem: where rows
+    depend on each other, the point does not tell them. It ends at ``end``, by ``clock.now``, or where the active rows
+    determine no step.
     """
     pieces, trajectory = Pieces.of(problem, local.sequence), local.trajectory
     multipliers = replace(local.multipliers, stage=pieces.without_region(local.multipliers.stage))
@@ -48,7 +52,8 @@ def newton_points(
         for _ in range(MOST_STEPS):
             quadratic = quadratic_model(problem, pieces, trajectory, multipliers)
             with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no correction
-                correction = None if now() > end else next(corrections(quadratic, trajectory, multipliers), None)
+                tries = () if now() > end else corrections(quadratic, trajectory, multipliers)
+                correction = next(islice(tries, 1 if solved else 0, None), None)
             if correction is None:
                 return
             trajectory, multipliers = correction.trajectory, correction.multipliers
@@ -69,20 +74,20 @@ def quadratic_model(
             zeros.append(PathConstraint(q, f"zero of norm {i}", limits).at_dimensions(n, m, T, "dynamics"))
             selections[norm] = np.where(at_zero[:, None], 0.0, np.nan) * np.ones(len(norm.arguments))
     pieces = replace(pieces, selections=selections)
-    constrained = pieces.constrained(problem)
-    constrained = replace_fields(constrained, stage_rows=(*constrained.stage_rows, *zeros))
+    problem = pieces.with_regions(problem)
+    problem = replace_fields(problem, stage_rows=(*problem.stage_rows, *zeros))
     points = stack_signals(x, u)
     slopes, hessians = pieces.cost_slopes(points)
     hessians[:-1] -= np.einsum("ti,tijk->tjk", multipliers.eta, pieces.jets(points[:-1]).curvatures)
-    for one in constrained.path_constraints:
+    for one in problem.path_constraints:
         prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
         hessians[one.map.times] += np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)
     cost = CostSum([_with_parabola(problem.quadratic, points, slopes, hessians), *problem.cost.without_formulas.norms])
     return replace_fields(
-        constrained,
+        problem,
         dynamics=pieces.linear_at(trajectory),
         cost=cost.at_dimensions(n, m, T),
-        stage_rows=constrained.rows_along(trajectory),
+        stage_rows=problem.rows_along(trajectory),
     )
 
 

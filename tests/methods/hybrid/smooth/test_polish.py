@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks.pairs import problem_of
 from helpers.known_optima import solved
+from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.methods import zero_multipliers
 from lin_freq_ocp.methods.hybrid import LocalOptimum, Pieces, newton_points, quadratic_model, smooth_optimum
@@ -33,15 +34,16 @@ def bent_problem() -> lfo.OptimalControlProblem:
 def test_the_expansion_has_the_slopes_and_the_curvature_of_the_lagrangian():
     problem, rng = bent_problem(), np.random.default_rng(0)
     pieces = Pieces.of(problem, np.array([0, 1, 1, 0]))
-    constrained, at = pieces.constrained(problem), lfo.Trajectory(rng.normal(size=(T + 1, 2)), rng.normal(size=(T, 1)))
-    eta, prices = rng.normal(size=(T, 2)), {one.name: rng.random(one.map.shape) for one in constrained.path_constraints}
+    paths = pieces.with_regions(problem).path_constraints
+    at = lfo.Trajectory(rng.normal(size=(T + 1, 2)), rng.normal(size=(T, 1)))
+    eta, prices = rng.normal(size=(T, 2)), {one.name: rng.random(one.map.shape) for one in paths}
     assert len(prices) == 3
     multipliers = replace(no_multipliers(problem), eta=eta, stage=prices)
     quadratic = quadratic_model(problem, pieces, at, multipliers)
 
     def lagrangian(x, u):
         total = problem.value(x, u) + np.vdot(eta, x[1:] - pieces.values(np.hstack([x[:-1], u])))
-        return total + sum(np.vdot(prices[one.name], one.values(x, u)) for one in constrained.path_constraints)
+        return total + sum(np.vdot(prices[one.name], one.values(x, u)) for one in paths)
 
     def expansion(x, u):
         A, B, d = (getattr(quadratic.dynamics, name) for name in ("A", "B", "offset"))
@@ -86,6 +88,26 @@ def test_linked_ends_and_norms_hold_kinks_to_rounding():
     assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
     assert result.cost == pytest.approx(0.64, abs=1e-14)
     assert np.abs(result.trajectory.x[:, 1]).max() <= 1e-15
+
+
+@expensive
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_dependent_rows_are_chosen_by_the_quadratic_problem(unit):
+    """In mm, steps on the active rows of each point once ended at a wrong multiplier of the terminal cost."""
+    formulas = [f"x_0 + x_1 + {0.5 * unit}*u_0", f"x_1 + {unit}*u_0 - 0.1*abs(x_1)"]
+    quadratic = lfo.QuadraticCost(Q=0.5 / unit**2, R=0.2, P=1 / unit**2, x_ref=[0.6 * unit, 0])
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(formulas, 2, 1, sampling_time=1.0),
+        horizon=6,
+        cost=quadratic + lfo.costs.L1Cost(x=[0.1 / unit, 0], u=0.2, terminal=1 / unit),
+        control_set=lfo.Box(-1, 1),
+        state_set=lfo.Box(-5 * unit, 5 * unit),
+        initial_state=lfo.sets.Everything(),
+        terminal_state=lfo.Periodic(),
+    )
+    result = lfo.solve(problem, "nonsmooth")
+    assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
+    assert result.cost == pytest.approx(0.64, abs=1e-12)
 
 
 def test_multipliers_of_regions_come_back_under_one_name():
