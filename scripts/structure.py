@@ -52,7 +52,7 @@ SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
     "shipped lines": 50_308,
-    "code lines": 46_873,
+    "code lines": 46_876,
     "code lines, linear part": 22_169,
     "code lines, hybrid": 8_787,
     SHARE_SAID: 19.5,  # at least
