@@ -119,6 +119,21 @@ def test_a_lattice_less_its_loss_is_below_one_ten_times_as_fine(seed):
     assert point.bound <= least + quarter.shift(r)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.98])
+def test_an_angle_anywhere_in_its_cell_costs_no_less_than_the_bound_and_leaves_the_cell_open(share):
+    """Of one step whose amplitudes are given: the nearest angles of the lattice cost what is lost, and one end more."""
+    orders, h = tuple(range(1, 40, 2)), END / 40
+    steps, angles = np.ones(1), np.array([(15 + share) * h])
+    loose = Quarter(1.0, 0, 1, np.zeros(2), orders, -np.ones(20), np.ones(20), 1.0, 0.0)
+    b = loose.amplitudes(steps, angles)[0]
+    quarter = Quarter(1.0, 0, 1, np.zeros(2), orders, b, b, 1.0, 0.0)
+    energy, lattice = quarter.energy(steps, angles)[0], AngleLattice(quarter, 40)
+    assert lattice.h == h
+    point = lattice.bound(b / np.array(orders), whole(quarter), energy * (1 + 1e-9))
+    assert energy - 2 * point.loss <= point.bound <= energy
+    assert point.open[0, 0, 15]
+
+
 @pytest.mark.parametrize("seed", seeds(range(4)))
 def test_without_a_compiler_the_recursion_is_the_same(seed, no_compiler):
     rng = np.random.default_rng(seed)
