@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Indices
-from lin_freq_ocp.base.errors import NumericalError
+from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.certificate.hybrid.clarke import Flip, SwitchingFacts, facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.rays import Direction, descent_direction
@@ -20,6 +21,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.fixed_modes import fix_modes
 from lin_freq_ocp.solving.outcome import Judged
+from lin_freq_ocp.solving.solve import solve_judged
 
 MOST_FLIPS = 16  # flips that are verified, the steepest first: each needs a fit of multipliers
 
@@ -34,15 +36,22 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
         return best
     reduced, affine, at, arrays = judged_modes(problem, trajectory)
     sequence = arrays.sequence(at.x, at.u)
+    fixed = fix_modes(affine, sequence)
+
+    def judged(multipliers: Multipliers | None) -> Certificate:
+        back = multipliers and reduced.multipliers(fixed.multipliers(multipliers, at))
+        certificate = best if back is None else judge(problem, trajectory, back)
+        return best if certificate.failed else certificate
+
+    if best.failed and best.feasible:  # every optimum of the sequence has the multipliers of every other
+        with suppress(UnsupportedError):
+            best = judged(solve_judged(fixed.problem).multipliers)
     facts, descent = _verify_flips(affine, at, sequence, _facts(best))
     descent = descent and replace(descent, x=descent.x[:, : problem.state_dim])
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        fixed = fix_modes(affine, sequence)
-        multipliers = abnormal_multipliers(fixed.problem, at)
-        if multipliers is not None:
-            abnormal = judge(problem, trajectory, reduced.multipliers(fixed.multipliers(multipliers, at)))
-            if not abnormal.failed:
-                return replace(abnormal, descent=descent)
+        abnormal = judged(abnormal_multipliers(fixed.problem, at))
+        if not abnormal.failed:
+            return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)
 
 

@@ -15,6 +15,7 @@ from lin_freq_ocp.methods.hybrid.search.multipliers import multipliers_with_weig
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.reductions import AnyAnswer, Reduced
+from lin_freq_ocp.transform.reformulations import at_frequencies
 from lin_freq_ocp.transform.simulation import simulate
 
 
@@ -45,7 +46,8 @@ class FixedModes(Reduced):
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers with the weights of all modes whose regions contain the trajectory."""
-        return reduced if at is None else multipliers_with_weights(self.given, at, self.sequence, reduced)
+        given = at_frequencies(self.given, reduced.frequencies)
+        return reduced if at is None else multipliers_with_weights(given, at, self.sequence, reduced)
 
     def recover(self, answer: AnyAnswer) -> AnyAnswer:
         """Return the answer for the given problem, without a ray: that would exclude one sequence only."""

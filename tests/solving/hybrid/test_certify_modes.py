@@ -125,6 +125,26 @@ def test_multipliers_of_a_region_that_repeats_a_bound_become_those_of_the_bound(
     assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
 
 
+@pytest.mark.parametrize("far", [1e3, 1e5])
+def test_a_proven_optimum_with_a_mask_at_every_frequency_is_certified_by_its_trajectory_alone(far):
+    """A fit of multipliers leaves residuals as large as their terms; multipliers of the sequence leave none."""
+    left = lfo.dynamics.AffineMode([[-0.9]], [[0.0109]], G=[[-0.2135]], h=[0.1215])
+    right = lfo.dynamics.AffineMode([[-1.3255]], [[0.0109]], [-0.2422], G=[[0.2135]], h=[-0.1215])
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics([left, right]),
+        3,
+        lfo.QuadraticCost(Q=7e5, P=4.5e5, x_ref=-2.56),
+        lfo.Box(-far, far),
+        state_set=lfo.Box(-far, far),
+        initial_state=[2.38],
+        control_spectrum=lfo.MagnitudeBound(2.32, band=lfo.low_pass(1.2), every_frequency=True),
+        stage_rows=lfo.StageRows([[-0.005]], [[0.0206]], [0.4586], "soft", penalty=1.7e7),
+    )
+    result = lfo.solve(problem)
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    assert lfo.certify(problem, result.trajectory).pmp == "satisfied"
+
+
 @pytest.mark.parametrize("price", [-5.0, 5.0])
 @pytest.mark.parametrize("pushed", [-3.0, 3.0])
 def test_a_fixed_control_at_a_kink_has_one_multiplier_of_either_sign(price, pushed):

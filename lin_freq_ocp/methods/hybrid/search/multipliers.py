@@ -169,7 +169,7 @@ def multipliers_with_weights(
             for normal, value in zip(normals[t], changed, strict=True):  # of a fixed component, both signs add up
                 parts[normal.family][normal.location] += normal.sign * value
     mu, nu = parts.pop(STATE), parts.pop(CONTROL)
-    return Multipliers(multipliers.eta_C, multipliers.eta, mu, nu, multipliers.rho_u, multipliers.rho_x, parts, weights)
+    return replace(multipliers, mu=mu, nu=nu, stage=parts, weights=weights)
 
 
 def _nearest_combination(points: Array, rays: Array) -> tuple[Array, Array, float]:
