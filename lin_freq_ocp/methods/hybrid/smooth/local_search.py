@@ -293,7 +293,7 @@ class LocalSearch:
         self._smooth, self._lines = is_smooth(self.problem), list[Trajectory]()
         self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
         alone = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp))
-        if self._smooth and (obstacles := alone.constrained(self.problem).path_constraints):
+        if self._smooth and (obstacles := alone.with_regions(self.problem).path_constraints):
             line = self._constant_trajectory(SHARES[0], replayed=False)
             self._lines = lines_around_obstacles(obstacles, line, self._sizes) or [line]
 
