@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_280,
-    "code lines": 46_870,
-    "code lines, linear part": 22_166,
-    "code lines, hybrid": 8_787,
+    "shipped lines": 50_326,
+    "code lines": 46_894,
+    "code lines, linear part": 22_178,
+    "code lines, hybrid": 8_795,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.3,
     "files entered by a solve": 49,
-    "functions entered by a solve": 381,
-    "calls of a solve": 742,
+    "functions entered by a solve": 380,
+    "calls of a solve": 741,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -304,7 +304,7 @@ def test_a_bad_mat_file_is_refused_with_its_variable(tmp_path, some, change, wor
 def test_version_7_3_is_refused_with_the_cure(tmp_path):
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     (tmp_path / "run.mat").write_bytes(head + b"\x89HDF\r\n\x1a\n" * 20)
-    with pytest.raises(lfo.errors.ProblemError, match=r"v7\.3.*'-v7'"):
+    with pytest.raises(lfo.errors.ProblemError, match=r"version 7\.3.*'-v7'"):
         lfo.read_mat(tmp_path / "run.mat", PROBLEM)
 
 

@@ -38,18 +38,19 @@ def certify_modes(problem: OptimalControlProblem, trajectory: Trajectory) -> Cer
     sequence = arrays.sequence(at.x, at.u)
     fixed = fix_modes(affine, sequence)
 
-    def judged(multipliers: Multipliers | None) -> Certificate:
+    def certificate_by(multipliers: Multipliers | None) -> Certificate:
         back = multipliers and reduced.multipliers(fixed.multipliers(multipliers, at))
         certificate = best if back is None else judge(problem, trajectory, back)
         return best if certificate.failed else certificate
 
-    if best.failed and best.feasible:  # every optimum of the sequence has the multipliers of every other
+    if best.failed and best.feasible and affine is problem:
+        # every optimum of the sequence has the multipliers of every other
         with suppress(UnsupportedError):
-            best = judged(solve_judged(fixed.problem).multipliers)
+            best = certificate_by(solve_judged(fixed.problem).multipliers)
     facts, descent = _verify_flips(affine, at, sequence, _facts(best))
     descent = descent and replace(descent, x=descent.x[:, : problem.state_dim])
     if best.failed and best.feasible:  # abnormal multipliers may satisfy all conditions
-        abnormal = judged(abnormal_multipliers(fixed.problem, at))
+        abnormal = certificate_by(abnormal_multipliers(fixed.problem, at))
         if not abnormal.failed:
             return replace(abnormal, descent=descent)
     return replace(best, borders=facts, descent=descent)
