@@ -36,7 +36,7 @@ def solve_spectral(problem: OptimalControlProblem, options: SolveOptions) -> Can
     """Solve a problem in the Fourier domain from scratch; UnsupportedError if it is outside the class of the method."""
     reduced = reduce_problem(problem, REDUCTIONS)
     solver = SpectralSolver(reduced.problem)
-    return reduced.recover(solver.solve_changed(Change(), None, options.tolerance, options.time_limit))
+    return reduced.recover(solver.solve(tolerance=options.tolerance, time_limit=options.time_limit))
 
 
 class SolverCache:
