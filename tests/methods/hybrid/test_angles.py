@@ -123,6 +123,20 @@ def test_no_corner_of_a_box_around_any_train_is_below_its_bound(first):
     assert met >= 500
 
 
+def test_no_bound_is_given_where_the_energy_or_the_amplitudes_bend_too_much():
+    """E of one step is convex from pi/4 on; d/3 of a box reaches there. An amplitude moves by v, its second order."""
+    free = Quarter(0.5, -2, 2, np.zeros(2), (), np.zeros(0), np.zeros(0), 1.0, 0.0)
+    steps, c = np.array([0.5]), np.array([1.0])
+    reached = 3 * (END / 2 - c) + c  # where c + d/3 is pi/4
+    assert bound_near(free, steps, c, reached + 1e-3, c) > -np.inf
+    assert bound_near(free, steps, c, reached - 1e-3, c) == -np.inf
+    loose, c = replace(free, orders=(3,)), np.array([0.13])
+    (b, _) = loose.amplitudes(steps, c)
+    fixed = replace(loose, low=b, high=b)
+    assert bound_near(fixed, steps, c, c - 0.1, c + 0.1) == pytest.approx(fixed.energy(steps, c)[0], rel=1e-12)
+    assert bound_near(fixed, steps, c, c - 0.2, c + 0.2) == -np.inf
+
+
 @pytest.mark.parametrize("shift", [1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("c", [1.1, 1.4])
 def test_where_c_is_no_optimum_the_bound_pays_for_the_slope(c, shift):
