@@ -167,7 +167,7 @@ class _TrainSearch:
                 return []
         except UnsupportedError:
             return [node._replace(part=half) for half in part.halves()]
-        self._done = min(self._done, self._cutoff)  # of what is left out
+        self._done = min(self._done, self._cutoff)  # trains outside the narrowed part cost at least this
         narrow = lattice.narrow(part, best.open)
         if narrow is None:
             return []

@@ -149,7 +149,7 @@ def test_where_c_is_no_optimum_the_bound_pays_for_the_slope(c, shift):
 
 @pytest.mark.parametrize(("modulation", "switches"), [(0.9, 8), (1.1, 16), (0.7, 32)])
 def test_the_bound_near_an_optimum_is_its_cost(modulation, switches):
-    """Also of a box beside it: at a vertex of the limits, at least dwells, and with eight angles."""
+    """The box may lie on one side of it; the optima are at a vertex of the limits, at least dwells, of eight angles."""
     dwell = 0.01 * np.pi
     problem = lfo.library.pulse_pattern("opp", modulation, switches, least_dwell=dwell, unipolar=True, exactly=True)
     trajectory = lfo.solve(problem).trajectory
