@@ -132,9 +132,10 @@ def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, 
     from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize  # slow to import
 
     low, high, count = quarter.low, quarter.high, len(angles)
-    size = 2 * (max(count, 1) * quarter.step * 4 / np.pi) ** 2 + abs(quarter.offset)
+    size = 2 * (count * quarter.step * 4 / np.pi) ** 2 + abs(quarter.offset)
     first, last = quarter.dwells[0], QUARTER - quarter.dwells[-1]
-    dwells = [LinearConstraint(np.diff(np.eye(count), axis=0), quarter.dwells[1:-1], np.inf)] if count > 1 else []
+    differences = np.diff(np.vstack([np.zeros(count), np.eye(count), np.zeros(count)]), axis=0)
+    dwells = LinearConstraint(differences, quarter.dwells - QUARTER * (np.arange(count + 1) == count), np.inf)
 
     def cost(angles: Array) -> tuple[float, Array]:
         value, slope = quarter.energy(steps, angles)
@@ -163,8 +164,7 @@ def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, 
             start,
             jac=True,
             method="SLSQP",
-            bounds=[(first, last)] * count,
-            constraints=[*limits, *dwells],
+            constraints=[*limits, dwells],
             options={"ftol": COST_ACCURACY, "maxiter": SEARCH_STEPS},
         ).x
         return np.clip(np.maximum.accumulate(found), first, last)
