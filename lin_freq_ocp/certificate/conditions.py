@@ -21,7 +21,6 @@ from lin_freq_ocp.certificate.sizes import Floors
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
-    ENDS_TOLERANCE,
     MAXIMISATION_REACH,
     NEGLIGIBLE_SHARE,
     PEAK_TOLERANCE,
@@ -317,8 +316,7 @@ def term_condition(label: str, priced: PricedTerm, least: Array) -> Condition:
     scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
     what = "rows hold" if priced.term.kind.is_rows else "holds"
     condition = worst_condition(label, f"{what}: {priced.term.name}", violation, scales)
-    condition = _locate_condition(priced.term, condition)
-    return replace(condition, tolerance=ENDS_TOLERANCE) if priced.term.kind.is_link else condition
+    return _locate_condition(priced.term, condition)
 
 
 def term_subgradient(label: str, priced: PricedTerm, level: float, least: Array) -> Condition:

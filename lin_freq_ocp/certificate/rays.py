@@ -239,7 +239,6 @@ def _largest_indices(weights: Array) -> tuple[int, ...]:
 
 
 TOUCHING = 1e-6  # distance, relative to sizes, of active constraints and of kinks: the judge accepts such violations
-LEAVING_MARGIN = 10.0  # least slope of the cost over the one that the violation of constraints can explain
 DIRECTION_ROUNDING = 256 * sys.float_info.epsilon  # of the terms of a constraint at its time, along a direction
 FAR = 2.0**400  # a length of directions at which offsets, references and limits are rounding errors
 
@@ -306,7 +305,7 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     slope, residual = sum(slopes), max(residuals)
     gradients = zip(problem.quadratic.gradient(x, u), sizes, strict=True)
     steepest = float(sum((np.abs(part) * size).sum() for part, size in gradients))  # of changes by the sizes
-    needed = max(CONDITION_TOLERANCE * sum(scales), LEAVING_MARGIN * residual * steepest)
+    needed = max(CONDITION_TOLERANCE * sum(scales), residual * steepest)
     if residual > CONDITION_TOLERANCE or not slope < -needed or slope == 0:
         return None
     return Direction(along.x, along.u, slope, residual)

@@ -20,7 +20,6 @@ from lin_freq_ocp.certificate.tolerances import (
     DATA_ROUNDING,
     GAP_TOLERANCE,
     HESSIAN_ROUNDING,
-    INSIGNIFICANT_GAIN,
     SCALE_FLOOR,
     STATE_ROUNDING,
     ZERO_COMPONENT,
@@ -83,8 +82,7 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
     The change of states within the horizon per unit of a component is ``horizon`` times its gain. Anchored components
     have data; a component that acts on an anchored one anchors others in turn.
     """
-    gain = np.hstack([A, B])
-    effect = horizon * np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
+    effect = horizon * np.hstack([A, B])
     n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
     effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
     for _ in known:

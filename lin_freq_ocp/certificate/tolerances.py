@@ -5,14 +5,12 @@ import sys
 # Satisfied conditions
 CONDITION_TOLERANCE = 1e-6  # residual over scale: good solvers reach 1e-9, a wrong sign or row gives 1e-3 or more
 PEAK_TOLERANCE = 5e-7  # |V|/l - 1 at every frequency: a violation of 1e-6 fails; exchange ends at 1e-9 to 4e-7
-ENDS_TOLERANCE = 4e-7  # of equations on both ends, whose scale adds up both: a difference of 1e-6 of one of them fails
 GAP_TOLERANCE = 1e-6  # (J - D)/S up to which a feasible point is called globally optimal
 TRIVIALITY = 1e-9  # multipliers below this part of the largest of a set or row are rounding
 MAXIMISATION_REACH = 10.0  # sizes of the controls within which the Hamiltonian, which is concave, is maximised
 
 # Sizes and scales
 SCALE_FLOOR = 1e-4  # part of the size of a component below which its values are rounding errors
-INSIGNIFICANT_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
 ZERO_COMPONENT = 1e-20  # components that are nowhere larger are zero, as bounds of 1e20 and more are none
 DATA_ROUNDING = (
     1e-12  # deviations, relative to sizes, that solvers and printed data leave; gaps below their cost do not count

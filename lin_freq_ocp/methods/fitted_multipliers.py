@@ -3,13 +3,12 @@
 At a fixed point z of the program, with g = P z + q and N the normal cone of the constraints that are active there,
 
     minimise  1/2 |s|^2   subject to   s = g + A'y,   y in N:  y_i >= 0 at an active upper bound, <= 0 at a lower one,
-                                       0 where neither is active, free for equations; in the polar of a second-order
-                                       cone, at a small price for components other than its normal at z.
+                                       0 where neither is active, free for equations; of a second-order cone, a multiple
+                                       of its normal at z, at its apex in its polar.
 
-s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. The price
-is proportional to the gap -<y, A z - lower> of the cone, as the direction of a solver's point is wrong by the root of
-its gap. Rounding of z in the user's coordinates, by up to e, changes g by up to |P| e: near a set point that is more
-than ACTIVE of g. Such entries of s are worth less: they are divided by 1 + |P| e / (ACTIVE max |g|).
+s = 0 iff z is extremal with eta_C = 1; else -s is a direction of descent that keeps the active constraints. Rounding of
+z in the user's coordinates, by up to e, changes g by up to |P| e: near a set point that is more than ACTIVE of g. Such
+entries of s are worth less: they are divided by 1 + |P| e / (ACTIVE max |g|).
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from lin_freq_ocp.program.program import Program, Scaling, rows_of
 from lin_freq_ocp.program.units import scaled_program
 
 ACTIVE = 1e-6  # distance to a bound, on a program scaled to order 1, at which it is active; solvers stop near 1e-8
-GAP_PRICE = 1e-3  # of the gap of a cone, relative to squares of residuals: a gap is the square of an error in direction
 NONTRIVIAL = 1e-6  # largest entry of abnormal multipliers that are zero; otherwise the linear program makes it 1
 COORDINATE_ROUNDING = 4 * float(np.finfo(np.float64).eps)  # of a state in the user's coordinates, as the judge has it
 DEPENDENT = 1e-10  # relative singular value of the normalised active gradients that is zero
@@ -48,13 +46,12 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _NormalCone:
-    """All y = basis w with w in [lower, upper], and -w in second-order cones at ``polars``; prices of w."""
+    """All y = basis w with w in [lower, upper], and -w in second-order cones at ``polars``."""
 
     basis: sp.csc_array
     lower: Array
     upper: Array
     polars: tuple[slice, ...]
-    prices: Array
 
     @property
     def in_polars(self) -> Indices:
@@ -97,7 +94,7 @@ def fitted_duals(program: Program, z: Array, rounding: Array, near: float = ACTI
     unit = sp.eye_array(count, format="csr")
     fitting = Program(
         P=sp.csc_array(sp.block_diag([sp.csc_array((count, count)), sp.eye_array(variables)])),
-        q=np.concatenate([cone.prices, np.zeros(variables)]),
+        q=np.zeros(count + variables),
         A=sp.csc_array(
             sp.block_array(
                 [
@@ -127,7 +124,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     """
     linear, scaling, program = scaled_program(problem)
     at = scaling.scaled_primal(linear.point(trajectory))
-    cone = _normal_cone(program, at, ACTIVE, at_edges=True)  # prices of gaps would lose against the product
+    cone = _normal_cone(program, at, ACTIVE)
     count, variables = len(cone.lower), program.A.shape[1]
     signs = np.sign(cone.lower) + np.sign(cone.upper)
     free = (cone.lower < 0) & (cone.upper > 0)
@@ -139,7 +136,7 @@ def abnormal_multipliers(problem: OptimalControlProblem, trajectory: Trajectory)
     for sign in (1.0, -1.0):
         search = Program(
             P=sp.csc_array((count, count)),
-            q=cone.prices - sizes * np.where(free, sign * either, signs),
+            q=-sizes * np.where(free, sign * either, signs),
             A=sp.csc_array(sp.vstack([gradients, identity, -identity[cone.in_polars]])),
             lower=np.concatenate([np.zeros(variables), np.clip(cone.lower, -1, 0), np.zeros(len(cone.in_polars))]),
             upper=np.concatenate(
@@ -177,7 +174,7 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     UnsupportedError if there are more than MOST_GRADIENTS.
     """
     linear, scaling, program = scaled_program(problem)
-    cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE, at_edges=True)
+    cone = _normal_cone(program, scaling.scaled_primal(linear.point(trajectory)), ACTIVE)
     active = len(cone.lower)
     if active > MOST_GRADIENTS:
         text = f"uniqueness: got {active} active gradients; their rank is computed for up to {MOST_GRADIENTS}."
@@ -189,10 +186,10 @@ def uniqueness(problem: OptimalControlProblem, trajectory: Trajectory) -> Unique
     return Uniqueness(active, int((values > DEPENDENT * values.max(initial=0.0)).sum()))
 
 
-def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False) -> _NormalCone:
+def _normal_cone(program: Program, z: Array, near: float) -> _NormalCone:
     """Return the normal cone at z; equations, and rows that are violated, count as active.
 
-    With ``at_edges``, a second-order cone at whose edge z lies has the multiples of one normal, else its whole polar.
+    A second-order cone at whose edge z lies has the multiples of one normal, and at its apex its whole polar.
     """
     Az, low, high = program.A @ z, program.lower, program.upper
     equation = program.equality  # has both signs, however far rounding of states near a set point is from it
@@ -200,20 +197,19 @@ def _normal_cone(program: Program, z: Array, near: float, at_edges: bool = False
     alone = np.flatnonzero(program.alone & (from_below | from_above))  # all others are zero, exactly
     slack, lower, upper = Az - low, np.where(from_below[alone], -np.inf, 0.0), np.where(from_above[alone], np.inf, 0.0)
     columns = [sp.csc_array((np.ones(len(alone)), (alone, np.arange(len(alone)))), shape=(len(slack), len(alone)))]
-    polars, prices = list[slice](), np.zeros(len(alone))
+    polars = list[slice]()
     for cone in program.cones:
         s, rows, count = slack[cone], np.arange(cone.start, cone.stop), len(lower)
         tail = float(np.linalg.norm(s[1:]))
         if s[0] - tail > near:
             continue
-        if at_edges and tail > near:
-            block, least, price = np.append(-1.0, s[1:] / tail)[:, None], 0.0, np.zeros(1)
+        if tail > near:
+            block, least = np.append(-1.0, s[1:] / tail)[:, None], 0.0
         else:
-            block, least, price = np.eye(len(s)), -np.inf, -GAP_PRICE * s
+            block, least = np.eye(len(s)), -np.inf
             polars.append(slice(count, count + len(s)))
-        prices = np.append(prices, price)
         row, column = np.nonzero(np.ones_like(block))
         columns.append(sp.csc_array((block.ravel(), (rows[row], column)), shape=(len(slack), block.shape[1])))
         lower = np.append(lower, np.full(block.shape[1], least))
         upper = np.append(upper, np.full(block.shape[1], np.inf))
-    return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(polars), prices)
+    return _NormalCone(sp.csc_array(sp.hstack(columns)), lower, upper, tuple(polars))
