@@ -117,8 +117,8 @@ def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
         *normal_cones(extremal, least),
         *(
             condition
-            for priced, size in zip(extremal.terms, least.terms, strict=True)
-            for condition in term_conditions(priced, least.level, size)
+            for priced, size, precise in zip(extremal.terms, least.terms, least.limits, strict=True)
+            for condition in term_conditions(priced, least.level, size, precise)
         ),
     )
 
@@ -248,11 +248,16 @@ def frequency(extremal: Extremal, least: Floors) -> Iterator[Condition]:
 
 
 def membership(extremal: Extremal, least: Floors) -> Iterator[Condition]:
-    """S-x, S-u: distance outside the set; compared with the largest value of the component."""
-    n, scales = len(least.rounding), _scales(np.abs(extremal.point), least.z)
-    of_x, of_u = split_signals(extremal.violation, n)
-    yield worst_condition("S-x", "state in its set", of_x, scales[:n], rounding=least.rounding)
-    yield worst_condition("S-u", "control in its set", of_u, scales[n:])
+    """S-x, S-u: distance outside the set; compared with the largest value of the component, or the bound.
+
+    A bound of zero does not say what is small: there the size of the component counts, too.
+    """
+    (lower, upper), point, n = extremal.bounds, extremal.point, len(least.rounding)
+    bound = np.abs(np.where(point > upper, upper, lower))
+    scales = np.maximum(largest_over_time(np.abs(point)), _least_at(bound, least.bounds, least.z))
+    (of_x, of_u), (in_x, in_u) = split_signals(extremal.violation, n), split_signals(scales, n)
+    yield worst_condition("S-x", "state in its set", of_x, in_x, rounding=least.rounding)
+    yield worst_condition("S-u", "control in its set", of_u, in_u)
 
 
 def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
@@ -272,15 +277,18 @@ def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
         yield Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
 
 
-def term_conditions(priced: PricedTerm, level: float, least: Array) -> list[Condition]:
-    """Judge a term: its values, if it is a constraint, and its multipliers, which must be subgradients."""
+def term_conditions(priced: PricedTerm, level: float, least: Array, precise: Array) -> list[Condition]:
+    """Judge a term: its values, if it is a constraint, and its multipliers, which must be subgradients.
+
+    The least scales of its values (dim,) are ``precise`` at limits other than zero, else ``least``.
+    """
     term, least = priced.term, np.where(least > 0, least, least.max(initial=0.0))
     on_values, on_multipliers = LABELS[term.kind]
     subgradient = term_subgradient(on_multipliers, priced, level, least)
     if term.hard and term.semi_infinite is not None:
-        return [mask_condition(on_values, priced, term.semi_infinite, least), subgradient]
+        return [mask_condition(on_values, priced, term.semi_infinite, precise), subgradient]
     if term.hard:
-        return [term_condition(on_values, priced, least), subgradient]
+        return [term_condition(on_values, priced, least, precise), subgradient]
     if term.semi_infinite is None:
         return [subgradient]
     # a soft mask at every frequency: the sum over its atoms, and the largest violation at all other frequencies
@@ -309,11 +317,12 @@ def _bin_of(peak: Peak | None, everywhere: SemiInfiniteConstraint) -> int | None
     return round(peak.frequency * everywhere.map.samples / (2 * np.pi))
 
 
-def term_condition(label: str, priced: PricedTerm, least: Array) -> Condition:
+def term_condition(label: str, priced: PricedTerm, least: Array, precise: Array) -> Condition:
     """S-..., C-vi, C-vii: h(L(x, u)) is finite; compared with the largest sum of the absolute values of its terms."""
     violation = priced.term.penalty.violation(priced.values).astype(np.float64)
-    scales = _scales(priced.sizes, least)
-    scales = scales if violation.shape[1] == len(scales) else scales.max(keepdims=True)
+    limits = np.broadcast_to(priced.term.penalty.sizes(), priced.values.shape)
+    scales = np.maximum(largest_over_time(priced.sizes), _least_at(limits, precise, least))
+    scales = scales if violation.shape == scales.shape else scales.max(axis=1, keepdims=True)
     what = "rows hold" if priced.term.kind.is_rows else "holds"
     condition = worst_condition(label, f"{what}: {priced.term.name}", violation, scales)
     return _locate_condition(priced.term, condition)
@@ -350,6 +359,11 @@ def _largest(*parts: Array | ComplexArray) -> float:
 def _scales(terms: Array, least: Array) -> Array:
     """Return one scale per component: the largest over time of the sum of the absolute values of its terms."""
     return np.maximum(largest_over_time(terms), least)
+
+
+def _least_at(limits: Array, precise: Array, least: Array) -> Array:
+    """Return the least scales of violations of limits (absolute values): their size, or ``least`` at zero."""
+    return np.where((limits > 0) & np.isfinite(limits), np.maximum(limits, precise), least)
 
 
 def worst_condition(

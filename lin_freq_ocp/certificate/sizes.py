@@ -20,6 +20,7 @@ from lin_freq_ocp.certificate.tolerances import (
     DATA_ROUNDING,
     GAP_TOLERANCE,
     HESSIAN_ROUNDING,
+    INSIGNIFICANT_GAIN,
     SCALE_FLOOR,
     STATE_ROUNDING,
     ZERO_COMPONENT,
@@ -36,9 +37,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory; if it costs
-    nothing, what components with a size move it within a step. If the trajectory is zero and there are no data, the
-    size is that of the origin, or 1.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
+    is zero and there are no data, the size is that of the origin, or 1.
     """
     n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
@@ -55,8 +55,6 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
         total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
-        if not problem.cost.has_formulas:  # they may price any component
-            sizes = _moved_sizes(np.hstack([A, B]), sizes, ~alone | (by_cost > 0))
     if not sizes.all() and problem.origin is not None:
         sizes[:n] = np.where(sizes[:n] > 0, sizes[:n], np.abs(problem.origin))
     sizes = np.where(sizes > 0, sizes, 1.0)
@@ -82,7 +80,8 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
     The change of states within the horizon per unit of a component is ``horizon`` times its gain. Anchored components
     have data; a component that acts on an anchored one anchors others in turn.
     """
-    effect = horizon * np.hstack([A, B])
+    gain = np.hstack([A, B])
+    effect = horizon * np.where(gain > INSIGNIFICANT_GAIN * gain.max(axis=1, keepdims=True), gain, 0.0)
     n, reached, needed = len(effect), anchored.copy(), np.zeros(len(known))
     effect = np.where(np.eye(n, len(known), dtype=bool), 0.0, effect)
     for _ in known:
@@ -95,17 +94,6 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
         if not newly_reached.any() or reached.all():
             break
     return needed
-
-
-def _moved_sizes(gain: Array, sizes: Array, known: Mask) -> Array:
-    """Return sizes of states that others, whose sizes are known, move by more within a step; ``gain`` is (n, n + m)."""
-    n, sizes, known = len(gain), sizes.copy(), known.copy()
-    for _ in range(n):
-        moved = (gain[:, known] * sizes[known]).max(axis=1, initial=0.0)
-        states = np.flatnonzero((moved > 0) & ~known[:n])
-        sizes[states] = np.maximum(sizes[states], moved[states])
-        known[states] = True
-    return sizes
 
 
 def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, sizes: Sizes | None = None) -> float:
@@ -177,6 +165,9 @@ class Floors:
         CONDITION_TOLERANCE.
     terms : tuple of (dim,)
         Of the values of each term; at least what rounding of the states changes in them, as for slopes.
+    bounds, limits : (n + m,), tuple of (dim,)
+        Of violations of bounds and limits other than zero, which say themselves what is small: rounding of the states
+        divided by CONDITION_TOLERANCE.
     rounding : (n,)
         Rounding errors of moving states, of A times these, and of their coordinates; 0 for states at rest.
     """
@@ -185,6 +176,8 @@ class Floors:
     level: float
     slopes: Array
     terms: tuple[Array, ...]
+    bounds: Array
+    limits: tuple[Array, ...]
     rounding: Array
 
 
@@ -208,9 +201,11 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     steep = stack_signals(*problem.quadratic.gradient_magnitudes(*steady))
     steep = eta_C * (steep if slopes_at is None else steep + slopes_at(size))
     # what rounding of the states does to rows, and to the slopes of the cost, is no residual
-    coarse = np.maximum(x, rounding / (SCALE_FLOOR * CONDITION_TOLERANCE))
-    blurred = np.broadcast_to(coarse, (T + 1, len(x))), steady[1]
+    precise = rounding / CONDITION_TOLERANCE
+    coarse = np.maximum(x, precise / SCALE_FLOOR)
+    blurred, exact = ((np.broadcast_to(part, steady[0].shape), steady[1]) for part in (coarse, precise))
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*blurred).max(0, initial=0.0) for priced in extremal.terms)
+    limits = tuple(one.term.map.sizes(exact[0], 0 * exact[1]).max(0, initial=0.0) for one in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
@@ -227,4 +222,5 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         steep = np.maximum(steep, eta_C * lost)
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
     least = SCALE_FLOOR * np.concatenate([coarse, u])
-    return Floors(least, level, steep, terms, np.where(resting, 0.0, rounding))
+    bounds = np.concatenate([precise, 0 * u])
+    return Floors(least, level, steep, terms, bounds, limits, np.where(resting, 0.0, rounding))

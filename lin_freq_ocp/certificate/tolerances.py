@@ -11,6 +11,7 @@ MAXIMISATION_REACH = 10.0  # sizes of the controls within which the Hamiltonian,
 
 # Sizes and scales
 SCALE_FLOOR = 1e-4  # part of the size of a component below which its values are rounding errors
+INSIGNIFICANT_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
 ZERO_COMPONENT = 1e-20  # components that are nowhere larger are zero, as bounds of 1e20 and more are none
 DATA_ROUNDING = (
     1e-12  # deviations, relative to sizes, that solvers and printed data leave; gaps below their cost do not count

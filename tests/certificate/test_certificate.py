@@ -624,3 +624,53 @@ def test_a_multiplier_of_an_absent_bound_counts_with_the_size_of_its_component(w
     )
     (condition,) = [one for one in certificate.conditions if one.label == "N-x"]
     assert condition.passed is passed
+
+
+def hardly_coupled(gain: float, **sets: object) -> lfo.OptimalControlProblem:
+    """Return a problem whose second state changes the first one by a gain, and has no cost and no data."""
+    dynamics = lfo.LinearDynamics([[0.9, gain], [0.0, 0.9]], np.eye(2))
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=np.diag([1.0, 1e-14]), P=np.diag([1.0, 0.0]))
+    return lfo.OptimalControlProblem(dynamics, 10, cost, initial_state=[1.0, 0.0], **sets)
+
+
+@pytest.mark.parametrize("gain", [1e-17, 1e-13, 1e-12, 1e-3])
+@pytest.mark.parametrize(
+    "sets",
+    [
+        {"state_set": lfo.Box([-10, -1], [10, 1])},
+        {"stage_rows": lfo.StageRows(C=[[0.0, 1.0], [0.0, -1.0]], e=[1.0, 1.0])},
+    ],
+    ids=["box", "rows"],
+)
+def test_a_limit_says_itself_what_a_small_violation_is(gain, sets):
+    """The second state has the size at which it changes the first: of that, 4 was nothing, where the limit is 1."""
+    problem = hardly_coupled(gain, **sets)
+    u = lfo.solve(problem).trajectory.u.copy()
+    assert lfo.certify(problem, u).globally_optimal
+    u[3:5, 1] += 5.0, -4.5
+    certificate = lfo.certify(problem, u)
+    assert not certificate.feasible
+    assert certificate.violation > 0.5  # of the 5 that the state reaches
+
+
+def test_gains_that_are_rounding_give_no_sizes():
+    """An entry of 1e-17 beside 0.9 is rounding: it must not make the size at which a jump from 0 to 5 is nothing."""
+    problem = hardly_coupled(1e-17)
+    at = lfo.solve(problem).trajectory
+    x = at.x.copy()
+    x[4:, 1] += 5.0
+    assert not lfo.certify(problem, lfo.Trajectory(x, at.u)).feasible
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_what_hardly_moves_other_states_is_small_at_a_bound_of_zero(unit):
+    """A state without cost starts at 0, which does not say what is small there; the state that it moves does."""
+    A, scale = np.array([[0.9, 0.5], [0.0, 0.5]]), np.array([1.0, unit])
+    dynamics = lfo.LinearDynamics(A * scale[:, None] / scale, [[1.0], [0.0]])
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=1.0)
+    problem = lfo.OptimalControlProblem(dynamics, 10, cost, initial_state=[1.0, 0.0])
+    at = lfo.solve(problem).trajectory
+    for noise, feasible in ((1e-12, True), (1e-3, False)):
+        x = at.x.copy()
+        x[:, 1] += noise * unit * 0.5 ** np.arange(11)
+        assert lfo.certify(problem, lfo.Trajectory(x, at.u)).feasible is feasible
