@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
@@ -9,6 +12,9 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.sizes import stated_sizes
+
+INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
+OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
 
 
 def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:
@@ -19,6 +25,31 @@ def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:
 def piecewise_smooth(problem: OptimalControlProblem) -> PiecewiseSmoothDynamics:
     """Return the dynamics of a problem, or raise UnsupportedError unless they are piecewise smooth."""
     return problem.in_form(PiecewiseSmoothDynamics)
+
+
+def boxes_of_steps(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return lower and upper bounds of (x_t, u_t) in each mode, (T, modes, n + m), +-INFINITE where there are none.
+
+    They are the stated ones, with those of controls that bounds of x_{t+1} imply.
+    """
+    arrays, x, u = piecewise_affine(problem).arrays(problem.horizon), problem.state_tube, problem.control_tube
+    (_, modes, n), sides = arrays.offset.shape, ((x.lower, u.lower), (x.upper, u.upper))
+    stacked = (np.clip(np.hstack([of_x[:-1], of_u]), -INFINITE, INFINITE) for of_x, of_u in sides)
+    low, high = (side[:, None].repeat(modes, axis=1) for side in stacked)
+    above, below = x.upper[1:, None] - arrays.offset, arrays.offset - x.lower[1:, None]
+    for rows, limits in ((arrays.maps, above), (-arrays.maps, below)):
+        least = np.where(rows > 0, low[:, :, None], high[:, :, None])
+        far = (np.abs(least) == INFINITE) & (rows != 0)
+        terms = np.where(far, 0.0, rows * least)
+        rounding = OUTWARD * (np.abs(terms).sum(axis=-1) + np.abs(limits))
+        room = (limits - terms.sum(axis=-1) + rounding)[..., None] + terms  # for each term beside all others
+        with np.errstate(over="ignore"):
+            ends = room / np.where(rows == 0, 1.0, rows)
+        known = np.isfinite(room) & (far.sum(axis=-1, keepdims=True) == far)
+        most = np.where(known & (rows > 0), ends, np.inf).min(axis=2)
+        least = np.where(known & (rows < 0), ends, -np.inf).max(axis=2)
+        high[..., n:], low[..., n:] = np.minimum(high, most)[..., n:], np.maximum(low, least)[..., n:]
+    return np.minimum(low, high), high
 
 
 def measured_modes(problem: OptimalControlProblem) -> ModeArrays:
