@@ -393,6 +393,18 @@ def test_controls_with_one_bound_are_bounded_by_the_states(controls, method):
         assert result.cost == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.parametrize("method", ["branch_and_bound", "enumerate"])
+@pytest.mark.parametrize(
+    "control_set", [lfo.Box(-1.5, 1.5), lfo.sets.Ball(1.5), lfo.sets.Polyhedron([[1], [-1]], [1, 2])]
+)
+def test_rows_bound_the_control_before_the_first_one(control_set, method):
+    """The control before is as free as the first one: |u_0 - u_before| <= 0.4 bounds it."""
+    problem = lfo.rate_limited(random_problem(2, horizon=3, control_set=control_set), 0.4)
+    result = lfo.solve(problem, method)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(brute_force(problem)[0], rel=1e-6)
+
+
 def test_modes_without_a_cost_are_searched_for_any_trajectory():
     problem = random_problem(1, cost=lfo.QuadraticCost(Q=np.zeros((2, 2)), R=np.zeros((1, 1))))
     assert lfo.solve(problem).status == "optimal"
