@@ -239,7 +239,9 @@ def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory) -> Ro
     by_time: Rows = {}
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
-        for group, t in enumerate(() if rows is None else rows.times):
+        if rows is None:
+            continue
+        for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
             by_time.setdefault(int(t), []).append((matrix, np.maximum(rows.e[group] - matrix @ signals[t], 0.0)))
     return by_time
@@ -385,7 +387,7 @@ def _weights_by_sign(of_rows: bytes, of_finite: bytes, shape: tuple[int, int]) -
             held[side, i] = np.abs(sums @ signed - component).max() <= INVERSE_TOLERANCE
             weights[side, i, finite[0]] += sums[:count]
             weights[side, i, finite[1]] -= sums[count:]
-    return weights, held.all(axis=0)
+    return weights, held[0] & held[1]
 
 
 def _units_of(coefficients: Array, axis: int) -> Array:

@@ -40,7 +40,7 @@ def boxes_of_steps(problem: OptimalControlProblem) -> tuple[Array, Array]:
     for term in (*problem.terms, *problem.terms):  # twice: rows that come first gain, too
         rows = term.implied_rows(n, low.shape[2] - n)
         for group, t in enumerate(() if rows is None else rows.times):
-            if t < T:
+            if rows is not None and t < T:
                 low[t], high[t] = _cut_box(low[t], high[t], rows.matrix(group), rows.e[group])
     above, below = x.upper[1:, None] - arrays.offset, arrays.offset - x.lower[1:, None]
     for maps, limits in ((arrays.maps, above), (-arrays.maps, below)):
