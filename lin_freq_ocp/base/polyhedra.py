@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
-from typing import Any
 
 import numpy as np
 
@@ -345,14 +344,6 @@ def _reach(coefficients: Array, limits: Array, sizes: Array) -> Array:
     own = reach[alone].max(axis=0, initial=0.0)
     shared = np.where(reach[~alone] > 0, reach[~alone], np.inf).min(axis=0, initial=np.inf)
     return np.where(own > 0, own, np.where(np.isfinite(shared), shared, 0.0))
-
-
-def minimiser(cost: Array, matrix: Any, limits: Array, lower: Array, upper: Array) -> Array | None:
-    """Return a minimiser of cost'y over matrix y <= limits (dense or sparse) and the bounds, or None."""
-    from scipy.optimize import linprog  # slow to import
-
-    answer = linprog(cost, matrix, limits, bounds=np.column_stack([lower, upper]).tolist(), method="highs")
-    return np.asarray(answer.x) if answer.status == OPTIMAL else None
 
 
 NEAREST_ROUNDS = 6  # of a Newton step and a sweep; two or three are usual

@@ -106,10 +106,11 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     if cost - proven.value <= allowed:
         return proven
     deviations = _deviations(found, curvatures, problem.state_dim)
-    nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed)
-    if nearby is not None:
-        of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
-        proven = of_nearby if of_nearby.value > proven.value else proven
+    for mistrusted in (False, True):
+        nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed, mistrusted)
+        if nearby is not None and cost - proven.value > allowed:
+            of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
+            proven = of_nearby if of_nearby.value > proven.value else proven
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
@@ -201,8 +202,8 @@ class Evaluation:
     """D over a box, and the parts of its difference from the cost; of N trajectories, with a leading axis.
 
     As in ``Bound``, whose terms of dynamics, frequency and stages are ``residual_terms``. ``certain`` are the losses of
-    each component, errors of the slopes included, ``steepest`` the slopes with these errors, and ``left`` is the cost
-    less the bound without these losses.
+    each component, errors of the slopes included, ``between`` the least and the greatest slope with these errors, and
+    ``left`` is the cost less the bound without these losses.
     """
 
     value: Array
@@ -210,7 +211,7 @@ class Evaluation:
     stage_gaps: Array
     residual_terms: tuple[Number, ...]
     certain: Array
-    steepest: Array
+    between: Array
     left: Array
 
 
@@ -221,7 +222,8 @@ def evaluate_bound(
     slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
     low, high = bounds[0] - extremal.point, bounds[1] - extremal.point
     error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
-    minimum, *pessimistic = box_minimum(np.stack([slope, slope - error, slope + error]), curvatures, low, high)
+    between = np.stack([slope - error, slope + error])
+    minimum, *pessimistic = box_minimum(np.stack([slope, *between]), curvatures, low, high)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
     dynamics_term, frequency_term = extremal.dynamics_term, sum(extremal.frequency_terms)
     stage_term, certain = extremal.terms_gap, total(losses)
@@ -233,7 +235,7 @@ def evaluate_bound(
     value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
     rounding = np.where(finite, certain, np.inf) - gap + in_sums
     left, terms = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
-    return Evaluation(value, rounding, stage_gaps, terms, losses, np.abs(slope) + error, left)
+    return Evaluation(value, rounding, stage_gaps, terms, losses, between, left)
 
 
 def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Evaluation]:
@@ -247,8 +249,8 @@ def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, k
 
 def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:
     """Return the losses of a bound on every component."""
-    steep, curved, lost = (split_signals(part, n) for part in (found.steepest, curvatures, found.certain))
-    return Deviations(steep, curved, lost, float(found.left))
+    slopes, curved, lost = (split_signals(part, n) for part in (found.between, curvatures, found.certain))
+    return Deviations(slopes, curved, lost, float(found.left))
 
 
 def _sum_of_terms(extremal: Extremal) -> Array:

@@ -16,6 +16,7 @@ from lin_freq_ocp.certificate.tolerances import (
     MAX_UNKNOWN,
     MOST_BENT,
     NEGLIGIBLE_SHARE,
+    NUMERICAL_REACH,
     POWER_BLOCK,
     RADIUS_MARGIN,
 )
@@ -25,7 +26,8 @@ from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.simulation import simulate
 
 Pair = tuple[Array, Array]
-TwoSided = dict[int, list[tuple[Array, float]]]  # per time, rows of (x_t, u_t) and the distance that they can move
+Rows = dict[int, list[Pair]]  # per time, rows of (x_t, u_t) and how far their values can rise
+MOST_ONE_SIDED = 100  # components whose one-sided bounds are combined at once, in a second
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +49,10 @@ class Deviations:
 
     Attributes
     ----------
-    slopes, curvatures : Pair
-        |slope| of l_t, rounding errors included, and a lower bound of the diagonal curvature of l_t.
+    slopes : Pair
+        The least and the greatest slope of l_t within rounding errors, (2, T+1, n) and (2, T, m).
+    curvatures : Pair
+        A lower bound of the diagonal curvature of l_t.
     losses : Pair
         l_t at the trajectory less its minimum over the stated sets; inf if it has no minimum.
     left : float
@@ -87,18 +91,22 @@ def implied_bounds(problem: OptimalControlProblem) -> Region:
     """Return the reachable set with the bounds that it, the dynamics and other constraints imply."""
     region, tubes = reachable_bounds(problem), (problem.state_tube, problem.control_tube)
     signals, boxes = [tube.project(np.zeros_like(tube.lower)) for tube in tubes], (region.x, region.u)
-    far = [np.maximum(np.abs(low - z), np.abs(high - z)) for z, (low, high) in zip(signals, boxes, strict=True)]
-    x, u = (np.stack([radius, np.zeros_like(radius)]) for radius in far)
+    x, u = (_stated_radii(z, box) for z, box in zip(signals, boxes, strict=True))
     _propagate_radii(problem, Trajectory(*signals), (x, u))
     pairs = [
-        _intersection(box, (signal - RADIUS_MARGIN * radius[0], signal + RADIUS_MARGIN * radius[0]))
-        for signal, box, radius in zip(signals, boxes, (x, u), strict=True)
+        _intersection(box, (signal - RADIUS_MARGIN * below, signal + RADIUS_MARGIN * above))
+        for signal, box, ((above, below), *_) in zip(signals, boxes, (x, u), strict=True)
     ]
     return Region(pairs[0], pairs[1], np.inf, f"{region.follows_from}, constraints and dynamics")
 
 
 def nearby_bounds(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, allowed: float
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    deviations: Deviations,
+    cost: float,
+    allowed: float,
+    mistrusted: bool = False,
 ) -> Region | None:
     """Return a box around all trajectories that cost no more than the given trajectory, or None if none is known.
 
@@ -108,32 +116,49 @@ def nearby_bounds(
             <= left + sum over all others of |s| |d| + 1/2 |m| d^2  =: q^2,
 
     so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature; m of the others is zero, or below by rounding. The
-    dynamics turn these radii into those of the others, all of the form alpha + beta q; then
-    q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
-    Missing bounds do not matter: the cost is higher that far away.
+    dynamics turn these radii into those of the others, all of the form alpha + beta q + gamma q^2, above and below;
+    then q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
+    Missing bounds do not matter: the cost is higher that far away. Where these radii do not suffice, others count:
+    stated bounds, or |d| <= q^2/s where the cost rises at least by s. Far ones come last, as they may be large numbers
+    in place of none; if ``mistrusted``, also where the loss of the stated bounds is negligible.
     """
-    known, radii = _known_radii(problem, trajectory, deviations, allowed)
-    if not _propagate_radii(problem, trajectory, radii):
-        return None
+    level = max(deviations.left, 0.0) + allowed
+    known, radii, others = _known_radii(problem, trajectory, deviations, allowed, level)
+    near = [
+        np.where(_is_near(alpha + gamma * level, signal), [alpha, beta, gamma], np.inf)
+        for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True)
+    ]
+    if mistrusted:
+        for part, of_near, curvature in zip(radii, near, deviations.curvatures, strict=True):
+            part[:] = np.where(curvature > 0, part, of_near)
+    for further in (near, others, None):
+        if _propagate_radii(problem, trajectory, radii):
+            break
+        if further is None:
+            return None
+        for part, of_further in zip(radii, further, strict=True):
+            part[:] = np.where(np.isinf(part[0]), of_further, part)
     loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
-    for slope, curvature, lost, mask, (alpha, beta) in zip(
+    for slopes, curvature, lost, mask, of_sides in zip(
         deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
     ):
-        bent = np.maximum(-curvature, 0.0)
+        slope, bent, (alpha, beta, gamma) = np.abs(slopes).max(0), np.maximum(-curvature, 0.0), of_sides.max(1)
         loss += float(lost[mask].sum())
         a += float(((slope + 0.5 * bent * alpha) * alpha)[~mask].sum())
         b += float(((slope + bent * alpha) * beta)[~mask].sum())
-        c += float((0.5 * bent * beta**2)[~mask].sum())
+        c += float((slope * gamma + 0.5 * bent * beta**2)[~mask].sum())
+        if (bent * gamma)[~mask].any():
+            return None
     if not c < MOST_BENT:
         return None
     q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * (1 - c) * max(loss + a, 0.0))) / (2 * (1 - c))
     pairs = list[Pair]()
     boxes = (problem.state_tube, problem.control_tube)
-    for signal, box, (alpha, beta) in zip((trajectory.x, trajectory.u), boxes, radii, strict=True):
-        radius = RADIUS_MARGIN * (alpha + beta * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
-        if not np.isfinite(radius).all():
+    for signal, box, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), boxes, radii, strict=True):
+        above, below = RADIUS_MARGIN * (alpha + beta * q + gamma * q * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
+        if not np.isfinite([above, below]).all():
             return None
-        pairs.append(_intersection((box.lower, box.upper), (signal - radius, signal + radius)))
+        pairs.append(_intersection((box.lower, box.upper), (signal - below, signal + above)))
     return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
 
 
@@ -144,27 +169,44 @@ def _intersection(bounds: Pair, others: Pair) -> Pair:
     return np.where(lower > upper, nearest, lower), np.where(lower > upper, nearest, upper)
 
 
-def _known_radii(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, allowed: float
-) -> tuple[list[Mask], Pair]:
-    """Return which components are curved, or have negligible losses over their bounds, with their radii.
+def _stated_radii(signal: Array, bounds: Pair) -> Array:
+    """Return the distances of a signal from its upper and lower bounds, 0 beyond them, as radii (3, 2, ..)."""
+    sides = np.maximum([bounds[1] - signal, signal - bounds[0]], 0.0)
+    return np.stack([sides, np.zeros_like(sides), np.zeros_like(sides)])
 
-    Radii are alpha and beta of |d| <= alpha + beta q, stacked: (2, T+1, n) and (2, T, m); inf where unknown.
+
+def _known_radii(
+    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, allowed: float, level: float
+) -> tuple[list[Mask], Pair, Pair]:
+    """Return which components are curved, or have negligible losses over their bounds, their radii, and other radii.
+
+    Radii are alpha, beta and gamma of d <= alpha + beta q + gamma q^2, and of -d: (3, 2, T+1, n) and (3, 2, T, m); inf
+    where unknown. The others are those of the stated bounds or, if less where q^2 is the ``level``, of the
+    rise of the cost.
     """
-    known, radii = list[Mask](), list[Array]()
+    known, radii, others = list[Mask](), list[Array](), list[Array]()
     share = NEGLIGIBLE_SHARE * allowed / sum(lost.size for lost in deviations.losses)
     boxes = (problem.state_tube, problem.control_tube)
-    for signal, box, slope, curvature, lost in zip(
+    for signal, box, slopes, curvature, lost in zip(
         (trajectory.x, trajectory.u), boxes, deviations.slopes, deviations.curvatures, deviations.losses, strict=True
     ):
-        far = np.maximum(np.abs(box.lower - signal), np.abs(box.upper - signal))
-        curved = (curvature > 0) & (far > 0)
-        divisor = np.where(curved, curvature, 1.0)
-        radius = np.where(curved, [2 * slope / divisor, np.sqrt(2 / divisor)], [far, np.zeros_like(far)])
-        mask = curved | (lost <= share) | (far == 0)
+        stated = _stated_radii(signal, box.bounds)
+        curved = (curvature > 0) & (stated[0] > 0).any(0)
+        divisor, slope = np.where(curved, curvature, 1.0), np.abs(slopes).max(0)
+        of_curved = np.stack([2 * slope / divisor, np.sqrt(2 / divisor), np.zeros_like(divisor)])[:, None]
+        mask = curved | (lost <= share) | (stated[0] == 0).all(0)
         known.append(mask)
-        radii.append(np.where(mask, radius, np.inf))
-    return known, (radii[0], radii[1])
+        radii.append(np.where(mask, np.where(curved, of_curved, stated), np.inf))
+        rises = np.where(mask & (curvature >= 0), [slopes[0], -slopes[1]], 0.0)
+        gamma = RADIUS_MARGIN / np.where(rises > 0, rises, 1.0)
+        steep = (rises > 0) & (gamma * level < stated[0])
+        others.append(np.where(steep, [np.zeros_like(gamma), np.zeros_like(gamma), gamma], stated))
+    return known, (radii[0], radii[1]), (others[0], others[1])
+
+
+def _is_near(extent: Array, signal: Array) -> Mask:
+    """Whether each radius is the smaller one of its component, or within the reach of the values of the signal."""
+    return extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
 
 
 def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
@@ -172,14 +214,15 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
-    rows = _two_sided_rows(problem, trajectory)
+    rows = _rows_of_steps(problem, trajectory)
     left = np.zeros(problem.horizon, dtype=int)
     _propagate_one_step(problem, residual, rows, 0, radii, left)
-    if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, 0]).all():
+    if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
-            for side, moved in enumerate((residual, np.zeros_like(residual))):
-                x[side, unknown] = _radii_of(problem.linear, x[side, 0], u[side], moved)[unknown]
+            for power, (part, inputs) in enumerate(zip(x, u.max(1), strict=True)):
+                moved = residual if power == 0 else np.zeros_like(residual)
+                part[:] = np.where(unknown, _radii_of(problem.linear, part[:, 0].max(0), inputs, moved), part)
         return bool(np.isfinite(x).all())
     if problem.horizon > MAX_STEPS:
         return False
@@ -190,89 +233,79 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     return all(bool(np.isfinite(part).all()) for part in radii)
 
 
-def _two_sided_rows(problem: OptimalControlProblem, trajectory: Trajectory) -> TwoSided:
-    """Return, per time, rows of (x_t, u_t) with the largest distance that their values can move.
-
-    These are the rows around norm balls, and pairs of opposite half-spaces.
-    """
-    two_sided: TwoSided = {}
+def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory) -> Rows:
+    """Return, per time, rows of (x_t, u_t) with the largest distance that their values can rise."""
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
+    by_time: Rows = {}
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim)
         if rows is None:
             continue
         for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
-            units = _units_of(matrix, axis=1)
-            matrix, limits = matrix / units[:, None], rows.e[group] / units
-            slack = np.maximum(limits - matrix @ signals[t], 0.0)
-            for i, row in enumerate(matrix):
-                for j in range(i + 1, len(matrix)):
-                    distance = max(float(slack[i]), float(slack[j]))
-                    if np.array_equal(row, -matrix[j]) and np.isfinite(distance) and row.any():
-                        two_sided.setdefault(int(t), []).append((row, distance))
-    return two_sided
+            by_time.setdefault(int(t), []).append((matrix, np.maximum(rows.e[group] - matrix @ signals[t], 0.0)))
+    return by_time
 
 
 def _propagate_one_step(
-    problem: OptimalControlProblem, residual: Array, rows: TwoSided, t: int, radii: Pair, left: Indices
+    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Pair, left: Indices
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply.
 
-    ``left`` (T,) says how many stay unknown: with so many, the step implies no more.
+    ``left`` (T,) says how many sides stay unknown: with so many, the step implies no more.
     """
     n, m, (x, u) = problem.state_dim, problem.control_dim, radii
-    values = np.concatenate([x[:, t], u[:, t], x[:, t + 1]], axis=1)
+    values = np.concatenate([x[:, :, t], u[:, :, t], x[:, :, t + 1]], axis=2)
     if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
         return
-    rows_here = rows.get(t, [])
-    columns, distances = [np.append(row, np.zeros(n)) for row, _ in rows_here], [distance for _, distance in rows_here]
+    columns = [np.hstack([matrix, np.zeros((len(matrix), n))]) for matrix, _ in rows.get(t, [])]
+    limits = [np.stack([slack, np.full_like(slack, np.inf)]) for _, slack in rows.get(t, [])]
     if problem.response is None:  # no single step of a response says anything
         A, B, _ = problem.linear.at(t)
-        columns, distances = [*np.hstack([A, B, -np.eye(n)]), *columns], [*residual[t], *distances]
-    if columns and _determine_radii(np.array(columns), np.array(distances), values):
-        x[:, t], u[:, t], x[:, t + 1] = values[:, :n], values[:, n : n + m], values[:, n + m :]
+        columns, limits = [np.hstack([A, B, -np.eye(n)]), *columns], [np.stack([residual[t]] * 2), *limits]
+    if columns and _determine_radii(np.vstack(columns), np.hstack(limits), values):
+        x[:, :, t], u[:, :, t], x[:, :, t + 1] = np.split(values, [n, n + m], axis=2)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
 
 def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, residual: Array, radii: Pair) -> None:
-    """Fill in radii that only equations and two-sided constraints of all times determine.
+    """Fill in radii that only equations and constraints of all times determine.
 
     Such are those of a free state with partly fixed ends, and of a signal whose bins are all limited.
     """
     x, u = radii
-    values = np.concatenate([part.reshape(2, -1) for part in radii], axis=1)
-    if not 0 < np.isinf(values[0]).sum() <= MAX_UNKNOWN:
+    values = np.concatenate([part.reshape(3, 2, -1) for part in radii], axis=2)
+    if not 0 < np.isinf(values[0]).any(0).sum() <= MAX_UNKNOWN:
         return
     T, n = residual.shape
-    columns, of_u = np.zeros((T, n, values.shape[1])), (T + 1) * n + np.arange(u[0].size).reshape(T, -1)
+    columns, of_u = np.zeros((T, n, values.shape[2])), (T + 1) * n + np.arange(u[0, 0].size).reshape(T, -1)
     if problem.response is not None:
-        columns[..., x[0].size :] = problem.response.matrix[n:].reshape(T, n, -1)
+        columns[..., x[0, 0].size :] = problem.response.matrix[n:].reshape(T, n, -1)
     for t in range(T):
         if problem.response is None:
             A, B, _ = problem.linear.at(t)
             columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
-    rows, distances = [columns.reshape(T * n, -1)], [residual.ravel()]
+    rows, limits = [columns.reshape(T * n, -1)], [np.stack([residual.ravel()] * 2)]
     for term in problem.terms:
         at = term.map.values(trajectory.x, trajectory.u)
-        distance = np.max([np.abs(side - at) for side in term.penalty.hard_bounds(term.shape)], axis=0).ravel()
-        limited = np.flatnonzero(np.isfinite(distance))
+        sides = _stated_radii(at, term.penalty.hard_bounds(term.shape))[0].reshape(2, -1)
+        limited = np.flatnonzero(np.isfinite(sides).any(0))
         rows.append(term.map.rows(T, n, problem.control_dim)[0][limited].toarray())
-        distances.append(distance[limited])
-    if _determine_radii(np.vstack(rows), np.concatenate(distances), values):
-        x[:], u[:] = values[:, : x[0].size].reshape(x.shape), values[:, x[0].size :].reshape(u.shape)
+        limits.append(sides[:, limited])
+    if _determine_radii(np.vstack(rows), np.hstack(limits), values):
+        of_x, of_u = np.split(values, [x[0, 0].size], axis=2)
+        x[:], u[:] = of_x.reshape(x.shape), of_u.reshape(u.shape)
 
 
-def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
-    """Fill in the unknown radii, values (2, k), that |columns d| <= residual implies; return whether it implies any.
+def _determine_radii(columns: Array, limits: Array, values: Array) -> bool:
+    """Fill in the unknown radii, values (3, 2, k), that these rows imply; return whether they imply any.
 
-    Rows that share no unknown component with others say what they say without these.
+    ``limits`` (2, rows) bound columns d from above, and -columns d. Rows that share no unknown component with others
+    say what they say without these.
     """
-    unknown = np.flatnonzero(np.isinf(values[0]))
-    bounds = _radii_of_block(columns, residual, values, unknown)
-    if bounds is not None:
-        values[:, unknown] = bounds
+    unknown = np.flatnonzero(np.isinf(values[0]).any(0))
+    if _fill_block(columns, limits, values, unknown):
         return True
     present = columns[:, unknown] != 0
     block_of = np.arange(len(unknown))  # the last component of each block
@@ -282,33 +315,79 @@ def _determine_radii(columns: Array, residual: Array, values: Array) -> bool:
     for block in blocks if len(blocks) > 1 else ():
         chosen = block_of == block
         rows = present[:, chosen].any(axis=1)
-        bounds = _radii_of_block(columns[rows], residual[rows], values, unknown[chosen])
-        if bounds is not None:
-            values[:, unknown[chosen]], filled = bounds, True
+        filled |= _fill_block(columns[rows], limits[:, rows], values, unknown[chosen])
     return filled
 
 
-def _radii_of_block(columns: Array, residual: Array, values: Array, unknown: Indices) -> Array | None:
-    """Return the radii of the unknown components of these rows alone; None if the rows do not bound them.
+def _fill_block(columns: Array, limits: Array, values: Array, unknown: Indices) -> bool:
+    """Fill in those unknown components that these rows alone bound; return whether there are any.
 
-    Rows and components are in units in which their largest coefficients are 1: a left inverse that is accurate in one
-    choice of units of the states may not be in another.
+    Rows and components are in units in which their largest coefficients are 1: weights that are accurate in one choice
+    of units of the states may not be in another.
     """
-    if len(unknown) > len(columns):
-        return None
     block = columns[:, unknown]
+    if not block.size:
+        return False
     of_rows = _units_of(block, axis=1)
     units = _units_of(block / of_rows[:, None], axis=0)
-    block = block / of_rows[:, None] / units
-    Q, R = np.linalg.qr(block)
-    if not np.diag(R).all():
-        return None
-    inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
-    if not np.abs(inverse @ block - np.eye(len(R))).max() <= INVERSE_TOLERANCE:
-        return None
-    known = columns.any(axis=0) & ~np.isinf(values[0])
-    bounds = values[:, known] @ np.abs(columns[:, known]).T + np.stack([residual, np.zeros_like(residual)])
-    return bounds / of_rows @ (RADIUS_MARGIN * np.abs(inverse)).T / units
+    rows = np.vstack([block / of_rows[:, None] / units, np.eye(len(unknown))])  # also their own one-sided bounds
+    known = columns.any(axis=0) & ~np.isinf(values[0]).any(0)
+    moved = _largest(columns[:, known], values[:, ::-1, known])
+    above = np.stack([moved, _largest(-columns[:, known], values[:, ::-1, known])], axis=1)
+    above[0] += limits
+    above = np.concatenate([above / of_rows, values[:, :, unknown] * units], axis=2)
+    finite = np.isfinite(above[0])
+    weights, held = _weights(rows, finite)
+    if not held.all():
+        apart = ~block[:, ~held].any(axis=1)
+        return bool(held.any()) and _fill_block(columns[apart], limits[:, apart], values, unknown[held])
+    bounds = [_largest(of_side, np.where(finite, above, 0.0)) * RADIUS_MARGIN / units for of_side in weights]
+    old = values[:, :, unknown]
+    values[:, :, unknown] = np.where(np.isinf(old[0]), np.stack(bounds, axis=1), old)
+    return True
+
+
+def _largest(coefficients: Array, sides: Array) -> Array:
+    """Return the largest values, (3, rows), of coefficients v where v <= sides[:, 0] and -v <= sides[:, 1]."""
+    return sides[:, 0] @ np.maximum(coefficients, 0.0).T + sides[:, 1] @ np.maximum(-coefficients, 0.0).T
+
+
+def _weights(rows: Array, finite: Mask) -> tuple[Array, Mask]:
+    """Return weights (2, k, rows) whose sums of rows are components and their negatives, and which ones have some.
+
+    Rows that are bounded on one side, ``finite`` (2, rows), have weights of one sign.
+    """
+    both, k = finite.all(axis=0), rows.shape[1]
+    weights = np.zeros((2, k, len(rows)))
+    if np.count_nonzero(both) >= k:
+        Q, R = np.linalg.qr(rows[both])
+        if np.diag(R).all():
+            inverse = np.linalg.solve(R, Q.T)  # not SciPy's: its threads and NumPy's wait for each other
+            if np.abs(inverse @ rows[both] - np.eye(k)).max() <= INVERSE_TOLERANCE:
+                weights[0][:, both], weights[1][:, both] = inverse, -inverse
+                return weights, np.ones(k, dtype=bool)
+    if k > MOST_ONE_SIDED:
+        return weights, np.zeros(k, dtype=bool)
+    return _weights_by_sign(rows.tobytes(), finite.tobytes(), rows.shape)
+
+
+@lru_cache(maxsize=64)  # the steps of constant dynamics have the same
+def _weights_by_sign(of_rows: bytes, of_finite: bytes, shape: tuple[int, int]) -> tuple[Array, Mask]:
+    from scipy.optimize import nnls  # slow to import
+
+    rows, finite = np.frombuffer(of_rows).reshape(shape), np.frombuffer(of_finite, dtype=bool).reshape(2, -1)
+    signed, count, k = np.vstack([rows[finite[0]], -rows[finite[1]]]), np.count_nonzero(finite[0]), shape[1]
+    weights, held = np.zeros((2, k, shape[0])), np.zeros((2, k), dtype=bool)
+    for side, of_side in enumerate((np.eye(k), -np.eye(k))):
+        for i, component in enumerate(of_side if len(signed) else ()):
+            try:
+                sums, _ = nnls(signed.T, component)
+            except RuntimeError:  # too many iterations
+                continue
+            held[side, i] = np.abs(sums @ signed - component).max() <= INVERSE_TOLERANCE
+            weights[side, i, finite[0]] += sums[:count]
+            weights[side, i, finite[1]] -= sums[count:]
+    return weights, held[0] & held[1]
 
 
 def _units_of(coefficients: Array, axis: int) -> Array:

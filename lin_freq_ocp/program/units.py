@@ -135,10 +135,11 @@ def scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -
     """Return the change to units ``columns``, with slopes of order 1 at a point of the size ``typical``."""
     program = linear.sparse
     # a dynamics or bound row is divided by its component's unit, any other likewise
-    rows = 1.0 / _row_norms(scale_matrix(program.A, np.ones(program.A.shape[0]), columns))
-    rows[program.rows[Block.DYNAMICS]] = 1.0 / columns[linear.problem.state_dim : linear.states]
-    for cone in program.cones:
-        rows[cone] = rows[cone].min()
+    norms = _row_norms(scale_matrix(program.A, np.ones(program.A.shape[0]), columns))
+    norms[program.rows[Block.DYNAMICS]] = columns[linear.problem.state_dim : linear.states]
+    for cone in program.cones:  # rows of zeros in it have limits
+        norms[cone] = max(norms[cone].max(), np.abs(program.lower[cone]).max())
+    rows = 1.0 / np.where(norms > 0, norms, 1.0)
     slopes = columns * (abs(program.P) @ typical + np.abs(program.q))
     return Scaling(columns, rows, cost_factor(slopes, linear.priced))
 
@@ -209,9 +210,9 @@ def _noticeable_sizes(linear: LinearProgram, z: Array) -> tuple[Array, Array]:
 
 
 def _row_norms(matrix: sp.csc_array) -> Array:
-    """Return the Euclidean norms of the rows of a matrix by columns; 1 for rows of zeros, which are in cones only."""
+    """Return the Euclidean norms of the rows of a matrix by columns; those of zeros are in cones only."""
     largest = np.zeros(matrix.shape[0])
     np.maximum.at(largest, matrix.indices, np.abs(matrix.data))
     largest = np.where(largest > 0, largest, 1.0)  # squares of the largest entries overflow
     squares = np.bincount(matrix.indices, (matrix.data / largest[matrix.indices]) ** 2, minlength=matrix.shape[0])
-    return largest * np.sqrt(np.where(squares > 0, squares, 1.0))
+    return np.where(squares > 0, largest * np.sqrt(squares), 0.0)

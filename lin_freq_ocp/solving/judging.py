@@ -87,7 +87,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     trajectory is one. If its cost is not close enough to the bound, or there is none, the point is corrected: its
     multipliers may be wrong, as those of a solver are that takes a small residual for rounding. The last trajectory
     that may be proven is that at rest. If none is, the point is judged as it is, and is no optimum. Where a correction
-    says nothing, the point itself comes before that at rest, whose multipliers are zero.
+    says nothing, the point itself comes before that at rest, whose multipliers are zero. Variables without a cost are
+    there as they are, or zero.
     """
     trajectory, multipliers = candidate.trajectory, candidate.multipliers
     assert trajectory is not None
@@ -115,8 +116,11 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     if proof is not None:
         return proof
     own = own if known else replace(own, worth_of_residuals=np.inf)
-    resting = trajectory_at_rest(problem, trajectory) if claims and not own.proven_within(allowed) else None
-    if resting is not None:
+    zero = Trajectory(np.zeros_like(trajectory.x), np.zeros_like(trajectory.u))
+    for near in (trajectory, zero) if claims and not own.proven_within(allowed) else ():
+        resting = trajectory_at_rest(problem, near)
+        if resting is None:
+            continue
         proof = judge_nearest(problem, Candidate(Status.LIMIT, resting, zero_multipliers(problem, 1.0)), allowed)
         if proof.certificate.proven_within(allowed):
             return proof

@@ -1,15 +1,17 @@
 """Implied bounds hold every trajectory they must hold, and no more than a rounding error else."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp import certificate as judging
-from lin_freq_ocp.certificate import judge, reachable_bounds
+from lin_freq_ocp.certificate import extremal_at, implied_bounds, judge, optimum_box, reachable_bounds
 from lin_freq_ocp.testing import reference_problem
 
 T = 30
@@ -173,3 +175,72 @@ def test_states_that_dynamics_determine_are_bounded_in_any_units(unit):
     )
     result = lfo.solve(task, "convex", throw=False)
     assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")
+
+
+def one_sided(seed, x=1.0, u=1.0, cost=1.0):
+    """States within bounds, controls without a price of their size and with one bound each; units of all three."""
+    rng = np.random.default_rng(seed)
+    n, m, horizon = rng.integers(1, 4), rng.integers(2, 4), int(rng.integers(3, 9))
+    A, B = 0.6 * rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    far, below = (np.inf, 1e9 * u, 1e20)[rng.integers(3)], rng.random(m) < 0.5
+    q = rng.normal(size=n)
+    r = np.where(below, 1, -1) * rng.random(m) * (rng.random() < 0.5)
+    return lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B * x / u),
+        horizon,
+        lfo.QuadraticCost(q=q * cost / x, r=r * cost / u),
+        lfo.Box(np.where(below, -u, -far), np.where(below, far, 2 * u)),
+        lfo.Box([-5 * x] * n, [5 * x] * n),
+        rng.normal(size=n) * 0.4 * x,
+    )
+
+
+def extremes(task, level):
+    """Return the box of all (x, u) of a linear cost below a level, by two linear programs a component."""
+    T, n = task.horizon, task.state_dim
+    map_x = np.kron(np.eye(T + 1), np.eye(n)) - np.kron(np.eye(T + 1, k=-1), task.dynamics.A)
+    map_u = np.kron(np.eye(T + 1, T, k=-1), task.dynamics.B)
+    start = np.r_[task.initial_box.lower, np.zeros(T * n)]
+    bounds = np.vstack(
+        [np.c_[low.ravel(), high.ravel()] for low, high in (task.state_tube.bounds, task.control_tube.bounds)]
+    )
+    row = np.r_[np.tile(task.cost.q, T), np.zeros(n), np.tile(task.cost.r, T)]
+    ends = []
+    for sign in (1, -1):
+        for component in np.eye(len(row)):
+            found = linprog(sign * component, row[None], [level], np.hstack([map_x, -map_u]), start, bounds)
+            ends.append(found.fun * sign if found.status == 0 else -sign * np.inf)
+    return np.split(np.array(ends), 2)
+
+
+ONE_SIDED = (13, 16, 20, 34, 35, 37, 43, 51, 62, 105, 178, 219)
+
+
+@pytest.mark.parametrize("method", ["structured", "convex"])
+@pytest.mark.parametrize("seed", seeds(ONE_SIDED))
+def test_one_sided_bounds_that_imply_a_box_are_a_box_in_every_unit(seed, method):
+    """Bounds of states, or the cost along what they leave open, hold the controls: no sign of a slope loses much."""
+    for units in ((1, 1, 1), (1e3, 1e-6, 1e-4), (1e-5, 1e6, 1e9)):
+        task = one_sided(seed, *units)
+        result = lfo.solve(task, method)
+        assert result.bound == "rigorous"
+        noise = 1e-13 * np.random.default_rng(seed).normal(size=result.multipliers.eta.shape)
+        spoiled = replace(result.multipliers, eta=result.multipliers.eta * (1 + noise))
+        assert judge(task, result.trajectory, spoiled).bound.kind == "rigorous"
+
+
+@pytest.mark.parametrize("seed", seeds(ONE_SIDED))
+def test_a_box_of_one_sided_bounds_holds_all_that_it_claims(seed):
+    """Against the extreme trajectories, with multipliers that are wrong by much more than rounding."""
+    task = one_sided(seed)
+    result = lfo.solve(task)
+    noise = 1e-7 * np.random.default_rng(seed).normal(size=result.multipliers.eta.shape)
+    extremal = extremal_at(task, result.trajectory, replace(result.multipliers, eta=result.multipliers.eta + noise))
+    allowed = 1e-4 * (1 + abs(result.cost))
+    region = optimum_box(extremal, allowed)
+    for box, level in ((region, result.cost + allowed), (implied_bounds(task), 1e12)):
+        least, most = extremes(task, level)
+        lower, upper = (np.r_[box.x[side].ravel(), box.u[side].ravel()] for side in (0, 1))
+        assert (lower <= least + 1e-6).all()
+        assert (upper >= most - 1e-6).all()
+        assert box is not region or np.isfinite([lower, upper]).all() == np.isfinite([least, most]).all()

@@ -67,3 +67,15 @@ def test_a_reference_that_changes_keeps_the_splits_alone():
 @expensive
 def test_without_modes_no_relaxations_are_counted():
     assert lfo.RecedingHorizon(lfo.library.double_integrator()).run([0.0, 0.0], 2).nodes.tolist() == [0, 0]
+
+
+def test_the_level_of_a_loop_falls_with_its_state():
+    """From 1 down to 1e-16: programs of the first costs saw no motion, and every seventh step searched twice."""
+    modes = [lfo.AffineMode([[a]], [[1.0]], G=[[sign]], h=[0.0]) for a, sign in ((0.9, -1.0), (1.3, 1.0))]
+    dynamics, bounds = lfo.PiecewiseAffineDynamics(modes), (lfo.Box(-1, 1), lfo.Box(-10, 10))
+    problem = lfo.OptimalControlProblem(dynamics, 5, lfo.QuadraticCost(Q=1.0, R=1.0), *bounds)
+    run = lfo.RecedingHorizon(problem).run([1.0], 36)
+    assert abs(run.final_state[0]) < 1e-15
+    assert set(run.statuses) == {"optimal"}
+    assert run.nodes.max() <= 4
+    assert run.nodes.mean() < 3.5

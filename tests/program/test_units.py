@@ -9,7 +9,17 @@ import pytest
 
 from helpers.seeds import seeds
 from helpers.transcribed import each_problem, small_problem
-from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, StageRows, library, stop_band
+from lin_freq_ocp import (
+    Box,
+    LinearDynamics,
+    MagnitudeBound,
+    OptimalControlProblem,
+    QuadraticCost,
+    StageRows,
+    library,
+    solve,
+    stop_band,
+)
 from lin_freq_ocp.methods import Candidate, solve_convex
 from lin_freq_ocp.problem import Band
 from lin_freq_ocp.program import (
@@ -230,3 +240,19 @@ def test_a_point_that_is_no_number_keeps_its_units():
     point = np.full(len(units), np.nan)
     np.testing.assert_array_equal(point_units(linear, point, units), units)
     assert not is_revision(point_units(linear, point, units) / units, 1.0)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-6, 1.0, 1e6])
+def test_a_mask_is_a_cone_of_order_one_in_every_unit(unit):
+    """Its limit stands in a row of zeros, which kept its cone in the unit of the control."""
+    one = LinearDynamics([[0.9]], [[1.0 / unit]])
+    mask = MagnitudeBound(0.2 * unit, bins=[1, 2])
+    cost = QuadraticCost(Q=1.0, R=0.5 / unit**2)
+    problem = OptimalControlProblem(one, 6, cost, Box(-unit, unit), None, [0.5], control_spectrum=mask)
+    linear = LinearProgram(problem)
+    scaled = linear.sparse.scaled(natural_scaling(linear))
+    for cone in scaled.cones:
+        assert 0.1 < max(abs(scaled.A[cone]).max(), np.abs(scaled.lower[cone]).max()) <= 1.0 + 1e-12
+    answers = [solve(problem, method) for method in ("convex", "structured")]
+    assert [one.status for one in answers] == ["optimal"] * 2
+    assert answers[0].cost == pytest.approx(answers[1].cost, rel=1e-6)

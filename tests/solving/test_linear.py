@@ -223,3 +223,13 @@ def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again(monkeypa
         result = lfo.solve(problem, method="convex")
         outcomes.append((result.status, result.certificate.pmp))
     assert outcomes == [("optimal", "violated"), ("optimal", "satisfied")]
+
+
+@pytest.mark.parametrize("method", ["auto", "structured", "convex", "spectral"])
+def test_rest_is_found_where_the_initial_state_is_free_and_costs_in_part(method):
+    """The other component of x_0 is 1e-15 after a solve, and so is what it causes: rest needs a zero."""
+    A, B = [[0.5, 0.3], [-0.2, 0.4]], [[0.7, -0.4], [0.3, 0.9]]
+    cost = lfo.QuadraticCost(Q=np.diag([0.4, 0.0]), R=np.diag([0.1, 0.3]))
+    problem = lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 4, cost, lfo.Box(-1, 1.5), lfo.Box(-3, 3))
+    result = lfo.solve(problem, method, throw=False)
+    assert (result.status, result.cost) == ("optimal", 0.0)

@@ -47,7 +47,7 @@ from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, Pat
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.forms import boxes_of_steps, piecewise_affine
 from lin_freq_ocp.transform.limits import replace_bounds
 
 
@@ -76,23 +76,22 @@ class IntervalReach:
     """
 
     def __init__(self, problem: OptimalControlProblem):
-        arrays, tube, T = piecewise_affine(problem).arrays(problem.horizon), problem.control_tube, problem.horizon
+        arrays, T = piecewise_affine(problem).arrays(problem.horizon), problem.horizon
         x = np.maximum(problem.state_tube.lower, -INFINITE), np.minimum(problem.state_tube.upper, INFINITE)
-        u = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        self._maps, self._offset, n = arrays.maps, arrays.offset, problem.state_dim
+        self._maps, self._offset, n, pairs = arrays.maps, arrays.offset, problem.state_dim, boxes_of_steps(problem)
+        u = [side[..., n:] for side in pairs]
         self._sizes = np.abs(self._maps)
         self._rising, self._falling = (self._maps + self._sizes) / 2, (self._maps - self._sizes) / 2
         middle, half = (u[0] + u[1]) / 2, (u[1] - u[0]) / 2
-        self._A, self._pushed = self._maps[..., :n], np.einsum("tkij,tj->tki", arrays.B, middle) + arrays.offset
-        self._pushes = arrays.B * half[:, None, None]
+        self._A, self._pushed = self._maps[..., :n], np.einsum("tkij,tkj->tki", arrays.B, middle) + arrays.offset
+        self._pushes = arrays.B * half[:, :, None]
         self._push_sizes = np.abs(self._pushes).sum(axis=-1)
         self._rows, self._limits = arrays.rows, np.minimum(arrays.h, INFINITE)
         used = (self._limits < FINITE)[..., None]
         self._above, self._below = (self._rows > 0) & used, (self._rows < 0) & used
         self._divisors = np.where(self._rows == 0, 1.0, self._rows)
         everything = np.ones((1, T, self._rows.shape[1]), dtype=bool)
-        pairs = (np.hstack([of_x[:-1], of_u])[:, None] for of_x, of_u in zip(x, u, strict=True))
-        stated = ReachedSets(*x, everything[0], *(pair.repeat(everything.shape[2], axis=1) for pair in pairs))
+        stated = ReachedSets(*x, everything[0], *pairs)
         self.zonotopes = [((x[0][0] + x[1][0]) / 2, np.diag((x[1][0] - x[0][0]) / 2))]
         self.whole = self._propagate(stated, everything, np.zeros(1, dtype=int), np.full(1, T))[0]
 

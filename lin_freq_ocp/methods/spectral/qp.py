@@ -282,7 +282,7 @@ def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
     V = np.empty((len(A), rank), order="F")
     V[pivots - 1] = np.tril(factor[:, :rank])
     missed = base + sign * (V * V).sum(1) - np.diagonal(A)
-    return _Thin(base, sign, V) if np.abs(missed).max() < tol.LOW_RANK_ERROR else None
+    return _Thin(base, sign, V) if rank and np.abs(missed).max() < tol.LOW_RANK_ERROR else None
 
 
 class _Dense:

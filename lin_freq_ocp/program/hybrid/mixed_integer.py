@@ -16,8 +16,8 @@ it gives
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,10 +25,8 @@ import scipy.sparse as sp
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.base.polyhedra import minimiser
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
@@ -37,10 +35,8 @@ from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, ModeReach
 from lin_freq_ocp.transform.sizes import stated_sizes
 
-BOUND_MARGIN = 1e-6  # relative, by which an implied bound is enlarged, for the tolerance (1e-7) of its linear program
 LEAST_HALF_WIDTH = 1e-9  # of an interval (that of a fixed state is a point), relative to the size of its component
 TERM_ROUNDING = 1e-12  # part of the absolute terms of a bound
-Rows = tuple[Array, Array]  # coefficients (rows, n+m) and limits (rows,): rows y <= limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,21 +57,12 @@ def big_m_bounds(problem: OptimalControlProblem) -> BigMBounds:
 
     Raises UnsupportedError, naming the signal, if it has no bound at a time at which several modes are possible.
     """
-    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
-    # for every t < T, the hard rows on (x_t, u_t) other than bounds and modes
-    parts: list[list[Rows]] = [[(np.zeros((0, n + m)), np.zeros(0))] for _ in range(T)]
-    for term in problem.terms:
-        implied = term.implied_rows(n, m)
-        for group, t in enumerate(() if implied is None else implied.times):
-            if implied is not None and t < T and (finite := np.isfinite(implied.e[group])).any():
-                parts[t].append((implied.matrix(group)[finite], implied.e[group][finite]))
-    further = [(np.vstack([rows for rows, _ in part]), np.concatenate([limit for _, limit in part])) for part in parts]
-    units = np.concatenate(stated_sizes(problem))
-    reached = ModeReach(_with_implied_bounds(problem, further, units))
+    k = problem.state_dim + problem.control_dim
+    units, reached = np.concatenate(stated_sizes(problem)), ModeReach(problem)
     arrays = reached.arrays
     possible = np.zeros(arrays.h.shape[:2], dtype=bool)
     reach = reached.from_start(~possible)
-    lower = upper = np.zeros((*possible.shape, n + m))
+    lower = upper = np.zeros((*possible.shape, k))
     if reach is not None:
         possible, lower, upper = reach.allowed.copy(), reach.mode_lower, reach.mode_upper
     several = possible & (possible.sum(axis=1, keepdims=True) > 1)
@@ -105,35 +92,6 @@ def big_m_bounds(problem: OptimalControlProblem) -> BigMBounds:
         above=np.where(pairs, offsets + largest(maps), 0.0),
         regions=np.where(pairs & limited, regions, 0.0),
     )
-
-
-def _normalise_rows(rows: Array, limits: Array) -> Rows:
-    """Return rows of norm 1, or 0."""
-    norms = np.linalg.norm(rows, axis=1)
-    sizes = np.where(norms > 0, norms, np.where(limits != 0, np.abs(limits), 1.0))
-    return rows / sizes[:, None], limits / sizes
-
-
-def _with_implied_bounds(
-    problem: OptimalControlProblem, further: Sequence[Rows], units: Array
-) -> OptimalControlProblem:
-    """Return the problem with the bounds implied by further rows where none are stated; for the reach alone."""
-    n, boxes, controls = problem.state_dim, problem.state_boxes, problem.control_tube
-    lower = np.hstack([problem.state_tube.lower[:-1], controls.lower])
-    upper = np.hstack([problem.state_tube.upper[:-1], controls.upper])
-    unbounded = ~np.isfinite(lower) | ~np.isfinite(upper)
-    if not any(unbounded[t].any() and len(further[t][1]) for t in range(problem.horizon)):
-        return problem
-    for t in map(int, np.flatnonzero(unbounded.any(axis=1))):
-        low, high = lower[t] / units, upper[t] / units
-        rows, limits = _normalise_rows(further[t][0] * units, further[t][1])
-        for sign, side in ((1.0, upper[t]), (-1.0, lower[t])):
-            for k in np.flatnonzero(~np.isfinite(side)):
-                point = minimiser(np.where(np.arange(len(units)) == k, -sign, 0.0), rows, limits, low, high)
-                if point is not None:
-                    side[k] = units[k] * (point[k] + sign * BOUND_MARGIN * max(1.0, abs(float(point[k]))))
-    state_set = Box(np.vstack([lower[:, :n], boxes.lower[-1]]), np.vstack([upper[:, :n], boxes.upper[-1]]))
-    return replace(problem, dynamics=problem.form, state_set=state_set, control_set=Box(lower[:, n:], upper[:, n:]))
 
 
 Row = tuple[Indices, Array, float, float]  # columns, their coefficients, lower and upper limit
@@ -213,9 +171,9 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     # the units of the signals, 1 for binaries, and those of rows that make their largest coefficient 1
     units = np.append(of_signals.columns, np.ones(len(joined.q) - len(of_signals.columns)))
     largest = abs(joined.A @ sp.diags_array(units)).max(axis=1).toarray().ravel()
-    of_rows = 1.0 / np.where(largest > 0, largest, 1.0)  # rows of zeros are in cones only
-    for cone in joined.cones:
-        of_rows[cone] = of_rows[cone].min()
+    for cone in joined.cones:  # rows of zeros in it have limits
+        largest[cone] = max(largest[cone].max(), np.abs(joined.lower[cone]).max())
+    of_rows = 1.0 / np.where(largest > 0, largest, 1.0)
     scaling = Scaling(columns=units, rows=of_rows, cost=of_signals.cost)
     return MixedIntegerForm(joined.scaled(scaling), scaling, hosts[0], bounds.possible)
 

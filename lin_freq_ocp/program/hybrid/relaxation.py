@@ -45,7 +45,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.units import common_scaling
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
-from lin_freq_ocp.transform.hybrid.mode_reach import INFINITE, LARGEST_BOUND, ModeReach, Reach
+from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 Number = TypeVar("Number", float, Array)
@@ -80,7 +80,7 @@ class ModeRelaxation:
             for mode in range(modes)
         ]
         self._host, units = hosts[0], common_scaling(hosts, stated_sizes(problem))
-        self._scaling = replace(units, cost=max(COST_SHARE * units.cost, 1 / level))
+        self._scaling = replace(units, cost=max(COST_SHARE * units.cost, 1 / (level or np.inf)))
         self._program = self._host.sparse.scaled(self._scaling)
         states = (T + 1) * n
         sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
@@ -131,8 +131,9 @@ class ModeRelaxation:
         for part in self._host_rows:
             part.view(rows)[:] = True
         # the bounds of x_t and u_t where shares do not have them, and of x_T
-        bounded, tube = single | self.bounds_where_several, self.problem.control_tube
-        u_lower, u_upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        bounded, allowed = single | self.bounds_where_several, reach.allowed[..., None]
+        u_lower = np.where(allowed, reach.mode_lower[..., n:], np.inf).min(axis=1)
+        u_upper = np.where(allowed, reach.mode_upper[..., n:], -np.inf).max(axis=1)
         x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
         u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
         for boxes, low, high, times in (
@@ -322,6 +323,12 @@ class ModeRelaxation:
     def _adjoint_units(self) -> Array:
         of_dynamics = self._scaling.rows[self._program.rows[Block.DYNAMICS]]
         return of_dynamics.reshape(self.problem.horizon, self._n) / self._scaling.cost
+
+    def require_bounds(self, reach: Reach) -> None:
+        """Raise UnsupportedError if a signal has no bounds where the reach has several modes."""
+        several = reach.allowed & (reach.allowed.sum(axis=1, keepdims=True) > 1)
+        for bounds in (reach.mode_lower, reach.mode_upper):
+            self._require_bounds(bounds, several)
 
     def _require_bounds(self, bounds: Array, needed: Mask) -> Array:
         """Return bounds (T, modes, k) in natural units; UnsupportedError where one is needed and missing."""

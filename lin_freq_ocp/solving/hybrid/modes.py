@@ -138,12 +138,14 @@ class _Search:
     def solve(self, problem: OptimalControlProblem, request: Request) -> Outcome:
         """Search below the cost of rest, without a proof below others; judge the best sequence's trajectory and tree.
 
-        In a loop, the cost below which the last search was is the first.
+        In a loop, the cost below which the last search was is the first, unless rest costs far less by now.
         """
         require_convex(problem)
         end, found, tried = now() + request.time_limit, list[Outcome](), set[float]()
-        known = [] if request.tree is None else request.tree.levels
-        for level in chain(known, _levels(problem, found, end)):
+        rest = _at_rest(problem)
+        most = np.inf if rest is None else FALL * LEVEL_MARGIN * problem.value(rest.x, rest.u)
+        known = [] if request.tree is None else [one for one in request.tree.levels if one <= most or one == np.inf]
+        for level in chain(known, _levels(problem, rest, found, end)):
             if level in tried:
                 continue
             tried.add(level)
@@ -290,10 +292,16 @@ class MixedInteger:
         return result
 
 
-def _levels(problem: OptimalControlProblem, found: Sequence[Outcome], end: float) -> Iterator[float]:
-    """Yield the costs below which to search: that of rest; if nothing is found, that of a single mode; and any."""
+def _at_rest(problem: OptimalControlProblem) -> Trajectory | None:
     signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
-    yield _level_of(problem, trajectory_at_rest(problem, Trajectory(*signals)))
+    return trajectory_at_rest(problem, Trajectory(*signals))
+
+
+def _levels(
+    problem: OptimalControlProblem, rest: Trajectory | None, found: Sequence[Outcome], end: float
+) -> Iterator[float]:
+    """Yield the costs below which to search: that of rest; if nothing is found, that of a single mode; and any."""
+    yield _level_of(problem, rest)
     if all(one.trajectory is None for one in found):
         limit = None if end == np.inf else end - now()
         sequences = (np.full(problem.horizon, mode) for mode in range(len(problem.mode_names)))
@@ -306,6 +314,7 @@ def _bound_of(outcome: Outcome) -> float:
     return -np.inf if outcome.lower_bound is None else outcome.lower_bound
 
 
+FALL = 1e3  # part of the level of a loop's last step below which that of rest replaces it, with new relaxations
 LEVEL_MARGIN = 2.0  # of the cost of a trajectory: an optimum lies well inside the box of costs below this
 
 

@@ -13,10 +13,8 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.forms import INFINITE, OUTWARD, boxes_of_steps, piecewise_affine
 
-OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
-INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
 LARGEST_BOUND = 1e90  # larger bounds come from INFINITE
 
 
@@ -49,21 +47,20 @@ class ModeReach:
     """The reach of one problem, for any mask of modes."""
 
     def __init__(self, problem: OptimalControlProblem):
-        self.problem, tube = problem, problem.control_tube
+        self.problem, self._stated, n = problem, boxes_of_steps(problem), problem.state_dim
         self.arrays = piecewise_affine(problem).arrays(problem.horizon)
         arrays = self.arrays
-        maps, self._rows = arrays.maps, arrays.rows
+        maps, self._rows, limits = arrays.maps, arrays.rows, arrays.h
         self._increasing, self._decreasing = np.maximum(maps, 0.0), np.minimum(maps, 0.0)
-        self._limits = np.minimum(arrays.h, INFINITE)
-        finite = np.isfinite(arrays.h)
-        self._limit_sizes = np.where(finite, np.abs(arrays.h), 0.0)
+        self._limits, finite = np.minimum(limits, INFINITE), np.isfinite(limits)
+        self._limit_sizes = np.where(finite, np.abs(limits), 0.0)
         usable = (self._rows != 0) & finite[..., None]
         inverses = 1 / np.where(usable, self._rows, 1.0)
         self._inverses = np.where(usable, inverses, np.sign(self._rows) * INFINITE)  # no coefficient, or no limit
-        lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
+        lower, upper = (side[..., n:] for side in self._stated)
         # the contribution of the controls to the next state: that of their centres, and generators
-        self._pushed = np.einsum("tkij,tj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
-        self.pushes = arrays.B * ((upper - lower) / 2)[:, None, None]  # (T, modes, n, m)
+        self._pushed = np.einsum("tkij,tkj->tki", arrays.B, (lower + upper) / 2) + arrays.offset
+        self.pushes = arrays.B * ((upper - lower) / 2)[:, :, None]  # (T, modes, n, m)
         self._pushed_radius = np.abs(self.pushes).sum(axis=-1)
         self._above, self._below = self._rows > 0, self._rows < 0
         self._absolute = self._increasing - self._decreasing
@@ -76,14 +73,10 @@ class ModeReach:
         """Return the reach of each mask (T, modes)."""
         if not masks:
             return []
-        tube, controls = self.problem.state_tube, self.problem.control_tube
+        tube = self.problem.state_tube
         lower, upper = np.maximum(tube.lower, -INFINITE), np.minimum(tube.upper, INFINITE)
-        y_lower, y_upper = (
-            np.concatenate([x[:-1], np.clip(u, -INFINITE, INFINITE)], axis=1)[:, None].repeat(masks[0].shape[1], axis=1)
-            for x, u in ((lower, controls.lower), (upper, controls.upper))
-        )
         centre, spread = (lower[0] + upper[0]) / 2, np.diag((upper[0] - lower[0]) / 2)
-        unrestricted = Reach(masks[0], lower, upper, y_lower, y_upper, (centre,), (spread,))
+        unrestricted = Reach(masks[0], lower, upper, *self._stated, (centre,), (spread,))
         return _Propagation(self, unrestricted, 0, np.array(masks)).run()
 
     def after(self, reach: Reach, t: int, choices: Sequence[Mask]) -> list[Reach | None]:

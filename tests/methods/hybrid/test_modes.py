@@ -356,8 +356,12 @@ def test_what_is_refused(monkeypatch):
     substitute(monkeypatch, "methods.hybrid.MOST_SEQUENCES", 100)
     with pytest.raises(lfo.errors.UnsupportedError, match="more than"):
         lfo.solve(library.buck_affine(horizon=12), method="enumerate")
-    with pytest.raises(lfo.errors.UnsupportedError, match="no Box bounds it at t = 0"):
-        lfo.solve(random_problem(1, control_set=None))
+    refusals = set()
+    for method in ("auto", "branch_and_bound", "enumerate"):
+        with pytest.raises(lfo.errors.UnsupportedError, match="no Box bounds it at t = 0") as refused:
+            lfo.solve(random_problem(1, control_set=None, state_set=None), method)
+        refusals.add(str(refused.value))
+    assert len(refusals) == 1
     with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue"):
         lfo.solve(replace(hybrid, cost=lfo.QuadraticCost(Q=-1.0, R=1.0)))
     with pytest.raises(lfo.errors.UnsupportedError, match="node_limit"):
@@ -367,6 +371,43 @@ def test_what_is_refused(monkeypatch):
 def test_states_without_bounds_are_bounded_by_the_reach():
     problem = random_problem(2, horizon=3, state_set=None)
     assert lfo.solve(problem).cost == pytest.approx(brute_force(problem)[0], rel=1e-7)
+
+
+@pytest.mark.parametrize("method", ["branch_and_bound", "enumerate", "miqp"])
+@pytest.mark.parametrize("controls", [None, lfo.Box(-1, None), lfo.Box(-1, 1e9), lfo.Box(None, 1.5)])
+def test_controls_with_one_bound_are_bounded_by_the_states(controls, method):
+    """In any unit of the controls; far bounds hid the optimum from relaxations."""
+    problem = random_problem(2, horizon=3, control_set=controls)
+    expected = brute_force(problem)[0]
+    for unit in (1.0, 1e-6):
+        modes = [
+            lfo.AffineMode(mode.linear.A, mode.linear.B / unit, mode.linear.offset, G=part.C, H=part.D / unit, h=part.e)
+            for mode in problem.dynamics.modes
+            for part in [mode.region]
+        ]
+        cost = replace(problem.cost, R=problem.cost.R / unit**2)
+        box = lfo.Box(*(np.where(np.abs(side) > 1e8, side, side * unit) for side in problem.control_tube.at(0).bounds))
+        scaled = replace(problem, dynamics=lfo.PiecewiseAffineDynamics(modes), cost=cost, control_set=box)
+        result = lfo.solve(scaled, method)
+        assert (result.status, result.bound) == ("optimal", "rigorous")
+        assert result.cost == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.parametrize("method", ["branch_and_bound", "enumerate"])
+@pytest.mark.parametrize(
+    "control_set", [lfo.Box(-1.5, 1.5), lfo.sets.Ball(1.5), lfo.sets.Polyhedron([[1], [-1]], [1, 2])]
+)
+def test_rows_bound_the_control_before_the_first_one(control_set, method):
+    """The control before is as free as the first one: |u_0 - u_before| <= 0.4 bounds it."""
+    problem = lfo.rate_limited(random_problem(2, horizon=3, control_set=control_set), 0.4)
+    result = lfo.solve(problem, method)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(brute_force(problem)[0], rel=1e-6)
+
+
+def test_modes_without_a_cost_are_searched_for_any_trajectory():
+    problem = random_problem(1, cost=lfo.QuadraticCost(Q=np.zeros((2, 2)), R=np.zeros((1, 1))))
+    assert lfo.solve(problem).status == "optimal"
 
 
 def test_a_mode_that_grows_by_itself_is_held_by_controls_that_cost_little():

@@ -9,6 +9,7 @@ import pytest
 import qpsolvers
 from scipy.optimize import nnls
 
+import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from lin_freq_ocp.methods.spectral import (
     PIVOTING_STEPS,
@@ -320,3 +321,12 @@ def test_a_bordered_answer_with_upper_bounds_is_optimal():
     assert np.abs(qp.K @ step + qp.C @ weights - qp.r).max() < 1e-9
     assert np.where(weights < upper, z, 0.0).min() > -1e-9
     assert np.where(weights > 0, z, 0.0).max() < 1e-9
+
+
+def test_an_active_set_of_bounds_alone_has_a_thin_factor_of_no_columns():
+    """All 500 controls end at a bound that nothing else moves: the matrix of their prices is that of the cost."""
+    cost = lfo.QuadraticCost(R=np.eye(2), r=[1.2, 1.2])
+    two = lfo.LinearDynamics(np.diag([0.5, 0.4]), np.eye(2))
+    result = lfo.solve(lfo.OptimalControlProblem(two, 250, cost, lfo.Box([-1, -1], None), None, [0, 0]), "spectral")
+    assert result.status == "optimal"
+    np.testing.assert_allclose(result.control, -1.0)

@@ -341,8 +341,9 @@ def test_what_cannot_be_taken_is_refused():
         solve_miqp(library.pendulum(horizon=10), "daqp")
     with pytest.raises(lfo.errors.UnsupportedError, match="eigenvalue -1"):
         solve_miqp(replace(problem, cost=lfo.QuadraticCost(R=-1.0)), "daqp")
+    unbounded = {"control_set": lfo.Box(-1, None), "state_set": None, "initial_state": lfo.Box(-4, 4)}
     with pytest.raises(lfo.errors.UnsupportedError, match=r"u_0: no upper bound at t = 0, where several modes"):
-        solve_miqp(random_problem(3, horizon=3, control_set=lfo.Box(-1, None), initial_state=lfo.Box(-4, 4)), "daqp")
+        solve_miqp(random_problem(3, horizon=3, **unbounded), "daqp")
 
 
 def claiming(monkeypatch, change):

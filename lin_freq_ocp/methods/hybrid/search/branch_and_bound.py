@@ -213,7 +213,7 @@ class TreeSearch:
             self._open(list(zip(masks, solutions, strict=True)), index, t, bound)
         leaves = (node for node in self._nodes if (node.allowed.sum(axis=1) == 1).all())
         if any(node.bound == -np.inf for node in leaves):  # the time was over before one was solved
-            return self.limits.reached(now() - self._started, self._solved) or self.limits.out_of_time
+            return self.limits.reached(now() - self._started, self._solved)
         return ""
 
     @property

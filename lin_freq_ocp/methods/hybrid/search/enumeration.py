@@ -35,12 +35,14 @@ def enumerate_sequences(
     Raises
     ------
     UnsupportedError
-        If there are more than MOST_SEQUENCES.
+        If there are more than MOST_SEQUENCES, or a signal has no bounds where several modes are possible.
     """
     started, relaxation = now(), ModeRelaxation(problem, limits.level)
     end = started + limits.search_seconds
     everything = np.ones((problem.horizon, len(piecewise_affine(problem).modes)), dtype=bool)
     root = relaxation.reach.from_start(everything)
+    if root is not None:
+        relaxation.require_bounds(root)
     nodes = [ModeNode(-1, -1, everything, np.inf if root is None else -np.inf, None)]
     unsplit: list[tuple[int, Reach]] = [] if root is None else [(0, root)]
     leaves: list[tuple[int, Reach]] = []
