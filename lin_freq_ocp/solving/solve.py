@@ -5,7 +5,8 @@ finitely many frequencies. Each round adds the local maxima of |V| above the lim
 multiplier and those next to an added one. For a residual vibration, a frequency is a point (natural frequency, damping
 ratio) of a box. The problem with finitely many constraints is a relaxation: its infeasibility proofs and bounds hold
 for the problem itself, and its trajectory is judged at every frequency. If that proves nothing, the last round is
-solved once more, with a proof.
+solved once more, with a proof. Where any feasible trajectory is an answer, the limits of a round are lower by the
+violation of the round before: its peaks between known frequencies, which are smaller, stay below the limits themselves.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
@@ -26,6 +27,7 @@ from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Progress, Reason
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
@@ -53,14 +55,15 @@ def solve_judged(
     options: Options = DEFAULT_OPTIONS,
     progress: Report | None = None,
     proof: bool = True,
+    any_point: bool = False,
 ) -> Outcome:
-    """Solve a problem and judge the answer; ``lfo.solve`` documents options and errors, ``Request`` proof."""
+    """Solve a problem and judge the answer; see ``lfo.solve`` for options and errors, ``Request`` for the flags."""
     require_problem(problem)
     chosen = choose_method(problem, options)
     first = None if options.start is None else start_of(problem, options.start)
     allowed = options.tolerance or getattr(chosen, "tolerance", None)
     translation = translation_of(problem)
-    request = Request(options.time_limit or np.inf, allowed, progress, first, proof=proof)
+    request = Request(options.time_limit or np.inf, allowed, progress, first, proof=proof, any_point=any_point)
     outcome = solve_translated(chosen, translation, request)
     outcome = restore_outcome(translation, reduce_fractional_samples(outcome, options.tolerance), allowed)
     saved = saved_options(problem, options, chosen) | ({} if first is None else {"start": first.saved})
@@ -134,6 +137,9 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
 
 LEFT_VIOLATION = 1e-9  # of |V| over its limit, relative: interior points leave as much at known frequencies
 ROUNDS = 30  # six reach LEFT_VIOLATION if a peak hardly answers to the frequency that holds it, 13 if it overshoots
+ANY_POINT = "it satisfies every constraint, and no optimum was asked for"
+NEAR = 0.1  # violation from which on the limits of the next round are lower by it, where any point is an answer
+FEWER = 0.1  # part of a reduction that left no trajectory, from which on the next one is tried
 IDLE = 1e-6  # multiplier, relative to the largest, below which a frequency is dropped: the cost does not change
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LEAST_PROGRESS = 0.5  # factor by which a round must reduce the violation at least, once it is below SMALL
@@ -167,12 +173,26 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
         return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
 
+    def judge_point(item: _Round) -> Outcome:
+        trajectory, multipliers = item.outcome.trajectory, item.outcome.multipliers
+        assert trajectory is not None
+        assert multipliers is not None
+        multipliers = item.reduced.multipliers(multipliers, trajectory)
+        certificate = judge(problem, trajectory, multipliers, allowed_residual(request.tolerance))
+        answer = replace(item.outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, seconds=seconds)
+        return replace(answer, trajectory=trajectory, multipliers=multipliers, certificate=certificate, any_point=True)
+
+    share, refused = 1.0, np.inf  # of the limits, in a round; the least reduction that left no trajectory
+    any_point = request.any_point and not problem.mode_names  # a search over modes would have to prove every reduction
     for _ in range(ROUNDS):
-        reduced = sampled_masks(problem, frequencies)
+        reduced = sampled_masks(problem, frequencies, share)
         beyond = f", limits exceeded by {violation:.0e}" if rounds else ""
         with activity_step(f"round {len(rounds) + 1}{beyond}"):
             outcome = method.solve(reduced.problem, of_round.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
+        if share < 1 and outcome.status not in (Status.OPTIMAL, Status.LIMIT) and not outcome.interrupted:
+            share, refused = 1.0, 1 / share - 1
+            continue  # with the limits themselves
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))
             break
@@ -184,8 +204,13 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
                 size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
                 raised = float((size / mask.limit_at(known)).max(initial=1.0))
             added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
-            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+            if term.hard or not any_point:
+                largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
         rounds.append(_Round(reduced, outcome, largest))
+        if any_point and largest <= LEFT_VIOLATION and (point := judge_point(rounds[-1])).primal:
+            return point
+        own = (1.0 + largest) / share - 1.0  # violation of the limits of this round
+        share = 1 / (1 + own) if any_point and LEFT_VIOLATION < own < min(NEAR, FEWER * refused) else 1.0
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
             if (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:

@@ -222,7 +222,7 @@ def test_bounds_that_move_are_not_monotone():
 class Found:
     """An outcome of a horizon."""
 
-    interrupted, message, dual = False, "", False
+    interrupted, any_point, message, dual = False, False, "", False
     ray = cost = gap = lower_bound = bound = certificate = method = backend = None
 
     def __init__(self, horizon, verdict):
