@@ -125,9 +125,9 @@ def minimum_time(
 
     If feasibility is monotone (zeros can be appended to any feasible control), the search bisects; otherwise it solves
     horizon by horizon from below. The conditions are checked, and ``reason`` names those that fail. A horizon is
-    infeasible only if the judge has verified a proof, and undecided if there is no answer. With masks at every frequency
-    and linear dynamics, a horizon is feasible by any trajectory that satisfies all constraints; the optimum is computed
-    at the least one.
+    infeasible only if the judge has verified a proof, and undecided if there is no answer. With masks at every
+    frequency and linear dynamics, a solve ends at any trajectory that satisfies all constraints, with the status
+    "limit"; the optimum is computed at the least horizon.
 
     Parameters
     ----------
@@ -188,8 +188,7 @@ def minimum_time(
     with report_progress(progress, "looking for the least horizon", "horizon {}: {}".format) as report:
         solve_at = partial(solve_horizon, problem, options)
         record = None if path is None else SweepFile(path, head)
-        decide = partial(solve_horizon, problem, options, any_point=True)
-        search = search_horizons(low, high, monotone, solve_at, report, executor, record, decide)
+        search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven
     outcome, last = (search.last, high) if horizon is None else (search.best, horizon - 1)
     # If feasibility is monotone, a proof at one horizon proves all shorter ones infeasible.

@@ -98,8 +98,8 @@ class Search:
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
         """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided.
 
-        A horizon that a point decided keeps it if the solve for the optimum decides nothing. If that proves that there is
-        no trajectory, rounding has decided: the search goes on, with the evidence of other horizons asked for again.
+        A horizon that a point decided keeps it if the solve for the optimum decides nothing. If that proves that there
+        is no trajectory, rounding decides: the search goes on, and asks for the evidence of other horizons again.
         """
         verdict, decided = verdict_of(outcome), horizon in self.points
         self.recorded.discard(horizon)
@@ -159,10 +159,13 @@ class SolvedHorizon:
         return self.outcome is not None and self.outcome.interrupted
 
 
-def _solve_task(solve: Callable[[int], Outcome], horizon: int, attempt: int) -> SolvedHorizon:
+SolveAt = Callable[[int, bool], Outcome]  # at a horizon, where any feasible trajectory may be an answer
+
+
+def _solve_task(solve: SolveAt, given: tuple[int, bool], attempt: int) -> SolvedHorizon:
     """Solve in this process or in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    started = now()
-    outcome = solve(horizon)
+    started, (horizon, any_point) = now(), given
+    outcome = solve(horizon, any_point)
     return SolvedHorizon(outcome, row_of(outcome, {"horizon": horizon}, now() - started))
 
 
@@ -170,20 +173,19 @@ def search_horizons(
     low: int,
     high: int,
     monotone: bool,
-    solve: Callable[[int], Outcome],
+    solve: SolveAt,
     progress: Callable[[int, str], None] | None = None,
     executor: Executor | None = None,
     record: AbstractContextManager[Record[Row] | None] | None = None,
-    decide: Callable[[int], Outcome] | None = None,
 ) -> Search:
     """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with the verdicts so far.
 
-    ``decide`` solves in place of ``solve`` as long as any feasible trajectory is an answer.
+    Any feasible trajectory is an answer at a horizon that is not the least one in question.
     """
     search, told = Search(low, high), list[tuple[int, str]]()
     work = Work(
-        partial(_solve_task, decide or solve),
-        lambda horizon, reason: SolvedHorizon(None, failed_point({"horizon": horizon}, reason)),
+        partial(_solve_task, solve),
+        lambda given, reason: SolvedHorizon(None, failed_point({"horizon": given[0]}, reason)),
         lambda solved: solved.interrupted and verdict_of(solved.outcome) == Verdict.UNDECIDED,
     )
 
@@ -192,17 +194,18 @@ def search_horizons(
             search.recall(keys[key], row)
         while True:
             while horizons := _next_horizons(search, monotone, 1 if executor is None else AT_ONCE):
-                points = {point_key({"horizon": T}): T for T in horizons}
+                points = {point_key({"horizon": T}): (T, any_point) for T, any_point in horizons.items()}
                 with closing(finish_tasks(work, points, executor)) as parts:
                     for key, solved in parts:
-                        told.append((points[key], search.keep(points[key], solved.outcome)))
+                        horizon = points[key][0]
+                        told.append((horizon, search.keep(horizon, solved.outcome)))
                         if solved.interrupted:  # decided, and not recorded
                             raise KeyboardInterrupt
                         yield {key: solved.row}
             if not (left := search.without_evidence):
                 return
             for horizon in left:
-                new, solved = horizon in search.points, _solve_task(solve, horizon, 0)
+                new, solved = horizon in search.points, _solve_task(solve, (horizon, False), 0)
                 if work.interrupted(solved):
                     raise KeyboardInterrupt
                 told.append((horizon, search.keep(horizon, solved.outcome)))
@@ -220,18 +223,21 @@ def search_horizons(
     return search
 
 
-def _next_horizons(search: Search, monotone: bool, count: int) -> list[int]:
-    """Return the horizons to solve next: by bisection, at first the last one, or from below until one is feasible."""
+def _next_horizons(search: Search, monotone: bool, count: int) -> dict[int, bool]:
+    """Return the horizons to solve next: by bisection, at first the last one, or from below until one is feasible.
+
+    With each, whether any feasible trajectory is an answer there. At the least horizon in question, the optimum is the
+    answer of the search.
+    """
     if monotone and not search.verdicts:
-        return [search.high]
+        return {search.high: search.low < search.high}
     above = search.high + 1 if search.horizon is None else search.horizon
     without = [*search.of(Verdict.INFEASIBLE), *search.claimed]
     below = max(without, default=search.low - 1) if monotone else search.low - 1
     unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
-    if not monotone:
-        return unknown[:count]
     parts = min(count, len(unknown)) + 1
-    return [unknown[len(unknown) * i // parts] for i in range(1, parts)]
+    chosen = [unknown[len(unknown) * i // parts] for i in range(1, parts)] if monotone else unknown[:count]
+    return {T: T > unknown[0] for T in chosen}
 
 
 def checked_horizons(given: object) -> tuple[int, int]:
@@ -265,7 +271,7 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
         raise ProblemError(error.field, error.got, error.expected, advice) from None
 
 
-def solve_horizon(source: Source, options: Options, horizon: int, any_point: bool = False) -> Outcome:
+def solve_horizon(source: Source, options: Options, horizon: int, any_point: bool) -> Outcome:
     """Return the answer at a horizon."""
     with activity_step(f"horizon {horizon}"):
         return solve_judged(problem_at_horizon(source, horizon), options, any_point=any_point)

@@ -112,8 +112,10 @@ def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence
             return solve(problem_at_horizon(variant, T), any_point)
 
     def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:
-        decide = partial(solve_at, variant, any_point=True) if variant is problem else None
-        return search_horizons(low, problem.horizon, bisect, partial(solve_at, variant), decide=decide)
+        def solve_variant(T: int, any_point: bool) -> Outcome:
+            return solve_at(variant, T, any_point) if variant is problem else solve_at(variant, T)
+
+        return search_horizons(low, problem.horizon, bisect, solve_variant)
 
     unshaped = search(free, 1, monotone)
     least = unshaped.horizon or problem.horizon  # of all searches: the other problems have more constraints

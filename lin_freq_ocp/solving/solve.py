@@ -5,8 +5,8 @@ finitely many frequencies. Each round adds the local maxima of |V| above the lim
 multiplier and those next to an added one. For a residual vibration, a frequency is a point (natural frequency, damping
 ratio) of a box. The problem with finitely many constraints is a relaxation: its infeasibility proofs and bounds hold
 for the problem itself, and its trajectory is judged at every frequency. If that proves nothing, the last round is
-solved once more, with a proof. Where any feasible trajectory is an answer, the limits of a round are lower by the
-violation of the round before: its peaks between known frequencies, which are smaller, stay below the limits themselves.
+solved once more, with a proof. Where any feasible trajectory is an answer, a round is also solved with limits that
+are lower by the violation of the round before: the peaks that it leaves are smaller, and below the limits themselves.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
@@ -30,7 +30,9 @@ from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERA
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Progress, Reason
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint, peaks_above
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.families import DEFAULT_OPTIONS, Options, choose_method, saved_options
 from lin_freq_ocp.solving.judging import (
     allowed_residual,
@@ -43,7 +45,7 @@ from lin_freq_ocp.solving.judging import (
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reductions import Reduced
-from lin_freq_ocp.transform.reformulations import Translation, sampled_masks, translation_of
+from lin_freq_ocp.transform.reformulations import SampledMasks, Translation, sampled_masks, translation_of
 from lin_freq_ocp.transform.starts import start_of
 
 COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as much as the allowed gap
@@ -138,8 +140,8 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
 LEFT_VIOLATION = 1e-9  # of |V| over its limit, relative: interior points leave as much at known frequencies
 ROUNDS = 30  # six reach LEFT_VIOLATION if a peak hardly answers to the frequency that holds it, 13 if it overshoots
 ANY_POINT = "it satisfies every constraint, and no optimum was asked for"
-NEAR = 0.1  # violation from which on the limits of the next round are lower by it, where any point is an answer
-FEWER = 0.1  # part of a reduction that left no trajectory, from which on the next one is tried
+NEAR = 0.1  # violation below which lower limits are tried first, where any point is an answer
+FEWER = 0.1  # part of a reduction of the limits that led to no such point, below which the next one is tried
 IDLE = 1e-6  # multiplier, relative to the largest, below which a frequency is dropped: the cost does not change
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LEAST_PROGRESS = 0.5  # factor by which a round must reduce the violation at least, once it is below SMALL
@@ -154,6 +156,38 @@ class _Round(NamedTuple):
     reduced: Reduced
     outcome: Outcome
     violation: float
+
+
+Masks = list[tuple[Term, SemiInfiniteConstraint]]
+
+
+def _peaks_of(
+    masks: Masks, frequencies: Frequencies, trajectory: Trajectory, hard_only: bool
+) -> tuple[Frequencies, float]:
+    """Return the frequencies of peaks above their limit, and the largest violation."""
+    x, u, found, largest = trajectory.x, trajectory.u, Frequencies(), 0.0
+    for term, mask in masks:
+        known, raised = frequencies[term.name], 1.0
+        if not term.hard:  # a soft mask may be exceeded as much as at its known frequencies
+            size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
+            raised = float((size / mask.limit_at(known)).max(initial=1.0))
+        found[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
+        if term.hard or not hard_only:
+            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+    return found, largest
+
+
+def _exchange(masks: Masks, frequencies: Frequencies, added: Frequencies, multipliers: Multipliers) -> Frequencies:
+    """Return the added frequencies, and the others with a multiplier that are not next to one."""
+    exchanged = Frequencies()
+    for term, mask in masks:
+        known, new = frequencies[term.name], added[term.name]
+        weight = np.linalg.norm(multipliers.stage[term.name], axis=1)
+        active = weight > IDLE * weight.max(initial=0.0)
+        nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
+        joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
+        exchanged[term.name] = joined if len(joined) else known
+    return exchanged
 
 
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
@@ -173,44 +207,30 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
         return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
 
-    def judge_point(item: _Round) -> Outcome:
-        trajectory, multipliers = item.outcome.trajectory, item.outcome.multipliers
-        assert trajectory is not None
-        assert multipliers is not None
-        multipliers = item.reduced.multipliers(multipliers, trajectory)
-        certificate = judge(problem, trajectory, multipliers, allowed_residual(request.tolerance))
-        answer = replace(item.outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, seconds=seconds)
-        return replace(answer, trajectory=trajectory, multipliers=multipliers, certificate=certificate, any_point=True)
+    def feasible_point(reduced: SampledMasks, outcome: Outcome) -> Outcome | None:
+        if outcome.trajectory is None or outcome.multipliers is None:
+            return None
+        multipliers = reduced.multipliers(outcome.multipliers)
+        certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(request.tolerance))
+        found = replace(outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, seconds=seconds)
+        found = replace(found, multipliers=multipliers, certificate=certificate, any_point=True)
+        return found if found.primal else None
 
-    share, refused = 1.0, np.inf  # of the limits, in a round; the least reduction that left no trajectory
-    any_point = request.any_point and not problem.mode_names  # a search over modes would have to prove every reduction
+    tried = NEAR / FEWER  # reduction of the limits that was tried last
+    any_point = request.any_point and not problem.mode_names  # a search over modes would have to prove every round
     for _ in range(ROUNDS):
-        reduced = sampled_masks(problem, frequencies, share)
+        reduced = sampled_masks(problem, frequencies)
         beyond = f", limits exceeded by {violation:.0e}" if rounds else ""
         with activity_step(f"round {len(rounds) + 1}{beyond}"):
             outcome = method.solve(reduced.problem, of_round.with_end(end))
         seconds |= {phase: seconds.get(phase, 0.0) + value for phase, value in outcome.seconds.items()}
-        if share < 1 and outcome.status not in (Status.OPTIMAL, Status.LIMIT) and not outcome.interrupted:
-            share, refused = 1.0, 1 / share - 1
-            continue  # with the limits themselves
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))
             break
-        # the frequencies of peaks above their limit, and the largest violation
-        x, u, added, largest = outcome.trajectory.x, outcome.trajectory.u, Frequencies(), 0.0
-        for term, mask in masks:
-            known, raised = frequencies[term.name], 1.0
-            if not term.hard:  # a soft mask may be exceeded as much as at its known frequencies
-                size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
-                raised = float((size / mask.limit_at(known)).max(initial=1.0))
-            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
-            if term.hard or not any_point:
-                largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+        added, largest = _peaks_of(masks, frequencies, outcome.trajectory, any_point)
         rounds.append(_Round(reduced, outcome, largest))
-        if any_point and largest <= LEFT_VIOLATION and (point := judge_point(rounds[-1])).primal:
+        if any_point and largest <= LEFT_VIOLATION and (point := feasible_point(reduced, outcome)) is not None:
             return point
-        own = (1.0 + largest) / share - 1.0  # violation of the limits of this round
-        share = 1 / (1 + own) if any_point and LEFT_VIOLATION < own < min(NEAR, FEWER * refused) else 1.0
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
             if (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
@@ -219,14 +239,16 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             continue
         if converged or outcome.status == Status.LIMIT or outcome.interrupted:
             break
-        violation, before, frequencies = largest, frequencies, Frequencies()
-        for term, mask in masks:
-            known, new = before[term.name], added[term.name]
-            weight = np.linalg.norm(outcome.multipliers.stage[term.name], axis=1)
-            active = weight > IDLE * weight.max(initial=0.0)
-            nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
-            joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
-            frequencies[term.name] = joined if len(joined) else known
+        violation, frequencies = largest, _exchange(masks, frequencies, added, outcome.multipliers)
+        if any_point and violation < FEWER * tried:
+            tried, reduced = violation, sampled_masks(problem, frequencies, 1 / (1 + violation))
+            with activity_step("lower limits"):
+                outcome = method.solve(reduced.problem, of_round.with_end(end))
+            if (point := feasible_point(reduced, outcome)) is not None:
+                return point
+            if outcome.interrupted:
+                rounds.append(_Round(reduced, outcome, np.inf))
+                break
     solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
     best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
     if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
