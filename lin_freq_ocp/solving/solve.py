@@ -145,6 +145,7 @@ FEWER = 0.1  # part of a reduction of the limits that led to no such point, belo
 IDLE = 1e-6  # multiplier, relative to the largest, below which a frequency is dropped: the cost does not change
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LEAST_PROGRESS = 0.5  # factor by which a round must reduce the violation at least, once it is below SMALL
+INACCURATE = 3  # rounds with as much violation at known frequencies: the method has no more digits
 SMALL = 2e-7  # less than the violation that the judge allows
 
 Frequencies = dict[str, Array]
@@ -163,18 +164,19 @@ Masks = list[tuple[Term, SemiInfiniteConstraint]]
 
 def _peaks_of(
     masks: Masks, frequencies: Frequencies, trajectory: Trajectory, hard_only: bool
-) -> tuple[Frequencies, float]:
-    """Return the frequencies of peaks above their limit, and the largest violation."""
-    x, u, found, largest = trajectory.x, trajectory.u, Frequencies(), 0.0
+) -> tuple[Frequencies, float, float]:
+    """Return the frequencies of peaks above their limit, the largest violation, and that at known frequencies."""
+    x, u, found, largest, missed = trajectory.x, trajectory.u, Frequencies(), 0.0, 0.0
     for term, mask in masks:
-        known, raised = frequencies[term.name], 1.0
-        if not term.hard:  # a soft mask may be exceeded as much as at its known frequencies
-            size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
-            raised = float((size / mask.limit_at(known)).max(initial=1.0))
+        known = frequencies[term.name]
+        size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
+        raised = float((size / mask.limit_at(known)).max(initial=1.0))
+        if term.hard:  # a soft mask may be exceeded as much as at its known frequencies
+            missed, raised = max(missed, raised - 1.0), 1.0
         found[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
         if term.hard or not hard_only:
             largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
-    return found, largest
+    return found, largest, missed
 
 
 def _exchange(masks: Masks, frequencies: Frequencies, added: Frequencies, multipliers: Multipliers) -> Frequencies:
@@ -190,6 +192,18 @@ def _exchange(masks: Masks, frequencies: Frequencies, added: Frequencies, multip
     return exchanged
 
 
+def _feasible_point(
+    problem: OptimalControlProblem, reduced: SampledMasks, outcome: Outcome, tolerance: float | None
+) -> Outcome | None:
+    """Return the trajectory of a sampled problem, if the judge finds that it satisfies all constraints."""
+    if outcome.trajectory is None or outcome.multipliers is None:
+        return None
+    multipliers = reduced.multipliers(outcome.multipliers)
+    certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(tolerance))
+    found = replace(outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, any_point=True)
+    return replace(found, multipliers=multipliers, certificate=certificate) if certificate.feasible else None
+
+
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by exchange, and judge the answer.
 
@@ -199,22 +213,13 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     of_round, end = replace(request, proof=False), now() + request.time_limit
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
     frequencies = {term.name: term.map.locations for term, _ in masks}
-    seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
+    seconds, violation, rounds, inaccurate = dict[str, float](), np.inf, list[_Round](), 0
 
     def judge_round(item: _Round) -> Outcome:
         outcome, interrupted = replace(item.outcome, seconds=seconds), rounds[-1].outcome.interrupted
         candidate = item.reduced.recover(candidate_of(outcome))
         answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
         return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
-
-    def feasible_point(reduced: SampledMasks, outcome: Outcome) -> Outcome | None:
-        if outcome.trajectory is None or outcome.multipliers is None:
-            return None
-        multipliers = reduced.multipliers(outcome.multipliers)
-        certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(request.tolerance))
-        found = replace(outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, seconds=seconds)
-        found = replace(found, multipliers=multipliers, certificate=certificate, any_point=True)
-        return found if found.primal else None
 
     tried = NEAR / FEWER  # reduction of the limits that was tried last
     any_point = request.any_point and not problem.mode_names  # a search over modes would have to prove every round
@@ -227,25 +232,30 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))
             break
-        added, largest = _peaks_of(masks, frequencies, outcome.trajectory, any_point)
+        added, largest, missed = _peaks_of(masks, frequencies, outcome.trajectory, any_point)
         rounds.append(_Round(reduced, outcome, largest))
-        if any_point and largest <= LEFT_VIOLATION and (point := feasible_point(reduced, outcome)) is not None:
-            return point
+        if (
+            any_point
+            and largest <= LEFT_VIOLATION
+            and (point := _feasible_point(problem, reduced, outcome, request.tolerance))
+        ):
+            return replace(point, seconds=seconds)
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
             if (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
                 return answer
             of_round = request  # once more, with a proof
             continue
-        if converged or outcome.status == Status.LIMIT or outcome.interrupted:
+        inaccurate += missed > LEAST_PROGRESS * largest
+        if converged or inaccurate == INACCURATE or outcome.status == Status.LIMIT or outcome.interrupted:
             break
         violation, frequencies = largest, _exchange(masks, frequencies, added, outcome.multipliers)
         if any_point and violation < FEWER * tried:
             tried, reduced = violation, sampled_masks(problem, frequencies, 1 / (1 + violation))
             with activity_step("lower limits"):
                 outcome = method.solve(reduced.problem, of_round.with_end(end))
-            if (point := feasible_point(reduced, outcome)) is not None:
-                return point
+            if point := _feasible_point(problem, reduced, outcome, request.tolerance):
+                return replace(point, seconds=seconds)
             if outcome.interrupted:
                 rounds.append(_Round(reduced, outcome, np.inf))
                 break
@@ -255,4 +265,9 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         shortfall, outcome = f"at the frequencies of {plural(len(masks), 'mask')} only", best.outcome
         outcome = replace(outcome, seconds=seconds, interrupted=rounds[-1].outcome.interrupted)
         return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
-    return judge_round(best)
+    answer = judge_round(best)
+    if inaccurate < INACCURATE or answer.status != Status.NUMERICAL_ERROR:
+        return answer
+    error = f"{len(rounds)} rounds leave known frequencies as much over their limits as all, by {best.violation:.0e}"
+    advice = "" if answer.backend is None else "; method 'structured' has more digits where frequencies are close"
+    return replace(answer, message=f"{answer.message}; {error}{advice}")
