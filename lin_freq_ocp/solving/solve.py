@@ -193,13 +193,13 @@ def _exchange(masks: Masks, frequencies: Frequencies, added: Frequencies, multip
 
 
 def _feasible_point(
-    problem: OptimalControlProblem, reduced: SampledMasks, outcome: Outcome, tolerance: float | None
+    problem: OptimalControlProblem, reduced: SampledMasks, outcome: Outcome, request: Request
 ) -> Outcome | None:
     """Return the trajectory of a sampled problem, if the judge finds that it satisfies all constraints."""
     if outcome.trajectory is None or outcome.multipliers is None:
         return None
     multipliers = reduced.multipliers(outcome.multipliers)
-    certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(tolerance))
+    certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(request.tolerance))
     found = replace(outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, any_point=True)
     return replace(found, multipliers=multipliers, certificate=certificate) if certificate.feasible else None
 
@@ -234,11 +234,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             break
         added, largest, missed = _peaks_of(masks, frequencies, outcome.trajectory, any_point)
         rounds.append(_Round(reduced, outcome, largest))
-        if (
-            any_point
-            and largest <= LEFT_VIOLATION
-            and (point := _feasible_point(problem, reduced, outcome, request.tolerance))
-        ):
+        if any_point and largest <= LEFT_VIOLATION and (point := _feasible_point(problem, reduced, outcome, request)):
             return replace(point, seconds=seconds)
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
@@ -254,7 +250,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
             tried, reduced = violation, sampled_masks(problem, frequencies, 1 / (1 + violation))
             with activity_step("lower limits"):
                 outcome = method.solve(reduced.problem, of_round.with_end(end))
-            if point := _feasible_point(problem, reduced, outcome, request.tolerance):
+            if point := _feasible_point(problem, reduced, outcome, request):
                 return replace(point, seconds=seconds)
             if outcome.interrupted:
                 rounds.append(_Round(reduced, outcome, np.inf))
