@@ -282,7 +282,7 @@ class SparseRows:
         return self.matrix.shape[0]
 
     @cached_property
-    def _transposed(self) -> sp.csc_array:  # SciPy takes longer to make it than to multiply by it
+    def _transpose(self) -> sp.csc_array:  # SciPy takes longer to make it than to multiply by it
         return self.matrix.T
 
     def forward(self, signals: Array) -> Array:
@@ -291,7 +291,7 @@ class SparseRows:
 
     def add_adjoint(self, weights: Array, signals: Array) -> None:
         """Add the adjoint of weights (count, k) to signals."""
-        signals += (self._transposed @ weights).reshape(signals.shape)
+        signals += (self._transpose @ weights).reshape(signals.shape)
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""
