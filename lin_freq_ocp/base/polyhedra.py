@@ -309,7 +309,7 @@ def hull_weights(points: Array, rays: Array) -> Array:
     right = np.append(np.zeros(len(rows) - 1), 1.0)
     weights, _, rank, _ = np.linalg.lstsq(rows, right)
     if rank == rows.shape[1] and (weights >= 0).all():  # as for a single point
-        return weights
+        return np.asarray(weights, dtype=np.float64)
     from scipy.optimize import nnls  # slow to import
 
     return nnls(rows, right)[0]
