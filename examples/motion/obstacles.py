@@ -44,7 +44,7 @@ problem = lfo.OptimalControlProblem(
     name="obstacles",
 )
 print("The searches with and without the low pass take some seconds.")
-comparison = lfo.compare(problem)
+comparison = lfo.compare(problem, ["brickwall"])
 replay = comparison.filtered[0].replay
 (discs,) = problem.stage_rows
 for name, path in (

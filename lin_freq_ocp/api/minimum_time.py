@@ -125,7 +125,9 @@ def minimum_time(
 
     If feasibility is monotone (zeros can be appended to any feasible control), the search bisects; otherwise it solves
     horizon by horizon from below. The conditions are checked, and ``reason`` names those that fail. A horizon is
-    infeasible only if the judge has verified a proof, and undecided if there is no answer.
+    infeasible only if the judge has verified a proof, and undecided if there is no answer. With masks at every
+    frequency and linear dynamics, a solve ends at any trajectory that satisfies all constraints, with the status
+    "limit"; the optimum is computed at the least horizon.
 
     Parameters
     ----------

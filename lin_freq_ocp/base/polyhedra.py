@@ -304,10 +304,14 @@ def hull_weights(points: Array, rays: Array) -> Array:
     They are a multiple of the weights with s = 1 whose sum is nearest to 0: those of another s have the value
     s^2 |sum|^2 + (s - 1)^2, which for the best s rises with |sum|.
     """
+    rows = np.vstack([np.vstack([points, rays]).T, np.append(np.ones(len(points)), np.zeros(len(rays)))])
+    right = np.append(np.zeros(len(rows) - 1), 1.0)
+    weights, _, rank, _ = np.linalg.lstsq(rows, right)
+    if rank == rows.shape[1] and (weights >= 0).all():  # as for a single point
+        return np.asarray(weights, dtype=np.float64)
     from scipy.optimize import nnls  # slow to import
 
-    rows = np.vstack([np.vstack([points, rays]).T, np.append(np.ones(len(points)), np.zeros(len(rays)))])
-    return nnls(rows, np.append(np.zeros(len(rows) - 1), 1.0))[0]
+    return nnls(rows, right)[0]
 
 
 def natural_sizes(matrix: Array, limits: Array, half_widths: Array, least: float) -> Array:

@@ -67,6 +67,7 @@ class Search:
     rays: dict[int, Multipliers] = field(default_factory=dict)
     excluded: set[int] = field(default_factory=set)  # by proofs for every trajectory, recorded ones too
     recorded: set[int] = field(default_factory=set)  # whose verdict was read from a file, without its evidence
+    points: set[int] = field(default_factory=set)  # that are feasible by a trajectory that is no optimum
     claimed: set[int] = field(default_factory=set)  # infeasible by the word of a solver, which guides the search
     best: Outcome | None = None  # at the least horizon that is feasible
     last: Outcome | None = None  # at the largest horizon that is solved, and not feasible
@@ -88,18 +89,30 @@ class Search:
 
     @property
     def without_evidence(self) -> list[int]:
-        """Return the decisive horizons whose verdict was read from a file, which has no trajectory or ray."""
+        """Return the decisive horizons whose optimum or ray is not known: a file has neither, a search few optima."""
         least = self.horizon
         infeasible = {T for T in self.of(Verdict.INFEASIBLE) if least is not None and T == least - 1}
-        return sorted({max(self.verdicts, default=0) if least is None else least, *infeasible} & self.recorded)
+        decisive = {max(self.verdicts, default=0) if least is None else least, *infeasible}
+        return sorted(decisive & (self.recorded | self.points))
 
     def keep(self, horizon: int, outcome: Outcome | None) -> Verdict:
-        """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided."""
-        verdict = self.verdicts[horizon] = verdict_of(outcome)
+        """Keep the verdict and the evidence of a solve; a lost solve leaves the horizon undecided.
+
+        A horizon that a point decided keeps it if the solve for the optimum decides nothing. If that proves that there
+        is no trajectory, rounding decides: the search goes on, and asks for the evidence of other horizons again.
+        """
+        verdict, decided = verdict_of(outcome), horizon in self.points
         self.recorded.discard(horizon)
+        self.points.discard(horizon)
+        if decided and verdict == Verdict.UNDECIDED:
+            return Verdict.FEASIBLE
+        self.verdicts[horizon] = verdict
+        if decided and verdict == Verdict.INFEASIBLE:
+            self.best, self.recorded = None, self.recorded | set(self.of(Verdict.FEASIBLE))
         if outcome is None:
             return verdict
         if verdict == Verdict.FEASIBLE:
+            self.points |= {horizon} if outcome.any_point else set()
             self.best = outcome if self.best is None or horizon <= self.best.problem.horizon else self.best
         elif self.last is None or horizon >= self.last.problem.horizon:
             self.last = outcome
@@ -146,10 +159,13 @@ class SolvedHorizon:
         return self.outcome is not None and self.outcome.interrupted
 
 
-def _solve_task(solve: Callable[[int], Outcome], horizon: int, attempt: int) -> SolvedHorizon:
+SolveAt = Callable[[int, bool], Outcome]  # at a horizon, where any feasible trajectory may be an answer
+
+
+def _solve_task(solve: SolveAt, given: tuple[int, bool], attempt: int) -> SolvedHorizon:
     """Solve in this process or in a worker; ``attempt`` makes it another task for a scheduler that keeps answers."""
-    started = now()
-    outcome = solve(horizon)
+    started, (horizon, any_point) = now(), given
+    outcome = solve(horizon, any_point)
     return SolvedHorizon(outcome, row_of(outcome, {"horizon": horizon}, now() - started))
 
 
@@ -157,32 +173,46 @@ def search_horizons(
     low: int,
     high: int,
     monotone: bool,
-    solve: Callable[[int], Outcome],
+    solve: SolveAt,
     progress: Callable[[int, str], None] | None = None,
     executor: Executor | None = None,
     record: AbstractContextManager[Record[Row] | None] | None = None,
 ) -> Search:
-    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with the verdicts so far."""
+    """Search the horizons, a run of tasks like a sweep; Ctrl-C ends it with the verdicts so far.
+
+    Any feasible trajectory is an answer at a horizon that is not the least one in question.
+    """
     search, told = Search(low, high), list[tuple[int, str]]()
     work = Work(
         partial(_solve_task, solve),
-        lambda horizon, reason: SolvedHorizon(None, failed_point({"horizon": horizon}, reason)),
+        lambda given, reason: SolvedHorizon(None, failed_point({"horizon": given[0]}, reason)),
         lambda solved: solved.interrupted and verdict_of(solved.outcome) == Verdict.UNDECIDED,
     )
 
     def solve_missing(recorded: Mapping[str, Row]) -> Generator[Mapping[str, Row]]:
         for key, row in recorded.items():
             search.recall(keys[key], row)
-        while horizons := _next_horizons(search, monotone, 1 if executor is None else AT_ONCE):
-            points = {point_key({"horizon": T}): T for T in horizons}
-            with closing(finish_tasks(work, points, executor)) as parts:
-                for key, solved in parts:
-                    told.append((points[key], search.keep(points[key], solved.outcome)))
-                    if solved.interrupted:  # decided, and not recorded
-                        raise KeyboardInterrupt
-                    yield {key: solved.row}
-        for horizon in search.without_evidence:
-            search.keep(horizon, solve(horizon))
+        while True:
+            while horizons := _next_horizons(search, monotone, 1 if executor is None else AT_ONCE):
+                points = {point_key({"horizon": T}): (T, any_point) for T, any_point in horizons.items()}
+                with closing(finish_tasks(work, points, executor)) as parts:
+                    for key, solved in parts:
+                        horizon = points[key][0]
+                        told.append((horizon, search.keep(horizon, solved.outcome)))
+                        if solved.interrupted:  # decided, and not recorded
+                            raise KeyboardInterrupt
+                        yield {key: solved.row}
+            if not (left := search.without_evidence):
+                return
+            for horizon in left:
+                new, solved = horizon in search.points, _solve_task(solve, (horizon, False), 0)
+                if work.interrupted(solved):
+                    raise KeyboardInterrupt
+                told.append((horizon, search.keep(horizon, solved.outcome)))
+                if solved.interrupted:
+                    raise KeyboardInterrupt
+                if new and verdict_of(solved.outcome) != Verdict.UNDECIDED:
+                    yield {point_key({"horizon": horizon}): solved.row}
 
     def tell(done: int, count: int) -> None:
         if progress is not None and told:
@@ -193,18 +223,21 @@ def search_horizons(
     return search
 
 
-def _next_horizons(search: Search, monotone: bool, count: int) -> list[int]:
-    """Return the horizons to solve next: by bisection, at first the last one, or from below until one is feasible."""
+def _next_horizons(search: Search, monotone: bool, count: int) -> dict[int, bool]:
+    """Return the horizons to solve next: by bisection, at first the last one, or from below until one is feasible.
+
+    With each, whether any feasible trajectory is an answer there. At the least horizon in question, the optimum is the
+    answer of the search.
+    """
     if monotone and not search.verdicts:
-        return [search.high]
+        return {search.high: search.low < search.high}
     above = search.high + 1 if search.horizon is None else search.horizon
     without = [*search.of(Verdict.INFEASIBLE), *search.claimed]
     below = max(without, default=search.low - 1) if monotone else search.low - 1
     unknown = [T for T in range(below + 1, above) if T not in search.verdicts]
-    if not monotone:
-        return unknown[:count]
     parts = min(count, len(unknown)) + 1
-    return [unknown[len(unknown) * i // parts] for i in range(1, parts)]
+    chosen = [unknown[len(unknown) * i // parts] for i in range(1, parts)] if monotone else unknown[:count]
+    return {T: T > unknown[0] for T in chosen}
 
 
 def checked_horizons(given: object) -> tuple[int, int]:
@@ -238,10 +271,10 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
         raise ProblemError(error.field, error.got, error.expected, advice) from None
 
 
-def solve_horizon(source: Source, options: Options, horizon: int) -> Outcome:
+def solve_horizon(source: Source, options: Options, horizon: int, any_point: bool) -> Outcome:
     """Return the answer at a horizon."""
     with activity_step(f"horizon {horizon}"):
-        return solve_judged(problem_at_horizon(source, horizon), options)
+        return solve_judged(problem_at_horizon(source, horizon), options, any_point=any_point)
 
 
 def require_source(source: Source) -> None:

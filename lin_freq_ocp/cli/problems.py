@@ -14,12 +14,9 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.batch.grid import require_parameters
-from lin_freq_ocp.files.problem_file import read_problem
-from lin_freq_ocp.files.problem_tables import PROBLEM
 from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transform.limits import CUTOFFS, NUMBER_WORDS, changed_fields
-from lin_freq_ocp.uncertainty.protocol import RobustProblem, robust
 
 
 def build(problem: str, settings: Sequence[str]) -> OptimalControlProblem:
@@ -79,18 +76,20 @@ class ProblemFile:
         return read_with_settings(self.path, tables)
 
 
-FILE_KEYS = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)  # top-level keys for --set and --grid
 SEVERAL = re.compile(r"[^\s,:\[{\"']+((\s*,\s*[^\s,:]+)+|:[^\s,:]+:\d+)")  # 1,2,3 or 1:2:11, which are no TOML
 SPECTRA = ("control_spectrum", *CUTOFFS)  # each of these sets the frequency constraints of the controls
 
 
 def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
     """Raise ProblemError unless all are keys of problem files or cut-offs, and at most one sets the spectrum."""
+    from lin_freq_ocp.files.problem_tables import PROBLEM  # library problems need no records of files
+
+    file_keys = (*PROBLEM.required, *PROBLEM.optional, *CUTOFFS)
     for key in keys:
         first = key.partition(".")[0]
-        if first not in (*FILE_KEYS, *NUMBER_WORDS):
-            known = f"one of {', '.join(FILE_KEYS)}"
-            advice = suggestion(first, FILE_KEYS) or "Those of tables are written with dots, such as control_set.upper."
+        if first not in (*file_keys, *NUMBER_WORDS):
+            known = f"one of {', '.join(file_keys)}"
+            advice = suggestion(first, file_keys) or "Those of tables are written with dots, such as control_set.upper."
             raise ProblemError(f"{option}{key}", "an unknown key", known, advice)
     spectra = [key for key in SPECTRA if key in keys]
     if len(spectra) > 1:
@@ -99,6 +98,9 @@ def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
 
 def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlProblem:
     """Return the problem of a file: settings replace its keys, a cut-off its spectrum, and then numbers its limits."""
+    from lin_freq_ocp.files.problem_file import read_problem  # slow to import
+    from lin_freq_ocp.uncertainty.protocol import RobustProblem, robust
+
     tables = {key: value for key, value in settings.items() if key not in (*CUTOFFS, *NUMBER_WORDS)}
     for key in CUTOFFS:
         if key in settings:

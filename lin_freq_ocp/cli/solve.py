@@ -8,7 +8,7 @@ solution with the constrained solution.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 import click
 
 from lin_freq_ocp.api.result import Result
-from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary
 from lin_freq_ocp.api.solve import EXPLAIN_SECONDS, solve, with_explanation
 from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.atomic import open_replacement
@@ -26,7 +25,6 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build, require_folder, require_writable
 from lin_freq_ocp.files.reading import FileTable, FileValue
-from lin_freq_ocp.files.run_file import dumping_errors
 from lin_freq_ocp.files.solution_files import kind_of_file, load_trajectory
 from lin_freq_ocp.files.summary import (
     certificate_summary,
@@ -39,7 +37,6 @@ from lin_freq_ocp.methods.fitted_multipliers import uniqueness
 from lin_freq_ocp.proof.enclosure import require_checker
 from lin_freq_ocp.solving.certify import certify
 from lin_freq_ocp.transform.starts import start_of
-from lin_freq_ocp.uncertainty.protocol import RobustProblem, worst_case
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,12 +132,20 @@ def solve_command(
         options["start"] = start_of(description, load_trajectory(start, description)[0]).saved
     if local:
         options["global_bound"] = False
-    with dumping_errors(outputs.get("dump"), description, options):
+    dump = nullcontext()
+    if (path := outputs.get("dump")) is not None:
+        from lin_freq_ocp.files.run_file import dumping_errors  # slow to import
+
+        dump = dumping_errors(path, description, options)
+    with dump:
         result = solve(description, **options, throw=False)
         if result.status == Status.INFEASIBLE or result.ray is not None:
             result = with_explanation(result, time_limit, EXPLAIN_SECONDS if time_limit is None else None)
     worst, status = None, console.exit_status(result)
-    if isinstance(description, RobustProblem) and result.trajectory is not None:
+    if description.uncertainty is not None and result.trajectory is not None:
+        from lin_freq_ocp.uncertainty.protocol import RobustProblem, worst_case  # slow to import
+
+        assert isinstance(description, RobustProblem)
         with activity("the nominal problem"):
             nominal = solve(description.given, **options, throw=False)
         worst = replace(worst_case(description.given, description.uncertainty, result), nominal=nominal.cost)
@@ -201,6 +206,8 @@ def certify_command(
 @console.json_option
 def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_json: bool) -> int:
     """Show what the worst loads of a problem file do to a plan, and whether all limits hold: .npz, .csv or .mat."""
+    from lin_freq_ocp.uncertainty.protocol import RobustProblem, worst_case  # slow to import
+
     description = build(problem, settings)
     if not isinstance(description, RobustProblem):
         raise ProblemError("disturbance", "nothing", "a table [disturbance] or [discs] in the problem file")
@@ -214,6 +221,8 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
 @console.json_option
 def rerun_command(file: str, as_json: bool) -> int:
     """Repeat the run in a file of solve --dump, and show in which results it differs."""
+    from lin_freq_ocp.api.runs import load_run, rerun, rerun_summary  # slow to import
+
     run = load_run(file)
     comparison = rerun(run)
     if as_json:

@@ -28,8 +28,9 @@ from lin_freq_ocp.comparison.trajectories import (
 from lin_freq_ocp.derivatives.sensitivities import bin_prices
 from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.solving.families import family_of
+from lin_freq_ocp.solving.families import Options, family_of
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.solving.solve import solve_judged
 
 PREFERRED_FILTER = "brickwall"
 SEARCH_SECONDS = 30.0  # for a comparison whose modes are searched, which by itself may take hours
@@ -191,15 +192,17 @@ def compare_methods(
         time_limit = SEARCH_SECONDS
     begun = now()
 
+    def limit_of(share: float) -> float | None:
+        """Return a share of the time left for all solves."""
+        if time_limit is None or time_limit <= 0:  # it is refused
+            return time_limit
+        return max(share * (time_limit - (now() - begun)), LEAST_SECONDS)
+
     def solve_within(
         variant: OptimalControlProblem, share: float = 1.0, start: object = None, **options: object
     ) -> Outcome:
-        """Solve within a share of the time left for all solves."""
-        limit = time_limit
-        if limit is not None and limit > 0:  # else it is refused
-            limit = max(share * (limit - (now() - begun)), LEAST_SECONDS)
         begin = {} if start is None else {"start": start}
-        return solve(variant, backend=backend, time_limit=limit, **begin, **options)
+        return solve(variant, backend=backend, time_limit=limit_of(share), **begin, **options)
 
     failure: LimitError | None = None
     try:
@@ -222,8 +225,10 @@ def compare_methods(
         replay = replay_control(name.replace("_", " "), problem, control.u, plan)
         entries.append(Filtered(name, control.description, replay))
 
-    def solve_move(variant: OptimalControlProblem) -> Outcome:
-        return constrained if variant is problem else solve_within(variant, throw=False)
+    def solve_move(variant: OptimalControlProblem, any_point: bool) -> Outcome:
+        if variant is problem:
+            return constrained
+        return solve_judged(variant, Options(backend=backend, time_limit=limit_of(1.0)), any_point=any_point)
 
     moves = shortest_moves(problem, solve_move, shapers) if shapers else None
     return ComparisonOutcome(problem, classical, constrained, tuple(entries), moves)

@@ -43,7 +43,7 @@ OURS, UNSHAPED = "optimal", "unshaped"
 LONGEST_PROFILE = 4  # times the shortest profile: longer profiles are not tried
 TRIED = 100  # most profiles: of long moves, not every length is tried
 
-Solve = Callable[[OptimalControlProblem], Outcome]
+Solve = Callable[[OptimalControlProblem, bool], Outcome]  # whether any feasible trajectory is an answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +107,15 @@ def shortest_moves(problem: OptimalControlProblem, solve: Solve, names: Sequence
     profiles = remember_zero(free)
 
     @cache
-    def solve_at(variant: OptimalControlProblem, T: int) -> Outcome:
+    def solve_at(variant: OptimalControlProblem, T: int, any_point: bool = False) -> Outcome:
         with activity_step(f"{T} samples"):
-            return solve(problem_at_horizon(variant, T))
+            return solve(problem_at_horizon(variant, T), any_point)
 
     def search(variant: OptimalControlProblem, low: int, bisect: bool) -> Search:
-        return search_horizons(low, problem.horizon, bisect, partial(solve_at, variant))
+        def solve_variant(T: int, any_point: bool) -> Outcome:
+            return solve_at(variant, T, any_point) if variant is problem else solve_at(variant, T)
+
+        return search_horizons(low, problem.horizon, bisect, solve_variant)
 
     unshaped = search(free, 1, monotone)
     least = unshaped.horizon or problem.horizon  # of all searches: the other problems have more constraints

@@ -100,6 +100,11 @@ def explain(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
             "explain(problem.with_modes(sequence)) tells those of one."
         )
+    if "angles" in family_of(problem).shorthands:
+        raise UnsupportedError(
+            "explain: got a pulse train, whose search over angles needs all of its limits; expected linear dynamics. "
+            "Solve with wider ends or shorter dwells to see which of them is in conflict."
+        )
     if problem.path_constraints:
         names = ", ".join(repr(one.name) for one in problem.path_constraints)
         raise UnsupportedError(

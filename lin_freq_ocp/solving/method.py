@@ -27,7 +27,8 @@ class Request:
     ``tolerance`` loosens the tolerance of the judge, which is CONDITION_TOLERANCE by default. ``cached`` is the solver
     cache of the same problem, with the change from that problem to this one; ``tree`` is the cache of the search of the
     step before in a control loop. Without ``proof``, an optimum may be what a solver claims: that of an intermediate
-    problem, or a first guess.
+    problem, or a first guess. With ``any_point``, a trajectory that satisfies every constraint is an answer: masks at
+    every frequency need no optimum.
     """
 
     time_limit: float = np.inf
@@ -37,6 +38,7 @@ class Request:
     cached: tuple[SolverCache, Change] | None = None
     tree: SearchCache | None = None
     proof: bool = True
+    any_point: bool = False
 
     def with_end(self, end: float) -> Request:
         """Return the request with the time left until the end, by ``clock.now``, as its limit."""

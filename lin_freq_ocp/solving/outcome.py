@@ -163,6 +163,8 @@ class Outcome:
         Why "auto" chose the method; empty if the user did.
     attempts : tuple of Attempt
         What was tried, in this order: how each answer ended, and why another one was asked for.
+    any_point : bool
+        Whether the solve ended at the first trajectory that satisfies every constraint, as ``minimum_time`` asks for.
     """
 
     problem: OptimalControlProblem
@@ -183,6 +185,7 @@ class Outcome:
     explanation: Explanation | None = None
     reason: str = ""
     attempts: tuple[Attempt, ...] = ()
+    any_point: bool = False
 
     @cached_property
     def attempt(self) -> Attempt:

@@ -5,7 +5,8 @@ finitely many frequencies. Each round adds the local maxima of |V| above the lim
 multiplier and those next to an added one. For a residual vibration, a frequency is a point (natural frequency, damping
 ratio) of a box. The problem with finitely many constraints is a relaxation: its infeasibility proofs and bounds hold
 for the problem itself, and its trajectory is judged at every frequency. If that proves nothing, the last round is
-solved once more, with a proof.
+solved once more, with a proof. Where any feasible trajectory is an answer, a round is also solved with limits that
+are lower by the violation of the round before: the peaks that it leaves are smaller, and below the limits themselves.
 
 References: Hettich and Kortanek, SIAM Review 35, 1993 (semi-infinite programming: exchange methods).
 """
@@ -26,9 +27,12 @@ from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE
+from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.methods.candidate import Progress, Reason
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.terms.semi_infinite import peaks_above
+from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint, peaks_above
+from lin_freq_ocp.problem.terms.term import Term
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.families import DEFAULT_OPTIONS, Options, choose_method, saved_options
 from lin_freq_ocp.solving.judging import (
     allowed_residual,
@@ -41,7 +45,7 @@ from lin_freq_ocp.solving.judging import (
 from lin_freq_ocp.solving.method import Method, Report, Request
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reductions import Reduced
-from lin_freq_ocp.transform.reformulations import Translation, sampled_masks, translation_of
+from lin_freq_ocp.transform.reformulations import SampledMasks, Translation, sampled_masks, translation_of
 from lin_freq_ocp.transform.starts import start_of
 
 COARSE = 1e-8  # rounding of a state, relative to its motion, that may cost as much as the allowed gap
@@ -53,14 +57,15 @@ def solve_judged(
     options: Options = DEFAULT_OPTIONS,
     progress: Report | None = None,
     proof: bool = True,
+    any_point: bool = False,
 ) -> Outcome:
-    """Solve a problem and judge the answer; ``lfo.solve`` documents options and errors, ``Request`` proof."""
+    """Solve a problem and judge the answer; see ``lfo.solve`` for options and errors, ``Request`` for the flags."""
     require_problem(problem)
     chosen = choose_method(problem, options)
     first = None if options.start is None else start_of(problem, options.start)
     allowed = options.tolerance or getattr(chosen, "tolerance", None)
     translation = translation_of(problem)
-    request = Request(options.time_limit or np.inf, allowed, progress, first, proof=proof)
+    request = Request(options.time_limit or np.inf, allowed, progress, first, proof=proof, any_point=any_point)
     outcome = solve_translated(chosen, translation, request)
     outcome = restore_outcome(translation, reduce_fractional_samples(outcome, options.tolerance), allowed)
     saved = saved_options(problem, options, chosen) | ({} if first is None else {"start": first.saved})
@@ -134,9 +139,13 @@ def restore_outcome(translation: Translation, outcome: Outcome, tolerance: float
 
 LEFT_VIOLATION = 1e-9  # of |V| over its limit, relative: interior points leave as much at known frequencies
 ROUNDS = 30  # six reach LEFT_VIOLATION if a peak hardly answers to the frequency that holds it, 13 if it overshoots
+ANY_POINT = "it satisfies every constraint, and no optimum was asked for"
+NEAR = 0.1  # violation below which lower limits are tried first, where any point is an answer
+FEWER = 0.1  # part of a reduction of the limits that led to no such point, below which the next one is tried
 IDLE = 1e-6  # multiplier, relative to the largest, below which a frequency is dropped: the cost does not change
 APART = 1e-4  # of the distance of two bins: |V| differs there by 5e-8 at most, relative to its largest value
 LEAST_PROGRESS = 0.5  # factor by which a round must reduce the violation at least, once it is below SMALL
+INACCURATE = 3  # rounds with as much violation at known frequencies: the method has no more digits
 SMALL = 2e-7  # less than the violation that the judge allows
 
 Frequencies = dict[str, Array]
@@ -150,6 +159,51 @@ class _Round(NamedTuple):
     violation: float
 
 
+Masks = list[tuple[Term, SemiInfiniteConstraint]]
+
+
+def _peaks_of(
+    masks: Masks, frequencies: Frequencies, trajectory: Trajectory, hard_only: bool
+) -> tuple[Frequencies, float, float]:
+    """Return the frequencies of peaks above their limit, the largest violation, and that at known frequencies."""
+    x, u, found, largest, missed = trajectory.x, trajectory.u, Frequencies(), 0.0, 0.0
+    for term, mask in masks:
+        known = frequencies[term.name]
+        size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
+        raised = float((size / mask.limit_at(known)).max(initial=1.0))
+        if term.hard:  # a soft mask may be exceeded as much as at its known frequencies
+            missed, raised = max(missed, raised - 1.0), 1.0
+        found[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
+        if term.hard or not hard_only:
+            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+    return found, largest, missed
+
+
+def _exchange(masks: Masks, frequencies: Frequencies, added: Frequencies, multipliers: Multipliers) -> Frequencies:
+    """Return the added frequencies, and the others with a multiplier that are not next to one."""
+    exchanged = Frequencies()
+    for term, mask in masks:
+        known, new = frequencies[term.name], added[term.name]
+        weight = np.linalg.norm(multipliers.stage[term.name], axis=1)
+        active = weight > IDLE * weight.max(initial=0.0)
+        nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
+        joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
+        exchanged[term.name] = joined if len(joined) else known
+    return exchanged
+
+
+def _feasible_point(
+    problem: OptimalControlProblem, reduced: SampledMasks, outcome: Outcome, request: Request
+) -> Outcome | None:
+    """Return the trajectory of a sampled problem, if the judge finds that it satisfies all constraints."""
+    if outcome.trajectory is None or outcome.multipliers is None:
+        return None
+    multipliers = reduced.multipliers(outcome.multipliers)
+    certificate = judge(problem, outcome.trajectory, multipliers, allowed_residual(request.tolerance))
+    found = replace(outcome, problem=problem, status=Status.LIMIT, message=ANY_POINT, any_point=True)
+    return replace(found, multipliers=multipliers, certificate=certificate) if certificate.feasible else None
+
+
 def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, request: Request) -> Outcome:
     """Solve a problem with masks at every frequency by exchange, and judge the answer.
 
@@ -159,7 +213,7 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
     of_round, end = replace(request, proof=False), now() + request.time_limit
     masks = [(term, term.semi_infinite) for term in problem.terms if term.semi_infinite is not None]
     frequencies = {term.name: term.map.locations for term, _ in masks}
-    seconds, violation, rounds = dict[str, float](), np.inf, list[_Round]()
+    seconds, violation, rounds, inaccurate = dict[str, float](), np.inf, list[_Round](), 0
 
     def judge_round(item: _Round) -> Outcome:
         outcome, interrupted = replace(item.outcome, seconds=seconds), rounds[-1].outcome.interrupted
@@ -167,6 +221,8 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         answer = judge_candidate(problem, candidate, outcome.method, outcome.backend, request.tolerance)
         return replace(answer, reason=outcome.reason, attempts=outcome.attempts, interrupted=interrupted)
 
+    tried = NEAR / FEWER  # reduction of the limits that was tried last
+    any_point = request.any_point and not problem.mode_names  # a search over modes would have to prove every round
     for _ in range(ROUNDS):
         reduced = sampled_masks(problem, frequencies)
         beyond = f", limits exceeded by {violation:.0e}" if rounds else ""
@@ -176,36 +232,38 @@ def solve_at_every_frequency(problem: OptimalControlProblem, method: Method, req
         if outcome.trajectory is None or outcome.multipliers is None:
             rounds.append(_Round(reduced, outcome, np.inf))
             break
-        # the frequencies of peaks above their limit, and the largest violation
-        x, u, added, largest = outcome.trajectory.x, outcome.trajectory.u, Frequencies(), 0.0
-        for term, mask in masks:
-            known, raised = frequencies[term.name], 1.0
-            if not term.hard:  # a soft mask may be exceeded as much as at its known frequencies
-                size = np.linalg.norm(mask.map.at_points(known).values(x, u), axis=1)
-                raised = float((size / mask.limit_at(known)).max(initial=1.0))
-            added[term.name], ratios = peaks_above(mask, x, u, raised * (1.0 + LEFT_VIOLATION / 2))
-            largest = max(largest, float(ratios.max(initial=raised)) / raised - 1.0)
+        added, largest, missed = _peaks_of(masks, frequencies, outcome.trajectory, any_point)
         rounds.append(_Round(reduced, outcome, largest))
+        if any_point and largest <= LEFT_VIOLATION and (point := _feasible_point(problem, reduced, outcome, request)):
+            return replace(point, seconds=seconds)
         converged = largest <= LEFT_VIOLATION or (largest < SMALL and largest > LEAST_PROGRESS * violation)
         if converged and outcome.certificate is None and request.proof:
             if (answer := judge_round(rounds[-1])).attempt.reason is Reason.PROVEN:
                 return answer
             of_round = request  # once more, with a proof
             continue
-        if converged or outcome.status == Status.LIMIT or outcome.interrupted:
+        inaccurate += missed > LEAST_PROGRESS * largest
+        if converged or inaccurate == INACCURATE or outcome.status == Status.LIMIT or outcome.interrupted:
             break
-        violation, before, frequencies = largest, frequencies, Frequencies()
-        for term, mask in masks:
-            known, new = before[term.name], added[term.name]
-            weight = np.linalg.norm(outcome.multipliers.stage[term.name], axis=1)
-            active = weight > IDLE * weight.max(initial=0.0)
-            nearest = mask.distances(known, new).min(axis=1, initial=np.inf)
-            joined = np.unique(np.concatenate([known[active & (nearest > APART)], new]), axis=0)
-            frequencies[term.name] = joined if len(joined) else known
+        violation, frequencies = largest, _exchange(masks, frequencies, added, outcome.multipliers)
+        if any_point and violation < FEWER * tried:
+            tried, reduced = violation, sampled_masks(problem, frequencies, 1 / (1 + violation))
+            with activity_step("lower limits"):
+                outcome = method.solve(reduced.problem, of_round.with_end(end))
+            if point := _feasible_point(problem, reduced, outcome, request):
+                return replace(point, seconds=seconds)
+            if outcome.interrupted:
+                rounds.append(_Round(reduced, outcome, np.inf))
+                break
     solved = [item for item in rounds if item.outcome.status == Status.OPTIMAL and item.violation < PEAK_TOLERANCE]
     best = min(solved, key=lambda item: (item.outcome.certificate is None, item.violation), default=rounds[-1])
     if problem.mode_names:  # the search bounds the relaxed problem, and so the problem itself
         shortfall, outcome = f"at the frequencies of {plural(len(masks), 'mask')} only", best.outcome
         outcome = replace(outcome, seconds=seconds, interrupted=rounds[-1].outcome.interrupted)
         return recover_outcome(best.reduced, outcome, CONDITION_TOLERANCE, shortfall)
-    return judge_round(best)
+    answer = judge_round(best)
+    if inaccurate < INACCURATE or answer.status != Status.NUMERICAL_ERROR:
+        return answer
+    error = f"{len(rounds)} rounds leave known frequencies as much over their limits as all, by {best.violation:.0e}"
+    advice = "" if answer.backend is None else "; method 'structured' has more digits where frequencies are close"
+    return replace(answer, message=f"{answer.message}; {error}{advice}")

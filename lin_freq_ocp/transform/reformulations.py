@@ -438,11 +438,12 @@ def semi_infinite_terms(problem: OptimalControlProblem, kind: type[Kind]) -> lis
 
 
 def at_frequencies(
-    problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False
+    problem: OptimalControlProblem, frequencies: Mapping[str, Array], points_only: bool = False, share: float = 1.0
 ) -> OptimalControlProblem:
     """Return the problem with semi-infinite terms at these points, (groups,) in rad/sample or (groups, 2), by name.
 
-    Terms without an entry keep their points. ``points_only``: nothing is required at other points.
+    Terms without an entry keep their points. ``points_only``: nothing is required at other points. ``share``: of the
+    limits, which stand there.
     """
     semi_infinite = [term for term in problem.terms if term.semi_infinite is not None]
     if not semi_infinite or not (frequencies or points_only):
@@ -456,6 +457,8 @@ def at_frequencies(
             if constraint.every_frequency:
                 count = len(component_indices("spectrum", constraint.component, names))
                 constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
+                if share != 1.0 and constraint.levels is not None:
+                    constraint = constraint.at_levels(share * constraint.levels)
             constraints.append(constraint)
         return constraints
 
@@ -489,6 +492,6 @@ class SampledMasks(Reduced):
         return replace(reduced, stage=stage, frequencies=frequencies)
 
 
-def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array]) -> SampledMasks:
-    """Return the problem with its semi-infinite constraints at points only, and the way back."""
-    return SampledMasks(problem, at_frequencies(problem, points, points_only=True), points)
+def sampled_masks(problem: OptimalControlProblem, points: Mapping[str, Array], share: float = 1.0) -> SampledMasks:
+    """Return the problem with its semi-infinite constraints at points only, at a share of their limits."""
+    return SampledMasks(problem, at_frequencies(problem, points, True, share), points)

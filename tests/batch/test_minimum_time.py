@@ -18,6 +18,7 @@ from helpers.seeds import expensive, seeds
 from lin_freq_ocp.batch import Verdict, obstacles, problem_at_horizon, search_horizons
 from lin_freq_ocp.solving import Options, solve_judged
 from lin_freq_ocp.spectrum import EnergyBound, OutputSpectrum
+from lin_freq_ocp.transform import sampled_masks
 
 LAST = 14  # largest horizon of the random problems
 
@@ -80,7 +81,7 @@ def test_bisection_would_miss_a_horizon_where_feasibility_is_not_monotone():
     swinging = lfo.OptimalControlProblem(
         lfo.LinearDynamics([[-1.0]], [[1.0]]), 4, lfo.QuadraticCost(R=1.0), lfo.Box(-0.1, 0.1), None, [1.0], [1.0]
     )
-    solve = partial(lambda horizon: lfo.solve(replace(swinging, horizon=horizon), throw=False))
+    solve = partial(lambda horizon, any_point: lfo.solve(replace(swinging, horizon=horizon), throw=False))
     assert search_horizons(1, 5, True, solve).horizon is None
     found = lfo.minimum_time(swinging, horizons=(1, 5))
     assert (found.horizon, found.monotone) == (2, False)
@@ -222,7 +223,7 @@ def test_bounds_that_move_are_not_monotone():
 class Found:
     """An outcome of a horizon."""
 
-    interrupted, message, dual = False, "", False
+    interrupted, any_point, message, dual = False, False, "", False
     ray = cost = gap = lower_bound = bound = certificate = method = backend = None
 
     def __init__(self, horizon, verdict):
@@ -233,7 +234,7 @@ class Found:
 @pytest.mark.parametrize("monotone", [True, False])
 def test_undecided_horizons_are_neither_feasible_nor_infeasible(monotone):
     kinds = {T: "infeasible" if T < 5 else "undecided" if T < 9 else "feasible" for T in range(1, 17)}
-    search = search_horizons(1, 16, monotone, lambda horizon: Found(horizon, kinds[horizon]))
+    search = search_horizons(1, 16, monotone, lambda horizon, any_point: Found(horizon, kinds[horizon]))
     assert search.horizon == 9
     assert search.of(Verdict.UNDECIDED) == [5, 6, 7, 8]
     assert 4 in search.of(Verdict.INFEASIBLE)
@@ -267,6 +268,119 @@ def test_ctrl_c_keeps_what_is_decided():
     assert found.horizon == min(T for T, verdict in found.verdicts.items() if verdict == "feasible")
     assert not found.proven
     assert "nothing is proven of" in found.proof
+
+
+# --- masks at every frequency: any feasible trajectory is an answer, but at the least horizon
+
+
+def masked_move(limit=0.2, horizon=40, **fields):
+    """Return a move from rest to rest whose spectrum is limited at every frequency of a band."""
+    mover = lfo.library.double_integrator(horizon=horizon, sampling_time=0.1, cutoff_hz=None)
+    mask = lfo.MagnitudeBound(limit, band=lfo.low_pass(cutoff_hz=1.0), every_frequency=True, **fields)
+    return replace(mover, control_spectrum=mask)
+
+
+def rounds_of(monkeypatch):
+    """Return a list that gets the horizon of each problem at sampled frequencies."""
+    rounds = []
+
+    def counted(problem, *points):
+        rounds.append(problem.horizon)
+        return sampled_masks(problem, *points)
+
+    substitute(monkeypatch, "transform.sampled_masks", counted)
+    return rounds
+
+
+@expensive
+@pytest.mark.parametrize("source", [masked_move(), lfo.library.printer_move(40, 0.0025)], ids=["mask", "vibration"])
+def test_masks_at_every_frequency_are_decided_by_any_feasible_trajectory(source, monkeypatch, tmp_path):
+    path, rounds, told = tmp_path / "horizons.jsonl", rounds_of(monkeypatch), []
+    found = lfo.minimum_time(source, (20, 80), path=path, progress=lambda *given: told.append(given))
+    searched = len(rounds)
+    optima = {T: lfo.solve(replace(source, horizon=T), throw=False) for T in found.verdicts}
+    assert found.verdicts == {T: "feasible" if one.primal else one.status for T, one in optima.items()}
+    best, row = optima[found.horizon], lfo.load_sweep(path).rows
+    assert (found.result.status, found.proven) == ("optimal", True)
+    assert np.array_equal(found.result.control, best.control)
+    assert (found.result.cost, found.result.message, found.result.any_point) == (best.cost, "", False)
+    assert searched < 0.8 * (len(rounds) - searched)
+    # the file has the optimum, and of other horizons that there is a trajectory, with a higher cost
+    by_horizon = {one["parameters"]["horizon"]: one for one in row}
+    assert {T: one["status"] for T, one in by_horizon.items() if one["status"] != "infeasible"} == {
+        T: "optimal" if T == found.horizon else "limit" for T, one in optima.items() if one.primal
+    }
+    for T, one in by_horizon.items():
+        assert one["cost"] is None or one["cost"] >= optima[T].cost * (1 - 1e-9)
+        assert one["status"] != "limit" or "no optimum was asked for" in one["message"]
+    assert dict(told) == found.verdicts
+    again = lfo.minimum_time(source, (20, 80), path=path)
+    assert (again.verdicts, again.result.cost) == (found.verdicts, found.result.cost)
+
+
+@expensive
+@pytest.mark.parametrize("margin", [1e-2, 1e-3, 1e-5, 1e-7, -1e-7, -1e-5, -1e-3, -1e-2])
+def test_near_the_least_limit_a_point_is_found_where_there_is_an_optimum(margin):
+    """The least limit with a trajectory is the largest |V| of a soft mask at a high price."""
+    soft = replace(masked_move(1.0, penalty=1e4), cost=lfo.QuadraticCost(R=1e-6))
+    least = max(reading.value for reading in lfo.solve(soft).readings)
+    problem = masked_move(least * (1 + margin))
+    optimum, point = lfo.solve(problem, throw=False), solve_judged(problem, any_point=True)
+    assert (point.primal, point.any_point) == (optimum.primal, optimum.primal)
+    assert point.primal == (margin > 1e-6)
+    assert point.primal or point.status == optimum.status == "infeasible"
+
+
+def test_soft_masks_and_masks_at_bins_need_no_round(monkeypatch):
+    rounds = rounds_of(monkeypatch)
+    soft = masked_move(0.01, penalty=1.0)
+    found = lfo.minimum_time(soft, (18, 60))
+    assert found.horizon == lfo.minimum_time(replace(soft, control_spectrum=None), (18, 60)).horizon
+    feasible = [T for T, verdict in found.verdicts.items() if verdict == "feasible" and T > found.horizon + 1]
+    assert feasible
+    assert all(rounds.count(T) == 1 for T in feasible)
+
+
+def test_ctrl_c_during_the_optimum_keeps_the_feasible_trajectory(monkeypatch):
+    """Of 20 to 61, the horizon 46 is decided before 45 is."""
+
+    def stopped(problem, *options, any_point=False, **more):
+        if not any_point and problem.horizon == 46:
+            raise KeyboardInterrupt
+        return solve_judged(problem, *options, any_point=any_point, **more)
+
+    whole = lfo.minimum_time(masked_move(), (20, 61))
+    substitute(monkeypatch, "solving.solve_judged", stopped)
+    found = lfo.minimum_time(masked_move(), (20, 61))
+    assert (found.interrupted, found.horizon, found.proof) == (True, 46, whole.proof)
+    assert (found.result.status, found.result.any_point) == ("limit", True)
+    assert "interrupted" in str(found)
+    assert found.result.certificate.feasible
+    assert found.result.cost > whole.result.cost
+
+
+class FoundPoint(Found):
+    """A feasible trajectory that is no optimum."""
+
+    any_point = True
+
+
+@pytest.mark.parametrize(("optimum", "least"), [("feasible", 8), ("undecided", 8), ("infeasible", 9)])
+def test_the_solve_for_the_optimum_decides_last(optimum, least):
+    """Rounding may prove that there is no trajectory where one has been found within the tolerances of the judge."""
+    solved = []
+
+    def solve(horizon, any_point):
+        solved.append((horizon, any_point))
+        if any_point:
+            return FoundPoint(horizon, "feasible" if horizon >= 8 else "infeasible")
+        return Found(horizon, "infeasible" if horizon < 8 else optimum if horizon == 8 else "feasible")
+
+    search = search_horizons(1, 16, True, solve)
+    assert search.horizon == least
+    assert search.best.problem.horizon == least
+    assert isinstance(search.best, FoundPoint) == (optimum == "undecided")
+    assert solved.count((8, False)) == 1
 
 
 # --- ends of the range, and bad input
@@ -438,8 +552,8 @@ def test_an_executor_finds_the_same(seed):
 
 def test_a_lost_horizon_is_undecided():
     class Losing(ThreadPoolExecutor):
-        def submit(self, task, horizon, attempt):
-            return super().submit((lambda *_: 1 / 0) if horizon == 3 else task, horizon, attempt)
+        def submit(self, task, given, attempt):
+            return super().submit((lambda *_: 1 / 0) if given[0] == 3 else task, given, attempt)
 
     with Losing(1) as executor:
         found = lfo.minimum_time(integrator, horizons=(3, 9), executor=executor)

@@ -97,8 +97,8 @@ def test_of_long_moves_not_every_length_is_tried(monkeypatch, comparison):
 def test_a_numerical_ray_is_no_proof():
     """Rounding may decide whether a ray is rigorous: here all rays of the solver are numerical."""
 
-    def solve(problem):
-        outcome = solve_judged(problem)
+    def solve(problem, any_point):
+        outcome = solve_judged(problem, any_point=any_point)
         return replace(outcome, status=Status.INFEASIBLE_CLAIMED) if outcome.status == Status.INFEASIBLE else outcome
 
     moves = shortest_moves(lfo.library.printer_move(14, distance=2e-3, vibration_bound=2.0), solve, ["ZV"])

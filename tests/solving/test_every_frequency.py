@@ -402,3 +402,24 @@ def test_a_figure_marks_where_the_spectrum_reaches_its_limit(solved):
     assert (level.at.tolist(), level.values.tolist()) == ([0.6, np.pi], [1.5, 1.5])
     assert not len(ProblemSignal(solved.problem, 1, is_state=True).touching(solved.trajectory).at)
     solved.plot()
+
+
+def test_rounds_that_the_accuracy_of_a_solver_stalls_end_and_say_so(monkeypatch):
+    """Each answer has an error of another wave: the peaks that it leaves do not fall."""
+    honest, rounds = lfo.solvers.Convex.solve, []
+
+    def rough(method, problem, request):
+        outcome = honest(method, problem, request)
+        rounds.append(outcome.status)
+        u = outcome.trajectory.u
+        wave = 1e-4 * np.cos(0.25 * len(rounds) * np.arange(len(u)))
+        return replace(outcome, trajectory=Trajectory(outcome.trajectory.x, u * (1 + wave[:, None])))
+
+    monkeypatch.setattr(lfo.solvers.Convex, "solve", rough)
+    problem = lfo.library.printer_move(56, sampling_time=0.002)
+    with pytest.raises(
+        lfo.errors.NumericalError,
+        match=r"leave known frequencies as much over their limits as all, by .*'structured' has",
+    ):
+        lfo.solve(problem, "convex")
+    assert len(rounds) < 10

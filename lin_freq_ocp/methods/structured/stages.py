@@ -281,13 +281,17 @@ class SparseRows:
         """Return the number of rows."""
         return self.matrix.shape[0]
 
+    @cached_property
+    def _transpose(self) -> sp.csc_array:  # SciPy takes longer to make it than to multiply by it
+        return self.matrix.T
+
     def forward(self, signals: Array) -> Array:
         """Return the values of the rows, (count, k)."""
         return self.matrix @ signals.reshape(-1, signals.shape[2])
 
     def add_adjoint(self, weights: Array, signals: Array) -> None:
         """Add the adjoint of weights (count, k) to signals."""
-        signals += (self.matrix.T @ weights).reshape(signals.shape)
+        signals += (self._transpose @ weights).reshape(signals.shape)
 
     def add_columns(self, chosen: Indices, signals: Array) -> None:
         """Add row chosen[j] itself to signals (T+1, channels, len(chosen)) at j."""

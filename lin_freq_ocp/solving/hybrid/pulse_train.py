@@ -15,11 +15,13 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, first_largest
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import low_to_high, number
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
+from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.hybrid.angle_lattice import AngleLattice, AngleRange
 from lin_freq_ocp.methods.hybrid.angles import bound_near, local_angles, local_prices, nearest_train
@@ -27,6 +29,7 @@ from lin_freq_ocp.methods.hybrid.quarter import Quarter
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum
 from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, CURRENT, QUARTER, PulseTrain
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.hybrid.smooth import outcome_of_search, refine_optimum
 from lin_freq_ocp.solving.method import Request
@@ -247,9 +250,25 @@ class _TrainSearch:
             judged = judged.with_bound(Bound(self._value, RIGOROUS, sets=ANGLES))
             status = judged.certificate.status_within(self._gap)
             status = Status.LIMIT if status == Status.NUMERICAL_ERROR and message else status
+            message = message or ("" if judged.certificate.feasible else _broken_bound(problem, train))
         else:
             excluded = not message and self._value == np.inf
             status, message = (Status.INFEASIBLE, EXCLUDED) if excluded else (Status.LIMIT, message)
         ending = status, "" if status == Status.OPTIMAL else message
         seconds = {"setup": 0.0, "solve": solved - self._started, "certify": now() - solved}
         return outcome_of_search(problem, Angles.shorthand, judged, ending, seconds, interrupted)
+
+
+def _broken_bound(problem: OptimalControlProblem, train: Trajectory) -> str:
+    """Return in words the bound that a train of the search misses most, relative to the values; empty without one."""
+    worst, text = CONDITION_TOLERANCE, ""
+    for names, signal, box in (
+        (problem.state_names, train.x, problem.state_tube),
+        (problem.control_names, train.u, problem.control_tube),
+    ):
+        excess = np.maximum(box.lower - signal, signal - box.upper) / np.abs(signal).max(axis=0).clip(min=LEAST_OVER)
+        t, i = first_largest(excess)
+        if excess[t, i] > worst:
+            worst, (value, low, high) = excess[t, i], map(float, (signal[t, i], box.lower[t, i], box.upper[t, i]))
+            text = f"in its best train, {names[i]} is {number(value)} at t = {t}, not {low_to_high(low, high)}"
+    return text and f"the search takes bounds on levels, least dwells and amplitudes at the end alone: {text}"

@@ -295,3 +295,25 @@ def test_bad_parameters_are_named(given, field):
 def test_bad_trains_are_named(given):
     with pytest.raises(ProblemError, match="PulseTrain"):
         lfo.dynamics.PulseTrain(**given)
+
+
+@pytest.mark.parametrize(
+    ("field", "component", "ends", "words"),
+    [
+        ("initial_state", 2, (0.5, 0.5), r"integral of the level is -0\.93613 at t = 0, not 0\.5"),
+        ("state_set", 2, (-0.1, 0.1), r"integral of the level is -0\.93613 at t = 0, not -0\.1 to 0\.1"),
+        ("control_set", 0, (0.0, 0.3), r"dwell \[rad\] is 0\.99913 at t = 1, not 0 to 0\.3"),
+    ],
+)
+def test_a_bound_that_the_search_does_not_take_is_named(field, component, ends, words):
+    problem = lfo.library.pulse_pattern(kind="opp", modulation=0.9, switches=8)
+    box = getattr(problem, field)
+    lower, upper = np.array(box.lower), np.array(box.upper)
+    lower[..., component], upper[..., component] = ends
+    with pytest.raises(lfo.errors.NumericalError, match="the search takes bounds on levels.*" + words):
+        lfo.solve(replace(problem, **{field: lfo.Box(lower, upper)}))
+
+
+def test_explain_says_that_it_takes_no_pulse_trains():
+    with pytest.raises(lfo.errors.UnsupportedError, match="explain: got a pulse train, whose search over angles needs"):
+        lfo.explain(lfo.library.pulse_pattern(kind="opp", modulation=1.27, switches=8))
