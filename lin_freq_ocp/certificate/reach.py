@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -128,16 +129,15 @@ def nearby_bounds(
         np.where(_is_near(alpha + gamma * level, signal), [alpha, beta, gamma], np.inf)
         for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True)
     ]
-    if mistrusted:
-        for part, of_near, curvature in zip(radii, near, deviations.curvatures, strict=True):
-            part[:] = np.where(curvature > 0, part, of_near)
+    if mistrusted and not _replace(radii, near, [curvature <= 0 for curvature in deviations.curvatures]):
+        return None  # the same as with trust
+    changed = True
     for further in (near, others, None):
-        if _propagate_radii(problem, trajectory, radii):
+        if changed and _propagate_radii(problem, trajectory, radii):
             break
         if further is None:
             return None
-        for part, of_further in zip(radii, further, strict=True):
-            part[:] = np.where(np.isinf(part[0]), of_further, part)
+        changed = _replace(radii, further, [np.isinf(part[0]) for part in radii])
     loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
     for slopes, curvature, lost, mask, of_sides in zip(
         deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
@@ -160,6 +160,14 @@ def nearby_bounds(
             return None
         pairs.append(_intersection((box.lower, box.upper), (signal - below, signal + above)))
     return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
+
+
+def _replace(radii: Pair, others: Sequence[Array], chosen: Sequence[Mask]) -> bool:
+    """Replace the chosen radii by others, and return whether any differ."""
+    before = [part.copy() for part in radii]
+    for part, other, where in zip(radii, others, chosen, strict=True):
+        part[:] = np.where(where, other, part)
+    return not all(map(np.array_equal, radii, before))
 
 
 def _intersection(bounds: Pair, others: Pair) -> Pair:

@@ -268,7 +268,7 @@ def test_state_bands_of_a_period_in_other_units_and_that_contradict_bounds():
     for method in METHODS:
         problem = with_states(only_constant, 41, state_set=bounds)
         result = lfo.solve(problem, method=method, throw=False)
-        assert (result.status, result.bound) == ("infeasible_claimed", "numerical")  # no control is bounded
+        assert (result.status, result.bound) == ("infeasible", "rigorous")  # without a bounded control
         proof = prove_infeasible(problem, result.ray)
         assert proof is not None
         assert "state stop band on x_0" in " ".join(map(str, proof.conflict))

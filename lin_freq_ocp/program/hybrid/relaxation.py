@@ -131,9 +131,11 @@ class ModeRelaxation:
         for part in self._host_rows:
             part.view(rows)[:] = True
         # the bounds of x_t and u_t where shares do not have them, and of x_T
-        bounded, allowed = single | self.bounds_where_several, reach.allowed[..., None]
-        u_lower = np.where(allowed, reach.mode_lower[..., n:], np.inf).min(axis=1)
-        u_upper = np.where(allowed, reach.mode_upper[..., n:], -np.inf).max(axis=1)
+        bounded, tube, allowed = single | self.bounds_where_several, self.problem.control_tube, reach.allowed[..., None]
+        implied = np.where(allowed, reach.mode_lower[..., n:], np.inf).min(axis=1)
+        u_lower = np.where(np.isfinite(tube.lower), tube.lower, implied)
+        implied = np.where(allowed, reach.mode_upper[..., n:], -np.inf).max(axis=1)
+        u_upper = np.where(np.isfinite(tube.upper), tube.upper, implied)
         x_ref = np.vstack([stages.references[:, :n], stages.last_reference])
         u_ref, of_x, of_u = stages.references[:, n:], stages.units[:n], stages.units[n:]
         for boxes, low, high, times in (

@@ -30,13 +30,14 @@ def piecewise_smooth(problem: OptimalControlProblem) -> PiecewiseSmoothDynamics:
 def boxes_of_steps(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return lower and upper bounds of (x_t, u_t) in each mode, (T, modes, n + m), +-INFINITE where there are none.
 
-    They are the stated ones, with those that hard rows and, for controls, bounds of x_{t+1} imply; a lower one is above
-    the upper one where a mode has no point.
+    Where none is stated, hard rows and, for controls, bounds of x_{t+1} may imply one; a lower one is above the upper
+    one where a mode has no point.
     """
     arrays, x, u = piecewise_affine(problem).arrays(problem.horizon), problem.state_tube, problem.control_tube
     (T, modes, n), sides = arrays.offset.shape, ((x.lower, u.lower), (x.upper, u.upper))
     stacked = (np.clip(np.hstack([of_x[:-1], of_u]), -INFINITE, INFINITE) for of_x, of_u in sides)
     low, high = (side[:, None].repeat(modes, axis=1) for side in stacked)
+    stated = low.copy(), high.copy()
     for term in (*problem.terms, *problem.terms):  # twice: rows that come first gain, too
         rows = term.implied_rows(n, low.shape[2] - n)
         for group, t in enumerate(() if rows is None else rows.times):
@@ -46,7 +47,7 @@ def boxes_of_steps(problem: OptimalControlProblem) -> tuple[Array, Array]:
     for maps, limits in ((arrays.maps, above), (-arrays.maps, below)):
         least, most = _cut_box(low, high, maps, limits)
         low[..., n:], high[..., n:] = least[..., n:], most[..., n:]
-    return low, high
+    return np.where(stated[0] > -INFINITE, stated[0], low), np.where(stated[1] < INFINITE, stated[1], high)
 
 
 def _cut_box(low: Array, high: Array, rows: Array, limits: Array) -> tuple[Array, Array]:
