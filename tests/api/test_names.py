@@ -21,7 +21,11 @@ SLOW = (
 COMMAND_LINE = ("click", "rich", "jinja2")
 COMMANDS = ("list", "show pendulum", "solve pendulum --json", "certify pendulum run.csv --json")
 FILES = "lin_freq_ocp.files.problem_tables", "lin_freq_ocp.files.run_file", "lin_freq_ocp.uncertainty.protocol"
-HULL = "import numpy as np; from lin_freq_ocp.base import polyhedra\npolyhedra.hull_weights(np.eye(1, 3), np.eye(3)[:0])"
+HULL = """
+import numpy as np
+from lin_freq_ocp.base import polyhedra
+polyhedra.hull_weights(np.eye(1, 3), np.eye(3)[:0])
+"""
 RUN = "from lin_freq_ocp.cli import main\ntry: main({!r}.split())\nexcept SystemExit as end: assert not end.code"
 
 STAGES = {
