@@ -20,13 +20,21 @@ SLOW = (
 )
 COMMAND_LINE = ("click", "rich", "jinja2")
 COMMANDS = ("list", "show pendulum", "solve pendulum --json", "certify pendulum run.csv --json")
+FILES = "lin_freq_ocp.files.problem_tables", "lin_freq_ocp.files.run_file", "lin_freq_ocp.uncertainty.protocol"
+HULL = """
+import numpy as np
+from lin_freq_ocp.base import polyhedra
+polyhedra.hull_weights(np.eye(1, 3), np.eye(3)[:0])
+"""
 RUN = "from lin_freq_ocp.cli import main\ntry: main({!r}.split())\nexcept SystemExit as end: assert not end.code"
 
 STAGES = {
     "import lin_freq_ocp": (*SLOW, *COMMAND_LINE, "numpy", "scipy"),
     "import lin_freq_ocp.solving.solve": (*SLOW, *COMMAND_LINE),
     "import lin_freq_ocp as lfo; lfo.solve(lfo.library.pendulum()).to_csv('run.csv')": (*SLOW, *COMMAND_LINE),
-    **{RUN.format(command): SLOW for command in COMMANDS},
+    RUN.format("solve pendulum --json"): (*SLOW, *FILES),
+    HULL: SLOW,
+    **{RUN.format(command): SLOW for command in COMMANDS if command != "solve pendulum --json"},
 }
 """What is not loaded after each statement; one process runs all of them. Those without modes load none of theirs."""
 

@@ -185,7 +185,7 @@ def outcome_of_search(
 
 def _solve_convex_terms(problem: OptimalControlProblem, request: Request) -> Judged | None:
     """Return the global optimum with its bound if the cost by formulas is convex terms, else None."""
-    convex = with_convex_terms(problem)
+    convex = None if problem.dynamics.mode_names or problem.path_constraints else with_convex_terms(problem)
     found = None if convex is None else LinearAuto().solve(convex, Request(request.time_limit))
     if convex is None or found is None or found.trajectory is None or found.multipliers is None:
         return None

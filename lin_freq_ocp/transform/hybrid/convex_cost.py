@@ -80,10 +80,10 @@ class _Summands:
 def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem | None:
     """Return the problem with its stage cost by a formula as convex terms; its cost differs by a constant.
 
-    None if the cost has another form or no kinks, the dynamics are not linear, or there are path constraints.
+    None if the cost has another form or no kinks.
     """
-    (stage, terminal), stated = problem.cost.formulas, problem.dynamics
-    if stage is None or terminal is not None or stated.mode_names or problem.path_constraints:
+    stage, terminal = problem.cost.formulas
+    if stage is None or terminal is not None:
         return None
     T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
     found = _Summands(np.zeros(n + m + 1))

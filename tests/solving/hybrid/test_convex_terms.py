@@ -97,10 +97,29 @@ def test_other_costs_stay_formulas(stage):
     assert with_convex_terms(problem_of(stage, horizon=3)) is None
 
 
-def test_other_dynamics_and_terminal_formulas_stay_formulas():
-    kinked = lfo.PiecewiseSmoothDynamics.from_formulas(lambda x, u: [x[0] + abs(u[0]), x[1]], 2, 1)
-    cost = lfo.costs.SmoothCost(stage=STAGES["norm"][0])
-    assert with_convex_terms(lfo.OptimalControlProblem(kinked, 3, cost, initial_state=[1.0, 0.0])) is None
-    cost = cost + lfo.costs.SmoothCost(terminal="x_0**4")
+def test_terminal_formulas_stay_formulas():
+    cost = lfo.costs.SmoothCost(stage=STAGES["norm"][0]) + lfo.costs.SmoothCost(terminal="x_0**4")
     linear = lfo.OptimalControlProblem(lfo.LinearDynamics(A, B), 3, cost, initial_state=[1.0, 0.0])
     assert with_convex_terms(linear) is None
+
+
+@expensive
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("horizon", [40, 80])
+def test_smooth_dynamics_rest_where_the_norm_of_the_cost_is_zero(unit, horizon):
+    """The local method has multipliers of the norm where it has no slope; the rest costs nothing, however long."""
+
+    def step(x, u):
+        force = u[0] + 0.2 * unit * (x[0] / unit).sin()
+        return [x[0] + 0.1 * x[1] + 0.005 * u[0], x[1] + 0.1 * force]
+
+    def stage(x, u):
+        return lfo.norm([x[0] / unit, x[1] / unit]) + 0.5 * (u[0] / unit) ** 2
+
+    dynamics, cost = lfo.PiecewiseSmoothDynamics.from_formulas(step, 2, 1), lfo.costs.SmoothCost(stage=stage)
+    bounds = lfo.Box(-5 * unit, 5 * unit)
+    problem = lfo.OptimalControlProblem(dynamics, horizon, cost, bounds, None, [unit, 0], [0, 0])
+    result = lfo.solve(problem, global_bound=False)
+    assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
+    assert result.cost == pytest.approx(21.2682376173, rel=1e-9)
+    assert np.abs(result.trajectory.x[35:]).max() < 1e-6 * unit

@@ -15,6 +15,7 @@ from lin_freq_ocp.methods.structured.embedding import End
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
@@ -55,6 +56,15 @@ def is_smooth(problem: OptimalControlProblem) -> bool:
     return len(dynamics.modes) == 1 and not dynamics.norms
 
 
+def with_norms_as_terms(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem with norms in its stage cost as terms, which have multipliers where they are zero.
+
+    The problem itself if its cost has another form, or kinks that are borders of modes, or its dynamics are affine.
+    """
+    convex = None if problem.dynamics.standard_form.affine else with_convex_terms(problem)
+    return convex if convex is not None and convex.mode_names == problem.mode_names else problem
+
+
 def smooth_optimum(
     problem: OptimalControlProblem,
     start: Trajectory,
@@ -72,6 +82,8 @@ def smooth_optimum(
     by ``clock.now``. ``warm``: the start is taken to be near an optimum, and worth many steps.
     """
     sequence = np.zeros(problem.horizon, dtype=np.intp) if sequence is None else sequence
+    given, problem = problem, with_norms_as_terms(problem)
+    below -= given.value(start.x, start.u) - problem.value(start.x, start.u) if below < np.inf else 0.0
     model = SmoothModel.at(problem, start, sequence)
     if model.outside > VIOLATION:
         return None, End.UNDEFINED
@@ -97,12 +109,15 @@ def smooth_optimum(
             break
         model, answer = again, after
         trajectory = model.trajectory(answer.point.y)
-    cost, before = (problem.value(one.x, one.u) for one in (trajectory, start))
-    multipliers = zero_multipliers(problem, 1.0)
+    cost, before = (given.value(one.x, one.u) for one in (trajectory, start))
+    multipliers = zero_multipliers(given, 1.0)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             if answer.end is not End.DEARER:  # then no one asks for them
                 multipliers = model.multipliers(answer.point.y, answer.point.z)
+                own = {term.name for term in problem.terms} - {term.name for term in given.terms}
+                stage = {name: weights for name, weights in multipliers.stage.items() if name not in own}
+                multipliers = replace(multipliers, stage=stage)
     except ProblemError:  # the duals grew until they overflowed
         return LocalOptimum(sequence, trajectory, multipliers, cost, np.inf), answer.end
     if before <= cost and model.violation(model.assembly.point(start)) <= answer.violation:
