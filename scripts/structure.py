@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_326,
-    "code lines": 46_894,
-    "code lines, linear part": 22_178,
-    "code lines, hybrid": 8_795,
+    "shipped lines": 50_506,
+    "code lines": 47_074,
+    "code lines, linear part": 22_292,
+    "code lines, hybrid": 8_825,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.3,
     "files entered by a solve": 49,
-    "functions entered by a solve": 381,
-    "calls of a solve": 743,
+    "functions entered by a solve": 384,
+    "calls of a solve": 748,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
@@ -80,7 +80,7 @@ LIMITS: dict[str, float] = {
     "names of a lone participle": 0,
     "isinstance on dynamics": 1,
     "isinstance on terms": 5,
-    "Any": 22,
+    "Any": 21,
 }
 """At most, but for the share of docstrings and comments."""
 
