@@ -103,12 +103,12 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     cost = extremal.cost
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-    if cost - proven.value <= allowed:
-        return proven
     deviations = _deviations(found, curvatures, problem.state_dim)
     for mistrusted in (False, True):
+        if cost - proven.value <= allowed:
+            return proven
         nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed, mistrusted)
-        if nearby is not None and cost - proven.value > allowed:
+        if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
             proven = of_nearby if of_nearby.value > proven.value else proven
     if proven.value < 0 and cost_is_never_negative(problem):

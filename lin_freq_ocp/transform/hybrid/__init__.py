@@ -9,7 +9,7 @@ from lin_freq_ocp.transform.hybrid.priced import form_of_linear, form_of_others,
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "convex_cost": "with_convex_terms", "forms": "linear_along piecewise_affine piecewise_smooth",
+    "convex_cost": "with_convex_terms", "forms": "boxes_of_steps linear_along piecewise_affine piecewise_smooth",
     "mode_reach": "ModeReach", "priced": "cost_as_state",
 })
 # fmt: on
