@@ -103,10 +103,10 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     cost = extremal.cost
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-    deviations = _deviations(found, curvatures, problem.state_dim)
     for mistrusted in (False, True):
         if cost - proven.value <= allowed:
             return proven
+        deviations = _deviations(found, curvatures, problem.state_dim)
         nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed, mistrusted)
         if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
