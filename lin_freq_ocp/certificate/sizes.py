@@ -203,9 +203,10 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     # what rounding of the states does to rows, and to the slopes of the cost, is no residual
     precise = rounding / CONDITION_TOLERANCE
     coarse = np.maximum(x, precise / SCALE_FLOOR)
-    blurred, exact = ((np.broadcast_to(part, steady[0].shape), steady[1]) for part in (coarse, precise))
+    blurred = np.broadcast_to(coarse, (T + 1, len(x))), steady[1]
+    exact = np.broadcast_to(precise, (T + 1, len(x))), 0 * steady[1]
     terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*blurred).max(0, initial=0.0) for priced in extremal.terms)
-    limits = tuple(one.term.map.sizes(exact[0], 0 * exact[1]).max(0, initial=0.0) for one in extremal.terms)
+    limits = tuple(one.term.map.sizes(*exact).max(0, initial=0.0) for one in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
@@ -222,5 +223,4 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         steep = np.maximum(steep, eta_C * lost)
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)
     least = SCALE_FLOOR * np.concatenate([coarse, u])
-    bounds = np.concatenate([precise, 0 * u])
-    return Floors(least, level, steep, terms, bounds, limits, np.where(resting, 0.0, rounding))
+    return Floors(least, level, steep, terms, np.append(precise, 0 * u), limits, np.where(resting, 0.0, rounding))

@@ -654,7 +654,7 @@ def test_a_limit_says_itself_what_a_small_violation_is(gain, sets):
 
 
 def test_gains_that_are_rounding_give_no_sizes():
-    """An entry of 1e-17 beside 0.9 is rounding: it must not make the size at which a jump from 0 to 5 is nothing."""
+    """A state acts on another by 1e-17, which is rounding beside 0.9: its jump from 0 to 5 violates the dynamics."""
     problem = hardly_coupled(1e-17)
     at = lfo.solve(problem).trajectory
     x = at.x.copy()

@@ -56,7 +56,7 @@ def _cut_box(low: Array, high: Array, rows: Array, limits: Array) -> tuple[Array
     far = (np.abs(least) == INFINITE) & (rows != 0)
     terms = np.where(far, 0.0, rows * least)
     rounding = OUTWARD * (np.abs(terms).sum(axis=-1) + np.abs(limits))
-    room = (limits - terms.sum(axis=-1) + rounding)[..., None] + terms  # for each term beside all others
+    room = (limits - terms.sum(axis=-1) + rounding)[..., None] + terms  # what rows leave for each of their terms
     with np.errstate(over="ignore"):
         ends = room / np.where(rows == 0, 1.0, rows)
     known = np.isfinite(room) & (far.sum(axis=-1, keepdims=True) == far)
