@@ -105,7 +105,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
     for mistrusted in (False, True):
         if cost - proven.value <= allowed:
-            return proven
+            break
         deviations = _deviations(found, curvatures, problem.state_dim)
         nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed, mistrusted)
         if nearby is not None:
