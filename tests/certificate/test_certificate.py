@@ -653,6 +653,22 @@ def test_a_limit_says_itself_what_a_small_violation_is(gain, sets):
     assert certificate.violation > 0.5  # of the 5 that the state reaches
 
 
+@pytest.mark.parametrize(("unit", "shift"), [(1.0, 0.0), (1e6, 0.0), (1e-6, 0.0), (1.0, 1e6)])
+def test_a_violated_limit_is_violated_in_every_unit_and_wherever_zero_is(unit, shift):
+    """Of the same violation, one choice of the unit of the state, or of its zero, was feasible and others were not."""
+    scale, gains = np.array([1.0, unit]), np.array([[0.9, 1e-13], [0.0, 0.9]])
+    A, at = gains * scale[:, None] / scale, shift * scale
+    dynamics = lfo.LinearDynamics(A, np.diag(scale), at - A @ at)
+    cost = lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), R=np.diag([1.0, 1e-12]), x_ref=at)
+    bounds = lfo.Box(np.array([-10.0, -1.0]) * scale + at, np.array([10.0, 1.0]) * scale + at)
+    ends = {"initial_state": np.array([1.0, 0.0]) * scale + at}
+    problem = lfo.OptimalControlProblem(dynamics, 6, cost, state_set=bounds, **ends)
+    u = lfo.solve(problem).trajectory.u.copy()
+    assert lfo.certify(problem, u).globally_optimal
+    u[2:4, 1] += 4.0, -3.6
+    assert not lfo.certify(problem, u).feasible
+
+
 def test_gains_that_are_rounding_give_no_sizes():
     """A state acts on another by 1e-17, which is rounding beside 0.9: its jump from 0 to 5 violates the dynamics."""
     problem = hardly_coupled(1e-17)

@@ -242,11 +242,12 @@ def test_a_point_that_is_no_number_keeps_its_units():
     assert not is_revision(point_units(linear, point, units) / units, 1.0)
 
 
+@pytest.mark.parametrize("limit", [0.2, 1e9])
 @pytest.mark.parametrize("unit", [1e-9, 1e-6, 1.0, 1e6])
-def test_a_mask_is_a_cone_of_order_one_in_every_unit(unit):
+def test_a_mask_is_a_cone_of_order_one_in_every_unit(unit, limit):
     """Its limit stands in a row of zeros, which kept its cone in the unit of the control."""
     one = LinearDynamics([[0.9]], [[1.0 / unit]])
-    mask = MagnitudeBound(0.2 * unit, bins=[1, 2])
+    mask = MagnitudeBound(limit * unit, bins=[1, 2])
     cost = QuadraticCost(Q=1.0, R=0.5 / unit**2)
     problem = OptimalControlProblem(one, 6, cost, Box(-unit, unit), None, [0.5], control_spectrum=mask)
     linear = LinearProgram(problem)

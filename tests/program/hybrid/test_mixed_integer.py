@@ -472,3 +472,21 @@ def test_where_no_mode_is_possible_infeasible_is_proven_by_the_same_tree(seed):
         assert result.status == "infeasible"
         assert result.tree_bound.covers
         assert result.tree_bound.value == np.inf
+
+
+@pytest.mark.parametrize("limit", [0.2, 1e9])
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
+def test_a_mask_is_a_cone_of_order_one_in_every_unit(unit, limit):
+    sides = [lfo.AffineMode([[a]], [[1.0 / unit]], G=[[side]], h=[0.0]) for a, side in ((0.9, 1.0), (0.5, -1.0))]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(sides),
+        4,
+        lfo.QuadraticCost(Q=1.0, R=0.5 / unit**2),
+        lfo.Box(-unit, unit),
+        lfo.Box(-2, 2),
+        initial_state=[0.5],
+        control_spectrum=lfo.MagnitudeBound(limit * unit, bins=[1]),
+    )
+    program = big_m_program(problem).program
+    for cone in program.cones:
+        assert 0.1 < max(abs(program.A[cone]).max(), np.abs(program.lower[cone]).max()) <= 1.0 + 1e-12
