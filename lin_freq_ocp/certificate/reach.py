@@ -119,22 +119,25 @@ def nearby_bounds(
     so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature; m of the others is zero, or below by rounding. The
     dynamics turn these radii into those of the others, all of the form alpha + beta q + gamma q^2, above and below;
     then q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
-    Missing bounds do not matter: the cost is higher that far away. Where these radii do not suffice, others count:
+    Missing bounds do not matter: the cost is higher that far away. Components without a loss over the stated sets need
+    no radius. Where these radii do not suffice, others count:
     stated bounds, or |d| <= q^2/s where the cost rises at least by s. Far ones come last, as they may be large numbers
     in place of none; if ``mistrusted``, also where the loss of the stated bounds is negligible.
     """
     level = max(deviations.left, 0.0) + allowed
     known, radii, others = _known_radii(problem, trajectory, deviations, allowed, level)
     near = [
-        np.where(_is_near(alpha + gamma * level, signal), [alpha, beta, gamma], np.inf)
+        np.stack([np.where(_is_near(alpha + gamma * level, signal), alpha, np.inf), beta, gamma])
         for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True)
     ]
     if mistrusted and not _replace(radii, near, [curvature <= 0 for curvature in deviations.curvatures]):
         return None  # the same as with trust
-    changed = True
+    changed, lossless = True, [lost == 0 for lost in deviations.losses]
     for further in (near, others, None):
-        if changed and _propagate_radii(problem, trajectory, radii):
-            break
+        if changed:
+            _propagate_radii(problem, trajectory, radii)
+            if all((np.isfinite(part[0]) | mask).all() for part, mask in zip(radii, lossless, strict=True)):
+                break
         if further is None:
             return None
         changed = _replace(radii, further, [np.isinf(part[0]) for part in radii])
@@ -142,21 +145,24 @@ def nearby_bounds(
     for slopes, curvature, lost, mask, of_sides in zip(
         deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
     ):
-        slope, bent, (alpha, beta, gamma) = np.abs(slopes).max(0), np.maximum(-curvature, 0.0), of_sides.max(1)
+        slope, bent = np.abs(slopes).max(0), np.maximum(-curvature, 0.0)
+        alpha, beta, gamma = np.where(mask, 0.0, of_sides.max(1))
         loss += float(lost[mask].sum())
-        a += float(((slope + 0.5 * bent * alpha) * alpha)[~mask].sum())
-        b += float(((slope + bent * alpha) * beta)[~mask].sum())
-        c += float((slope * gamma + 0.5 * bent * beta**2)[~mask].sum())
-        if (bent * gamma)[~mask].any():
+        a += float(((slope + 0.5 * bent * alpha) * alpha).sum())
+        b += float(((slope + bent * alpha) * beta).sum())
+        c += float((slope * gamma + 0.5 * bent * beta**2).sum())
+        if (bent * gamma).any():
             return None
     if not c < MOST_BENT:
         return None
     q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * (1 - c) * max(loss + a, 0.0))) / (2 * (1 - c))
     pairs = list[Pair]()
     boxes = (problem.state_tube, problem.control_tube)
-    for signal, box, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), boxes, radii, strict=True):
+    for signal, box, mask, (alpha, beta, gamma) in zip(
+        (trajectory.x, trajectory.u), boxes, lossless, radii, strict=True
+    ):
         above, below = RADIUS_MARGIN * (alpha + beta * q + gamma * q * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
-        if not np.isfinite([above, below]).all():
+        if not (np.isfinite([above, below]) | mask).all():
             return None
         pairs.append(_intersection((box.lower, box.upper), (signal - below, signal + above)))
     return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
@@ -217,8 +223,8 @@ def _is_near(extent: Array, signal: Array) -> Mask:
     return extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
 
 
-def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> bool:
-    """Fill in the radii that the dynamics imply; return whether all are known."""
+def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> None:
+    """Fill in the radii that the dynamics imply."""
     x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
@@ -231,14 +237,13 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
             for power, (part, inputs) in enumerate(zip(x, u.max(1), strict=True)):
                 moved = residual if power == 0 else np.zeros_like(residual)
                 part[:] = np.where(unknown, _radii_of(problem.linear, part[:, 0].max(0), inputs, moved), part)
-        return bool(np.isfinite(x).all())
+        return
     if problem.horizon > MAX_STEPS:
-        return False
+        return
     steps = range(problem.horizon)
     for t in (*steps, *reversed(steps), *steps):
         _propagate_one_step(problem, residual, rows, t, radii, left)
     _solve_all_steps(problem, trajectory, residual, radii)
-    return all(bool(np.isfinite(part).all()) for part in radii)
 
 
 def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory) -> Rows:
@@ -295,11 +300,11 @@ def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, res
             columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
     rows, limits = [columns.reshape(T * n, -1)], [np.stack([residual.ravel()] * 2)]
-    for term in problem.terms:
-        at = term.map.values(trajectory.x, trajectory.u)
-        sides = _stated_radii(at, term.penalty.hard_bounds(term.shape))[0].reshape(2, -1)
+    at_zero = [(map, (0.0, 0.0)) for map in problem.stop_band_maps]
+    for map, bounds in (*((term.map, term.penalty.hard_bounds(term.shape)) for term in problem.terms), *at_zero):
+        sides = _stated_radii(map.values(trajectory.x, trajectory.u), bounds)[0].reshape(2, -1)
         limited = np.flatnonzero(np.isfinite(sides).any(0))
-        rows.append(term.map.rows(T, n, problem.control_dim)[0][limited].toarray())
+        rows.append(map.rows(T, n, problem.control_dim)[0][limited].toarray())
         limits.append(sides[:, limited])
     if _determine_radii(np.vstack(rows), np.hstack(limits), values):
         of_x, of_u = np.split(values, [x[0, 0].size], axis=2)

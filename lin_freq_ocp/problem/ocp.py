@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Mask, assign, brief, known_entries, positive_integer, printable
@@ -22,6 +23,7 @@ from lin_freq_ocp.problem.sets.box import End, SetOrSets, at_names, end_set
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint, path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
 from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum
+from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import Term, TermKind
 from lin_freq_ocp.problem.trajectory import Trajectory, horizon_advice
 
@@ -292,6 +294,18 @@ class OptimalControlProblem(ProblemData):
     def state_band(self) -> Mask:
         """The bins of each state that a stop band, a mask or an energy limits: shape (state_samples//2 + 1, n)."""
         return self.state_stop | bounded_bins(self.terms, TermKind.STATE_SPECTRUM, self.state_stop.shape)
+
+    @cached_property
+    def stop_band_maps(self) -> tuple[SpectrumMap, ...]:
+        """The maps from (x, u) to (Re, Im) of the bins that stop bands make zero, one of each state and control."""
+        maps = list[SpectrumMap]()
+        of_x, of_u = (self.state_stop, self.state_samples), (self.control_stop, self.horizon)
+        for stop, samples in (of_x, of_u):
+            for i in np.flatnonzero(stop.any(axis=0)):
+                row, bins = np.eye(stop.shape[1])[i], np.flatnonzero(stop[:, i])
+                parts = (row, None) if stop is of_x[0] else (None, row)
+                maps.append(SpectrumMap(*parts, np.ones(samples), samples, bins, joint=True))
+        return tuple(maps)
 
     def require(self, trajectory: Trajectory) -> None:
         """Raise ProblemError unless the trajectory has this problem's shape."""

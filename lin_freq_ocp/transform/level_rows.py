@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -105,13 +105,9 @@ def rows_of_levels(problem: OptimalControlProblem) -> Array | None:
     of_end[:, T] = np.eye(n)
     bounded = np.isfinite(end.lower) | np.isfinite(end.upper)
     parts = [(of_end[bounded], np.zeros((int(bounded.sum()), T, m)))]
-    of_controls, of_states = _removed_rows(problem.control_stop, T), _removed_rows(problem.state_stop, T + 1)
-    parts.append((np.zeros((len(of_controls), T + 1, n)), of_controls))
-    parts.append((of_states, np.zeros((len(of_states), T, m))))
-    for term in problem.terms:
-        if term.hard:
-            rows = term.map.rows(T, n, m)[0].toarray()
-            parts.append((rows[:, : (T + 1) * n].reshape(-1, T + 1, n), rows[:, (T + 1) * n :].reshape(-1, T, m)))
+    for map in (*problem.stop_band_maps, *(term.map for term in problem.terms if term.hard)):
+        rows = map.rows(T, n, m)[0].toarray()
+        parts.append((rows[:, : (T + 1) * n].reshape(-1, T + 1, n), rows[:, (T + 1) * n :].reshape(-1, T, m)))
     of_x, of_u = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     return of_u + _through_states(problem, of_x)
 
@@ -169,17 +165,6 @@ def _of_spans(rows: Array, spans: Array) -> Array:
     matrix = matrix / np.where(largest > 0, largest, 1.0)
     size = np.linalg.norm(matrix, axis=1, keepdims=True)
     return matrix / np.where(size > 0, size, 1.0)
-
-
-def _removed_rows(stop: Mask, times: int) -> Array:
-    """Return the rows of the bins removed from a signal, (rows, times, components): real and imaginary parts."""
-    families, angle = [np.zeros((0, times, stop.shape[1]))], 2 * np.pi * np.arange(times) / times
-    for k, i in np.argwhere(stop):
-        waves = [np.cos(k * angle)] if k in (0, times / 2) else [np.cos(k * angle), np.sin(k * angle)]
-        rows = np.zeros((len(waves), times, stop.shape[1]))
-        rows[:, :, i] = waves
-        families.append(rows)
-    return np.concatenate(families)
 
 
 def _through_states(problem: OptimalControlProblem, of_x: Array) -> Array:

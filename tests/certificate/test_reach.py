@@ -74,6 +74,12 @@ SOUND = {
     },
     "linear terms": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(R=1.0, q=[0.3, -0.2], r=[0.5], p=[1.0, 0])},
     "controls without a price": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(Q=1.0, P=1.0)},
+    "controls and the last state without a price": {"initial_state": [1.0, 0.0], "cost": lfo.QuadraticCost(Q=1.0)},
+    "the last control by its removed bins alone": {
+        "initial_state": [1.0, 0.0],
+        "cost": lfo.QuadraticCost(Q=1.0),
+        "control_spectrum": lfo.low_pass(2.0),
+    },
 }
 
 
@@ -87,8 +93,36 @@ def test_without_any_bound_the_bound_is_rigorous_and_random_trajectories_cost_mo
     rng, (x, u) = np.random.default_rng(4), (result.trajectory.x, result.control)
     for size in 10.0 ** rng.uniform(-8, 3, 60):
         start = x[0] if task.initial_box.fixed.all() else task.initial_box.project(x[0] + size * rng.standard_normal(2))
-        other = lfo.simulate(task, u + size * rng.standard_normal(u.shape), start)
+        change = np.where(task.control_stop, 0.0, np.fft.rfft(rng.standard_normal(u.shape), axis=0))
+        other = lfo.simulate(task, u + size * np.fft.irfft(change, T, axis=0), start)
         assert task.value(other.x, other.u) >= result.lower_bound
+
+
+@pytest.mark.parametrize("seed", seeds(range(24)))
+def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
+    """Least squares of any states and few controls, in any units, against the solution in units of 1."""
+    rng = np.random.default_rng(seed)
+    n, m, length = int(rng.integers(1, 5)), int(rng.integers(1, 4)), int(rng.integers(3, 40))
+    A, B = np.eye(n) + 0.3 * rng.standard_normal((n, n)), rng.standard_normal((n, m))
+    A /= max(1.0, np.abs(np.linalg.eigvals(A)).max())
+    Q, P = (np.diag(rng.choice([0.0, 1.0], n)) for _ in "QP")
+    R, start = np.diag([0.0] + [1.0] * (m - 1)), rng.standard_normal(n)
+    in_x, in_u, in_J = 10.0 ** rng.uniform(-6, 6, n), 10.0 ** rng.uniform(-6, 6, m), 10.0 ** rng.uniform(-9, 9)
+    dynamics = lfo.LinearDynamics(in_x[:, None] * A / in_x, in_x[:, None] * B / in_u)
+    weights = {"Q": in_J * Q / in_x**2, "R": in_J * R / in_u**2, "P": in_J * P / in_x**2}
+    result = lfo.solve(lfo.OptimalControlProblem(dynamics, length, lfo.QuadraticCost(**weights), initial_state=in_x * start))
+    assert result.status == "optimal"
+    # x = free + forced u, by one power of A after another
+    powers = [np.linalg.matrix_power(A, k) for k in range(length + 1)]
+    free = np.concatenate([weight @ power @ start for weight, power in zip([*[Q] * length, P], powers, strict=True)])
+    forced = np.zeros((length + 1, n, length, m))
+    for t in range(1, length + 1):
+        for s in range(t):
+            forced[t, :, s] = (P if t == length else Q) @ powers[t - 1 - s] @ B
+    rows = np.vstack([forced.reshape(len(free), -1), np.kron(np.eye(length), R)])
+    right = -np.concatenate([free, np.zeros(length * m)])
+    residual = rows @ np.linalg.lstsq(rows, right, rcond=1e-13)[0] - right
+    assert result.cost == pytest.approx(in_J * 0.5 * residual @ residual, rel=1e-7)
 
 
 def test_a_start_that_nothing_holds_leaves_the_bound_numerical():
