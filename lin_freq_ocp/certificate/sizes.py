@@ -113,13 +113,15 @@ def cost_and_scale(
     its entries with deviations. ``sizes`` are those of the trajectory, if known.
     """
     x, u = trajectory.x, trajectory.u
-    of_x, of_u = sizes or trajectory_sizes(problem, trajectory)
+    (A, B, offset), quadratic, levels = problem.form.gains_along(x, u), problem.quadratic, problem.level_sizes
+    of_x, of_u = np.abs(x) + np.abs(quadratic.x_ref), np.abs(u) + np.abs(quadratic.u_ref)
+    of_x[1:] += np.abs(x[:-1]) @ A.T + np.abs(u) @ B.T + offset
     in_x, in_u = DATA_ROUNDING * of_x, DATA_ROUNDING * of_u
-    magnitudes, levels, T = problem.quadratic.magnitudes, problem.level_sizes, problem.horizon
+    magnitudes, T = quadratic.magnitudes, problem.horizon
     a, b = problem.quadratic.deviations(x, u)
-    rounding = magnitudes.steady_value(in_x, in_u, T) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
+    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():
-        rounding += DATA_ROUNDING * magnitudes.steady_value(0 * of_x, levels, T)
+        rounding += DATA_ROUNDING * magnitudes.steady_value(np.zeros(x.shape[1]), levels, T)
     cost, total, priced = _cost_and_terms(problem, trajectory)
     for term, given in zip(problem.terms, priced, strict=True):
         for sign in (-1, 1):

@@ -262,9 +262,9 @@ def test_a_tour_goes_from_each_to_one_near_it():
 
 @expensive
 def test_a_numerical_ray_proves_nothing_of_an_item():
-    """Nothing bounds the control: the ray of a stop band excludes trajectories up to a size alone."""
+    """Nothing bounds two equal controls: the ray of a stop band excludes trajectories up to a size alone."""
     h = 0.1
-    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]], sampling_time=h)
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2] * 2, [h] * 2], sampling_time=h)
     band = lfo.stop_band(bins=range(1, 11))
     cost = lfo.QuadraticCost(R=1.0)
     problem = lfo.OptimalControlProblem(dynamics, 20, cost, None, None, [0, 0], [1, 0], control_spectrum=band)

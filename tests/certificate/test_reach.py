@@ -100,12 +100,12 @@ def test_without_any_bound_the_bound_is_rigorous_and_random_trajectories_cost_mo
 
 @pytest.mark.parametrize("seed", seeds(range(24)))
 def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
-    """Least squares of any states and few controls, in any units, against the solution in units of 1."""
+    """One control and the ends of some states, in any units: against least squares in units of 1."""
     rng = np.random.default_rng(seed)
     n, m, length = int(rng.integers(1, 5)), int(rng.integers(1, 4)), int(rng.integers(3, 40))
     A, B = np.eye(n) + 0.3 * rng.standard_normal((n, n)), rng.standard_normal((n, m))
     A /= max(1.0, np.abs(np.linalg.eigvals(A)).max())
-    Q, P = (np.diag(rng.choice([0.0, 1.0], n)) for _ in "QP")
+    Q, P = np.eye(n), np.diag(rng.choice([0.0, 1.0], n))
     R, start = np.diag([0.0] + [1.0] * (m - 1)), rng.standard_normal(n)
     in_x, in_u, in_J = 10.0 ** rng.uniform(-6, 6, n), 10.0 ** rng.uniform(-6, 6, m), 10.0 ** rng.uniform(-9, 9)
     dynamics = lfo.LinearDynamics(in_x[:, None] * A / in_x, in_x[:, None] * B / in_u)
@@ -123,6 +123,22 @@ def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
     right = -np.concatenate([free, np.zeros(length * m)])
     residual = rows @ np.linalg.lstsq(rows, right, rcond=1e-13)[0] - right
     assert result.cost == pytest.approx(in_J * 0.5 * residual @ residual, rel=1e-7)
+
+
+@pytest.mark.parametrize("last", [0.0, 1e6, 1e13])
+def test_a_value_that_costs_nothing_hides_no_cost(last):
+    """u_T-1 moves x_T alone, which has no price: its size says nothing about the prices of others."""
+    dynamics, cost = lfo.LinearDynamics([[0.9]], [[1.0, 1.0]]), lfo.QuadraticCost(Q=1.0, R=np.diag([0.0, 1.0]))
+    task = lfo.OptimalControlProblem(dynamics, 10, cost, initial_state=[1.0])
+    best = lfo.solve(task)
+    u = best.control.copy()
+    u[-1, 0] = last
+    moved = lfo.simulate(task, u)
+    assert lfo.certify(task, moved).globally_optimal
+    u[0, 1] += 0.3
+    dearer = lfo.certify(task, lfo.simulate(task, u))
+    assert dearer.cost > 1.05 * best.cost
+    assert not dearer.globally_optimal
 
 
 def test_a_start_that_nothing_holds_leaves_the_bound_numerical():

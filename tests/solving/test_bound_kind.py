@@ -14,11 +14,11 @@ from lin_freq_ocp.files import result_summary
 from lin_freq_ocp.pages import answer_data
 
 H = 0.1
-DOUBLE = lfo.LinearDynamics([[1.0, H], [0.0, 1.0]], [[H * H / 2], [H]], sampling_time=H)
+DOUBLE = lfo.LinearDynamics([[1.0, H], [0.0, 1.0]], [[H * H / 2] * 2, [H] * 2], sampling_time=H)
 
 
 def constant(bound=None):
-    """Return a move that its stop band excludes, as the control is constant: provably with a bounded control."""
+    """Return a move that its stop band excludes, as both controls are constant: provably with bounded controls."""
     band = lfo.stop_band(bins=range(1, 11))
     control = None if bound is None else lfo.Box(-bound, bound)
     cost = lfo.QuadraticCost(R=1.0)

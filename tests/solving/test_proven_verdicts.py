@@ -143,13 +143,21 @@ class TestDirections:
         assert along is None or verified_direction(problem, along) is None
 
 
-def constant_control(bound: float | None) -> lfo.OptimalControlProblem:
-    """Return a move from rest to rest with a constant control: impossible, and proven if the control is bounded."""
+def constant_control(bound: float | None, controls: int = 2) -> lfo.OptimalControlProblem:
+    """Return a move from rest to rest with constant controls, which is impossible.
+
+    That is proven if they are bounded, or if there is one: two that do the same may be of any size.
+    """
     band = lfo.stop_band(bins=range(1, 11))
     box = None if bound is None else lfo.Box(-bound, bound)
-    return lfo.OptimalControlProblem(
-        DOUBLE, 20, lfo.QuadraticCost(R=1.0), box, None, [0, 0], [1, 0], control_spectrum=band
-    )
+    dynamics = lfo.LinearDynamics(DOUBLE.A, np.repeat(DOUBLE.B, controls, axis=1), sampling_time=H)
+    cost = lfo.QuadraticCost(R=1.0)
+    return lfo.OptimalControlProblem(dynamics, 20, cost, box, None, [0, 0], [1, 0], control_spectrum=band)
+
+
+def test_a_control_that_its_spectrum_and_the_ends_determine_needs_no_bound():
+    result = lfo.solve(constant_control(None, controls=1), throw=False)
+    assert (result.status, result.bound, result.dual) == ("infeasible", "rigorous", True)
 
 
 @pytest.mark.parametrize("method", ["spectral", "structured"])
