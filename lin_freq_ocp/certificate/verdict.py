@@ -369,7 +369,7 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
     sizes = trajectory_sizes(problem, trajectory)
-    cost, scale = cost_and_scale(problem, trajectory, sizes)
+    cost, scale = cost_and_scale(problem, trajectory)
     conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
     return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scale, cost)
 

@@ -127,7 +127,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     values = np.minimum(np.abs(problem.cost.formula_values(trajectory.x, trajectory.u)), within)
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
-    cost = cost_scale(stripped, trajectory, (x, u)) + float(values.sum())
+    cost = cost_scale(stripped, trajectory) + float(values.sum())
     return Scales((np.append(x, stage), u), cost, slopes)
 
 

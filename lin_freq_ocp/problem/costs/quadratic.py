@@ -379,12 +379,6 @@ class QuadraticCost(Cost):
         """Return the total cost."""
         return float(self.stage_values(x, u).sum())
 
-    def steady_value(self, x: Array, u: Array, horizon: int) -> float:
-        """Return the total cost of a state (n,) and a control (m,) that stay, without references."""
-        z, H, linear = np.concatenate([x, u]), self.stage_hessians, self.linear_slopes(horizon)
-        value = 0.5 * (horizon / len(H) * (z @ H.sum(0) @ z) + x @ self.P @ x)
-        return float(value if linear is None else value + linear.sum(0) @ z)
-
     def gradient(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the gradients in x, (..., T+1, n), and in u, (..., T, m)."""
         slopes, linear = self.bend(self.deviations_of(stack_signals(x, u))), self.linear_slopes(u.shape[-2])
