@@ -104,10 +104,8 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
     of the products of its entries with deviations.
     """
     x, u = trajectory.x, trajectory.u
-    (A, B, offset), quadratic, levels = problem.form.gains_along(x, u), problem.quadratic, problem.level_sizes
-    of_x, of_u = np.abs(x) + np.abs(quadratic.x_ref), np.abs(u) + np.abs(quadratic.u_ref)
-    of_x[1:] += np.abs(x[:-1]) @ A.T + np.abs(u) @ B.T + offset
-    in_x, in_u = DATA_ROUNDING * of_x, DATA_ROUNDING * of_u
+    quadratic, levels = problem.quadratic, problem.level_sizes
+    in_x, in_u = (DATA_ROUNDING * own for own in _own_terms(problem, trajectory))
     magnitudes, (a, b) = quadratic.magnitudes, quadratic.deviations(x, u)
     rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
     if levels.any():
@@ -120,6 +118,15 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
     return cost, max(total, rounding / GAP_TOLERANCE)
+
+
+def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
+    """Return the sums of the absolute values of the terms of each state, (T+1, n), and control, (T, m), at its time."""
+    x, u, cost = trajectory.x, trajectory.u, problem.quadratic
+    A, B, offset = problem.form.gains_along(x, u)
+    of_x, of_u = np.abs(x) + np.abs(cost.x_ref), np.abs(u) + np.abs(cost.u_ref)
+    of_x[1:] += np.abs(x[:-1]) @ A.T + np.abs(u) @ B.T + offset
+    return of_x, of_u
 
 
 class Scales(NamedTuple):
@@ -184,7 +191,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     resting = largest_over_time(at) <= rounding
 
     size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
-    steep = stack_signals(*problem.quadratic.gradient_magnitudes(*steady))
+    steep = stack_signals(*problem.quadratic.gradient_magnitudes(*_own_terms(problem, extremal.trajectory)))
     steep = eta_C * (steep if slopes_at is None else steep + slopes_at(size))
     # what rounding of the states does to rows, and to the slopes of the cost, is no residual
     precise = rounding / CONDITION_TOLERANCE
