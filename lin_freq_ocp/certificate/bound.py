@@ -18,23 +18,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals, total
-from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_curvatures, state_residual
 from lin_freq_ocp.certificate.reach import (
     Deviations,
     Pair,
     Region,
+    box_around,
     implied_bounds,
     nearby_bounds,
     reachable_bounds,
     stated_bounds,
+    units_of,
 )
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, NUMERICAL_REACH
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, MAX_UNKNOWN, NUMERICAL_REACH, RADIUS_MARGIN
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Trajectory
 
 Number = Array | float  # of one trajectory, or an array (N,) of N of them
 RIGOROUS, NUMERICAL = "rigorous", "numerical"  # a bound for all trajectories, or for those within a box
@@ -103,11 +108,15 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     cost = extremal.cost
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-    for mistrusted in (False, True):
+    deviations, at = _deviations(found, curvatures, problem.state_dim), extremal.trajectory
+    for around in (
+        lambda: nearby_bounds(problem, at, deviations, cost, allowed),
+        lambda: nearby_bounds(problem, at, deviations, cost, allowed, mistrusted=True),
+        lambda: level_bounds(problem, at, deviations, cost),
+    ):
         if cost - proven.value <= allowed:
             break
-        deviations = _deviations(found, curvatures, problem.state_dim)
-        nearby = nearby_bounds(problem, extremal.trajectory, deviations, cost, allowed, mistrusted)
+        nearby = around()
         if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
             proven = of_nearby if of_nearby.value > proven.value else proven
@@ -120,6 +129,67 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     near = _cut_sets(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
     numerical, _ = _evaluate(extremal, curvatures, near, cost, NUMERICAL)
     return numerical if numerical.value - proven.value > allowed else proven
+
+
+def level_bounds(
+    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float
+) -> Region | None:
+    """Return the same box by the inverse Z of the Hessian H on all changes that keep the equations M, or None.
+
+    Where d = Z H d + Y M d + E d and E is rounding, |d| <= sqrt(2 diag(Z H Z')) q + |Y| |M d| + |E| |d| by the
+    inequality of Cauchy and Schwarz, with q as in ``nearby_bounds``. That needs neither bounds nor curvature of single
+    components: only that the cost is curved along all these changes.
+    """
+    inverse, (lower, upper) = _level_inverse(problem), problem.signal_bounds
+    if inverse is None:
+        return None
+    (beta, weights, through_fixed, error), free = inverse, lower < upper
+    residual = np.abs(state_residual(problem, trajectory)) + (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
+    missed = np.abs(lower - stack_signals(trajectory.x, trajectory.u))[~free]
+    of_free, sides = [weights @ (residual.ravel() + through_fixed @ missed), beta], np.zeros((2, *free.shape))
+    for side, radius in zip(sides, of_free, strict=True):
+        added = error @ radius
+        if (2 * error @ added > added).any():
+            return None
+        side[free] = radius + 2 * added
+    sides[0][~free] = missed
+    pairs = (
+        np.stack([np.stack([part] * 2) for part in (*of, 0 * of[0])])
+        for of in split_signals(sides, trajectory.x.shape[1])
+    )
+    of_x, of_u = pairs
+    return box_around(problem, trajectory, deviations, cost, (of_x, of_u), [lost == 0 for lost in deviations.losses])
+
+
+@lru_cache(maxsize=2)  # for the candidates of one problem, one after another
+def _level_inverse(problem: OptimalControlProblem) -> tuple[Array, Array, Array, Array] | None:
+    """Return sqrt(2 diag(Z H Z')), |Y|, |M| of fixed components, and |E|; None if Z is unknown."""
+    curvatures, (lower, upper), T = (
+        cost_curvatures(problem.quadratic, problem.horizon),
+        problem.signal_bounds,
+        problem.horizon,
+    )
+    n, free = problem.state_dim, (lower < upper).ravel()
+    if curvatures is None or problem.response is not None or free.sum() > MAX_UNKNOWN:
+        return None
+    blocks, M = np.zeros((*lower.shape, lower.shape[1])), np.zeros((T, n, *lower.shape))
+    blocks[:T], blocks[T, :n, :n] = problem.quadratic.stage_hessians, problem.quadratic.P
+    H = block_diag(*(blocks - np.minimum(curvatures, 0.0)[..., None] * np.eye(lower.shape[1])))[np.ix_(free, free)]
+    for t in range(T):
+        A, B, _ = problem.linear.at(t)
+        M[t, :, t], M[t, :, t + 1, :n] = np.hstack([A, B]), -np.eye(n)
+    M = M.reshape(T * n, -1)
+    system = np.block([[H, M[:, free].T], [M[:, free], np.zeros((T * n, T * n))]])
+    units = 1 / np.sqrt(units_of(system, axis=0))
+    try:
+        solved = units[:, None] * np.linalg.solve(units[:, None] * system * units, np.diag(units)[:, : len(H)])
+    except np.linalg.LinAlgError:
+        return None
+    Z, Y = solved[: len(H)].T, solved[len(H) :].T
+    terms, rounding = np.abs(Z) @ np.abs(H), len(system) * np.finfo(float).eps
+    beta = np.sqrt(2 * (np.maximum(((Z @ H) * Z).sum(1), 0.0) + rounding * (terms * np.abs(Z)).sum(1)))
+    error = np.abs(Z @ H + Y @ M[:, free] - np.eye(len(H))) + rounding * (terms + np.abs(Y) @ np.abs(M[:, free]))
+    return beta, np.abs(Y), np.abs(M[:, ~free]), error
 
 
 def optimum_box(extremal: Extremal, allowed: float) -> Region:
@@ -136,6 +206,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
+        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level)
         if nearby is not None:
             return nearby
     return reachable_bounds(problem)

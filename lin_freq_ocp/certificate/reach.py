@@ -141,6 +141,19 @@ def nearby_bounds(
         if further is None:
             return None
         changed = _replace(radii, further, [np.isinf(part[0]) for part in radii])
+    return box_around(problem, trajectory, deviations, cost, radii, known)
+
+
+def box_around(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    deviations: Deviations,
+    cost: float,
+    radii: Pair,
+    known: Sequence[Mask],
+) -> Region | None:
+    """Return the box of these radii; of known components count the losses, of others the slopes."""
+    lossless = [lost == 0 for lost in deviations.losses]
     loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
     for slopes, curvature, lost, mask, of_sides in zip(
         deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
@@ -341,8 +354,8 @@ def _fill_block(columns: Array, limits: Array, values: Array, unknown: Indices) 
     block = columns[:, unknown]
     if not block.size:
         return False
-    of_rows = _units_of(block, axis=1)
-    units = _units_of(block / of_rows[:, None], axis=0)
+    of_rows = units_of(block, axis=1)
+    units = units_of(block / of_rows[:, None], axis=0)
     rows = np.vstack([block / of_rows[:, None] / units, np.eye(len(unknown))])  # also their own one-sided bounds
     known = columns.any(axis=0) & ~np.isinf(values[0]).any(0)
     moved = _largest(columns[:, known], values[:, ::-1, known])
@@ -403,7 +416,7 @@ def _weights_by_sign(of_rows: bytes, of_finite: bytes, shape: tuple[int, int]) -
     return weights, held[0] & held[1]
 
 
-def _units_of(coefficients: Array, axis: int) -> Array:
+def units_of(coefficients: Array, axis: int) -> Array:
     """Return the largest absolute value along an axis, 1 where all are zero."""
     largest = np.abs(coefficients).max(axis=axis)
     return np.where(largest > 0, largest, 1.0)

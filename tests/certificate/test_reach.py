@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,9 @@ def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
     in_x, in_u, in_J = 10.0 ** rng.uniform(-6, 6, n), 10.0 ** rng.uniform(-6, 6, m), 10.0 ** rng.uniform(-9, 9)
     dynamics = lfo.LinearDynamics(in_x[:, None] * A / in_x, in_x[:, None] * B / in_u)
     weights = {"Q": in_J * Q / in_x**2, "R": in_J * R / in_u**2, "P": in_J * P / in_x**2}
-    result = lfo.solve(lfo.OptimalControlProblem(dynamics, length, lfo.QuadraticCost(**weights), initial_state=in_x * start))
+    result = lfo.solve(
+        lfo.OptimalControlProblem(dynamics, length, lfo.QuadraticCost(**weights), initial_state=in_x * start)
+    )
     assert result.status == "optimal"
     # x = free + forced u, by one power of A after another
     powers = [np.linalg.matrix_power(A, k) for k in range(length + 1)]
@@ -123,6 +126,55 @@ def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
     right = -np.concatenate([free, np.zeros(length * m)])
     residual = rows @ np.linalg.lstsq(rows, right, rcond=1e-13)[0] - right
     assert result.cost == pytest.approx(in_J * 0.5 * residual @ residual, rel=1e-7)
+
+
+def estimation(seed, in_x=1.0, in_J=1.0):
+    """Return a fit of one output of 2 to 4 states by a disturbance, from a free start: no state alone has a price."""
+    rng = np.random.default_rng(seed)
+    n, length = int(rng.integers(2, 5)), int(rng.integers(8, 25))
+    A = np.eye(n) + 0.2 * rng.standard_normal((n, n))
+    A /= max(1.0, np.abs(np.linalg.eigvals(A)).max())
+    B, C = rng.standard_normal((n, 1)), rng.standard_normal(n)
+    measured = rng.standard_normal((length + 1, 1)) * C / (C @ C)
+    scale = in_x ** np.linspace(-1, 1, n)
+    weight = in_J * np.outer(C / scale, C / scale)
+    dynamics = lfo.LinearDynamics(scale[:, None] * A / scale, scale[:, None] * B)
+    cost = lfo.QuadraticCost(Q=weight, R=in_J, x_ref=scale * measured)
+    return lfo.OptimalControlProblem(dynamics, length, cost), rng
+
+
+@pytest.mark.parametrize("seed", seeds(range(12)))
+@pytest.mark.parametrize(("in_x", "in_J"), [(1.0, 1.0), (1e4, 1e-9), (1e-6, 1e9)])
+def test_a_cost_that_is_curved_along_all_motions_needs_no_bound(seed, in_x, in_J):
+    task, _ = estimation(seed, in_x, in_J)
+    result = lfo.solve(task)
+    assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")
+    assert result.certificate.gap < 1e-10
+
+
+@pytest.mark.parametrize("seed", seeds(range(12)))
+def test_the_box_of_such_a_cost_holds_all_that_costs_no_more(seed):
+    task, rng = estimation(seed)
+    best = lfo.solve(task)
+    allowed = best.cost * float(rng.uniform(0.01, 2.0))
+    region = optimum_box(extremal_at(task, best.trajectory, best.multipliers), allowed)
+    assert "cost no more" in region.follows_from
+    for i, t in product(range(task.state_dim), (0, task.horizon // 2, task.horizon)):
+        # the most that this state can change for this cost, by the optimum of a cost with a slope on it
+        q = np.zeros((task.horizon, task.state_dim))
+        slope = {"p": np.eye(task.state_dim)[i]} if t == task.horizon else {"q": q}
+        q[min(t, task.horizon - 1), i] = 1.0
+        other = lfo.solve(replace(task, cost=replace(task.cost, **slope)))
+        along = other.trajectory.x - best.trajectory.x, other.control - best.control
+        rise = task.value(other.trajectory.x, other.control) - best.cost
+        for far in (-1.0, 1.0):
+            step = far * np.sqrt(0.999 * allowed / rise)
+            x, u = best.trajectory.x + step * along[0], best.control + step * along[1]
+            assert task.value(x, u) <= best.cost + allowed
+            for signal, (lower, upper) in ((x, region.x), (u, region.u)):
+                assert (lower <= signal).all()
+                assert (signal <= upper).all()
+        assert np.abs(x[t, i] - best.trajectory.x[t, i]) > 0.99 * np.abs(region.x[0][t, i] - best.trajectory.x[t, i])
 
 
 @pytest.mark.parametrize("last", [0.0, 1e6, 1e13])
