@@ -21,7 +21,7 @@ from lin_freq_ocp.loop.step_problem import free_first_state, known_states, softe
 from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
 from lin_freq_ocp.methods.repair import repair_trajectory
-from lin_freq_ocp.methods.spectral.model import LtiUnits
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -195,23 +195,25 @@ class WindowedPlanner:
         none = np.zeros((delay, problem.control_dim))
         self._spectrum = [one.with_past(none, 0) for one in entries_of(problem.control_spectrum)]
 
-    @one_blas_thread
     def plan(self, begin: Array, change: Change | None, budget: Budget) -> WindowedPlan:
         """Return the plan from a state, (n,), with previews if any."""
-        stated, lti = self.stated, self._spectral.lti
-        if change is not None:
-            stated = change.apply(self.stated)
-            moved = self._translation.change(change, without_windows(stated))
-            lti = self._spectral.changed_problem(moved)[1]
+        stated, lti = (self.stated, self._spectral.lti) if change is None else self._changed(change)
         plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
+
+    @one_blas_thread
+    def _changed(self, change: Change) -> tuple[OptimalControlProblem, Lti]:
+        """Return the problem of a step with previews, as it is stated and as the kernel takes it."""
+        stated = change.apply(self.stated)
+        moved = self._translation.change(change, without_windows(stated))
+        return stated, self._spectral.changed_problem(moved)[1]
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts next."""
         units = self._solver.units.u
         chosen = self._solver.kernel.plan_of_controls * units
-        self._rest = np.vstack([chosen[1:], chosen[-1:]])
+        self._rest = np.concatenate([chosen[1:], chosen[-1:]])
         self._spectrum = [one.with_past(u[None], 0) for one in self._spectrum]
         self._solver.kernel.apply(u / units)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate
 from lin_freq_ocp.methods.condensed.native import FAMILIES, STATES, NativeKernel, library
 from lin_freq_ocp.methods.condensed.tables import INFEASIBLE, LIMIT, SOLVED, CondensedTables, condense
-from lin_freq_ocp.methods.condensed.windows import ControlWindows, WindowDuals
+from lin_freq_ocp.methods.condensed.windows import ControlWindows, WindowDuals, WindowRows
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
@@ -57,7 +57,12 @@ class Plan:
     settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
     eta_C: float = 1.0
     windows: ControlWindows | None = None
-    duals: Sequence[WindowDuals] = ()  # of the windows
+    rows: WindowRows | None = None  # of the windows
+
+    @property
+    def duals(self) -> Sequence[WindowDuals]:
+        """Return the multipliers of the windows, of each set."""
+        return self.windows.duals(self.rows, self.tables.loop.shape[0]) if self.windows and self.rows else ()
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -208,11 +213,9 @@ class CondensedSolver:
         if not self._take(lti):
             raise UnsupportedError("bounds: they bound other components than those of the problem.")
         status, made = self._run(start / units.x, budget)
-        weights, settled = kernel.multipliers, status == SOLVED
-        duals = kernel.window_duals if settled else ()
-        control = kernel.control * units.u
-        found = Plan(kernel.tables, units, start, control, kernel.plan, weights, made, settled)
-        return replace(found, eta_C=float(status != INFEASIBLE), windows=self.windows, duals=duals)
+        control, weights, settled = kernel.control * units.u, kernel.multipliers, status == SOLVED
+        of_step = kernel.tables, units, start, control, kernel.plan, weights, made, settled, float(status != INFEASIBLE)
+        return Plan(*of_step, self.windows, kernel.window_rows if settled else None)
 
     @one_blas_thread
     def _unsettled_plan(self, start: Array, changes: int) -> Plan:

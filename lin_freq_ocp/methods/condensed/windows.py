@@ -41,6 +41,14 @@ class WindowSet:
         """Return how many windows have begun before a plan ends and are not over; the last one holds a constant."""
         return (horizon + self.length - 2) // self.hop + 2
 
+    def begins(self, first: int, begin: int, horizon: int) -> Indices:
+        """Return the begins of the windows of all slots from that of a plan, (slots,).
+
+        ``first`` is the slot of the oldest window, which begins at ``begin``.
+        """
+        ring = self.slots(horizon) - 1
+        return np.append(begin + (np.arange(ring) - first) % ring * self.hop, horizon - 1)
+
     @property
     def waves(self) -> ComplexArray:
         """Return the coefficients of the samples of a window in V, (length, points)."""
@@ -79,6 +87,16 @@ class WindowDuals:
 
 
 @dataclass(frozen=True, eq=False)
+class WindowRows:
+    """The active rows of a step, of which the windows have those from 0 on, and the oldest window of each set."""
+
+    rows: Indices  # (active,)
+    weights: Array  # (active,)
+    firsts: Indices  # (sets,), slots
+    begins: Indices  # (sets,), from that of the plan
+
+
+@dataclass(frozen=True, eq=False)
 class ControlWindows:
     """The limits of all controls, and the states that follow from the controls alone, (n,)."""
 
@@ -88,6 +106,16 @@ class ControlWindows:
     def cells(self, horizon: int) -> list[int]:
         """Return how many points the windows of each set have."""
         return [one.slots(horizon) * len(one.frequencies) for one in self.sets]
+
+    def duals(self, active: WindowRows, horizon: int) -> list[WindowDuals]:
+        """Return the multipliers of each set."""
+        cells, facets = np.divmod(active.rows, FACETS)
+        weights, found, end = active.weights * DIRECTIONS[facets], list[WindowDuals](), 0
+        for one, count, *oldest in zip(self.sets, self.cells(horizon), active.firsts, active.begins, strict=True):
+            slots, points = np.divmod(cells - end, len(one.frequencies))
+            own, end = (cells >= end) & (cells < end + count), end + count
+            found.append(WindowDuals(one.begins(*oldest, horizon)[slots[own]], points[own], weights[own]))
+        return found
 
     def integers(self, horizon: int) -> dict[str, int]:
         """Return integers of lfo_model."""
