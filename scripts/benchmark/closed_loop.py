@@ -42,8 +42,7 @@ def problem(hop: int | None = None, of_plan: bool = False) -> lfo.OptimalControl
     cost = lfo.QuadraticCost(Q=np.diag([40.0, 1.0]), R=0.02, P=np.diag([2000.0, 100.0]))
     spectrum = BAND if of_plan else None
     if hop is not None:
-        past = np.zeros(LENGTH - 1)
-        spectrum = lfo.spectrum.closed_loop(BAND, AMPLITUDE, STEP, length=LENGTH, hop=hop, past=past)
+        spectrum = lfo.spectrum.closed_loop(BAND, AMPLITUDE, STEP, length=LENGTH, hop=hop, past=0)
     return lfo.OptimalControlProblem(
         dynamics, HORIZON, cost, lfo.Box(-1, 1), initial_state=[0.3, 0.0], control_spectrum=spectrum
     )

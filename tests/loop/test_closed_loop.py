@@ -101,11 +101,30 @@ def test_a_window_is_as_long_as_its_band_asks_for(band, length):
         ((lfo.spectrum.notch(centre_hz=1e4, width_hz=8), 0.1, SAMPLING), "band"),
         ((NOTCH, 0.1, SAMPLING, 20, 5, np.zeros(18)), r"past: got shape \(18,\); expected at least 19 samples"),
         ((NOTCH, 0.1, SAMPLING, 20, 5, np.full(19, np.nan)), "past"),
+        ((NOTCH, 0.1, SAMPLING, 20, 5, "0"), "past: got '0'; expected numbers"),
+        ((NOTCH, 0.1, SAMPLING, 20, 5, np.nan), "past: got nan; expected a finite number"),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, field):
     with pytest.raises(lfo.errors.ProblemError, match=f"closed_loop.{field}"):
         lfo.spectrum.closed_loop(*arguments)
+
+
+@pytest.mark.parametrize("controls", [1, 2])
+def test_a_past_of_zero_is_that_of_all_controls_at_rest(controls):
+    plant = lfo.LinearDynamics(np.eye(2), np.array([[1.0, 0.5], [0.0, 1.0]])[:, :controls], sampling_time=SAMPLING)
+    found = {}
+    for name, past in {"number": 0, "array": np.zeros((19, controls)), "none": None}.items():
+        limit = lfo.spectrum.closed_loop(NOTCH, 0.02, SAMPLING, length=20, past=past)
+        cost, box = lfo.QuadraticCost(Q=np.eye(2), R=0.1), lfo.Box(-1, 1)
+        problem = lfo.OptimalControlProblem(plant, 22, cost, box, initial_state=[1, 1], control_spectrum=limit)
+        loop = lfo.RecedingHorizon(lfo.rate_limited(problem, 0.5, previous=0.0), certify="later")
+        found[name] = loop.run([1.0, 1.0], 8).controls
+        assert set(loop.certify().statuses) == {"optimal"}
+    np.testing.assert_array_equal(found["number"], found["array"])
+    assert np.abs(found["number"] - found["none"]).max() > 0.01
+    with pytest.raises(lfo.errors.ProblemError, match=r"12 to come; expected .* past=0 of closed_loop"):
+        lfo.solve(replace(problem, horizon=12))
 
 
 @cache

@@ -116,6 +116,11 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
+    def _known(self, count: int) -> Array:
+        """Return the past of so many components, (P, count); one component at rest stands for all."""
+        past = np.zeros((0, 1)) if self.past is None else self.past
+        return past if past.any() or past.shape[1] != 1 else np.zeros((len(past), count))
+
     @property
     def slides(self) -> bool:
         return self.length is not None and self.penalty is None and not (self.bound.joint or self.bound.every_frequency)
@@ -131,7 +136,7 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(past=past)
 
     def with_past(self, past: Array, measured: int) -> Self:
-        first = np.zeros((0, past.shape[1])) if self.past is None else self.past
+        first = self._known(past.shape[1])
         whole = np.concatenate([first, past])
         if self.length is None:
             return self.changed(past=whole[len(past) :] if len(first) else None, offset=0)
@@ -146,7 +151,7 @@ class Spectrogram(FrequencyConstraint):
         return f"{self.bound.describe(names)}; on {of}{past}"
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
-        past = None if self.past is None else with_columns(self.past, k)
+        past = None if self.past is None else with_columns(self._known(n), k)
         bounds = self.bound.on_components(n)
         return [self.changed(bound=bound, component=bound.component, past=past) for bound in bounds]
 
@@ -200,7 +205,7 @@ class Spectrogram(FrequencyConstraint):
 
     def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array, Array | float]]:
         count, samples = len(signal.names), signal.length
-        past = np.zeros((0, count)) if self.past is None else self.past
+        past = self._known(count)
         if past.shape[1] != count:
             raise ProblemError(f"{field}.past", f"shape {past.shape}", f"shape ({len(past)}, {count})")
         length = len(past) + samples - self.offset if self.length is None else self.length
@@ -211,7 +216,8 @@ class Spectrogram(FrequencyConstraint):
             first = np.append(first, last)
         if not len(first):
             got = f"windows of {length} samples, with {len(past)} samples in the past and {samples} to come"
-            raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon")
+            advice = "In a loop, past=0 of closed_loop begins windows before it."
+            raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon", advice)
         window = Signal(signal.kind, signal.C, signal.D, signal.names, length, signal.sampling_time)
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
@@ -256,9 +262,9 @@ def closed_loop(
         into the band, and half of it between zero and the band.
     hop : int, optional
         Default an eighth of the length.
-    past : (P, components), or (P,), optional
-        The samples before the loop begins, length - 1 or more; zeros for a plant at rest. Without it, the first window
-        begins with the loop.
+    past : float, (P, components), or (P,), optional
+        The samples before the loop begins, length - 1 or more, or their common value: 0 for a plant at rest. Without
+        it, the first window begins with the loop.
     oversampling : int
         Points of the grid per bin of the window.
 
@@ -299,8 +305,10 @@ def closed_loop(
             raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
-    if past is not None and len(real_array("closed_loop.past", np.atleast_1d(past))) < samples - 1:
-        advice = "Of the windows that are under way when the loop begins; zeros for a plant at rest."
+    if past is not None and np.ndim(past) == 0:
+        past = np.full(samples - 1, real_array("closed_loop.past", past))
+    if past is not None and len(real_array("closed_loop.past", past)) < samples - 1:
+        advice = "Of the windows that are under way when the loop begins; 0 for a plant at rest."
         expected = f"at least {samples - 1} samples, or None"
         raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
     taper = np.hanning(samples).sum()
