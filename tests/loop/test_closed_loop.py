@@ -101,13 +101,19 @@ def test_a_window_is_as_long_as_its_band_asks_for(band, length):
         ((lfo.spectrum.notch(centre_hz=1e4, width_hz=8), 0.1, SAMPLING), "band"),
         ((NOTCH, 0.1, SAMPLING, 20, 5, np.zeros(18)), r"past: got shape \(18,\); expected at least 19 samples"),
         ((NOTCH, 0.1, SAMPLING, 20, 5, np.full(19, np.nan)), "past"),
-        ((NOTCH, 0.1, SAMPLING, 20, 5, "0"), "past: got '0'; expected numbers"),
-        ((NOTCH, 0.1, SAMPLING, 20, 5, np.nan), "past: got nan; expected a finite number"),
     ],
 )
 def test_what_does_not_fit_is_named(arguments, field):
     with pytest.raises(lfo.errors.ProblemError, match=f"closed_loop.{field}"):
         lfo.spectrum.closed_loop(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("past", "words"), [("0", "got '0'; expected numbers"), (np.nan, "got nan; expected a finite")]
+)
+def test_a_past_that_is_no_number_is_named(past, words):
+    with pytest.raises(lfo.errors.ProblemError, match=rf"Spectrogram\.past: {words}"):
+        lfo.spectrum.closed_loop(NOTCH, 0.1, SAMPLING, past=past)
 
 
 @pytest.mark.parametrize("controls", [1, 2])

@@ -41,8 +41,9 @@ class Spectrogram(FrequencyConstraint):
         Samples of a window.
     hop : int, optional
         Samples from the start of one window to the start of the next; default half a window.
-    past : (P, components), or (P,) for a single one, optional
-        The samples before time 0, the last of them at time -1, in the unit of the signal. Default none.
+    past : (P, components), or (P,) for a single one, or a number, optional
+        The samples before time 0, the last of them at time -1, in the unit of the signal. With a length, a number stands
+        for length - 1 samples; 0 is a signal at rest, of all components. Default none.
     offset : int
         Samples of the past, or of the horizon without one, before the first window begins.
 
@@ -95,6 +96,8 @@ class Spectrogram(FrequencyConstraint):
         samples = None if length is None else positive_integer("Spectrogram.length", length)
         step = None if samples is None else max(samples // 2, 1)
         measured = None if past is None else real_array("Spectrogram.past", past)
+        if measured is not None and measured.ndim == 0 and samples is not None:
+            measured = np.full(samples - 1, measured)
         if measured is not None and (measured.ndim not in (1, 2) or not measured.size):
             advice = "Time is axis 0. Leave past out if no sample is known."
             raise ProblemError("Spectrogram.past", f"shape {measured.shape}", "an array (P, components)", advice)
@@ -305,9 +308,7 @@ def closed_loop(
             raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
-    if past is not None and np.ndim(past) == 0:
-        past = np.full(samples - 1, real_array("closed_loop.past", past))
-    if past is not None and len(real_array("closed_loop.past", past)) < samples - 1:
+    if np.ndim(past) and len(real_array("closed_loop.past", past)) < samples - 1:
         advice = "Of the windows that are under way when the loop begins; 0 for a plant at rest."
         expected = f"at least {samples - 1} samples, or None"
         raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
