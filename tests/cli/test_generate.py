@@ -107,7 +107,7 @@ band = {kind = "notch", centre_hz = 12.0, width_hz = 8.0}
 def test_windows_of_a_problem_file_are_kept_in_c_and_measured_from_its_log(tmp_path):
     file, folder = tmp_path / "drive.toml", tmp_path / "controller"
     file.write_text(DRIVE)
-    status, out, _ = run("generate", str(file), str(folder), "--real", "float")
+    status, out, _ = run("generate", str(file), str(folder))
     assert (status, "applied torque: amplitude at most 0.03 at the points of its windows" in out) == (0, True)
     subprocess.run(
         [*compile_command("-O1", "test_controller.c", "-o", "test_controller"), "-lm"], cwd=folder, check=True
