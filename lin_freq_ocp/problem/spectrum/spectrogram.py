@@ -41,9 +41,9 @@ class Spectrogram(FrequencyConstraint):
         Samples of a window.
     hop : int, optional
         Samples from the start of one window to the start of the next; default half a window.
-    past : (P, components), or (P,) for a single one, or a number, optional
-        The samples before time 0, the last of them at time -1, in the unit of the signal. With a length, a number stands
-        for length - 1 samples; 0 is a signal at rest, of all components. Default none.
+    past : float, (P, components), or (P,) for a single one, optional
+        The samples before time 0, the last of them at time -1, in the unit of the signal. A number is that of
+        length - 1 samples; 0 is a signal at rest, of all components. Default none.
     offset : int
         Samples of the past, or of the horizon without one, before the first window begins.
 
