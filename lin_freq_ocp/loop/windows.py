@@ -21,7 +21,7 @@ from lin_freq_ocp.loop.step_problem import free_first_state, known_states, softe
 from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
 from lin_freq_ocp.methods.repair import repair_trajectory
-from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
+from lin_freq_ocp.methods.spectral.model import LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -197,17 +197,15 @@ class WindowedPlanner:
 
     def plan(self, begin: Array, change: Change | None, budget: Budget) -> WindowedPlan:
         """Return the plan from a state, (n,), with previews if any."""
-        stated, lti = (self.stated, self._spectral.lti) if change is None else self._changed(change)
+        stated, lti = self.stated, self._spectral.lti
+        if change is not None:
+            with one_blas_thread:
+                stated = change.apply(self.stated)
+                moved = self._translation.change(change, without_windows(stated))
+                lti = self._spectral.changed_problem(moved)[1]
         plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
-
-    @one_blas_thread
-    def _changed(self, change: Change) -> tuple[OptimalControlProblem, Lti]:
-        """Return the problem of a step with previews, as it is stated and as the kernel takes it."""
-        stated = change.apply(self.stated)
-        moved = self._translation.change(change, without_windows(stated))
-        return stated, self._spectral.changed_problem(moved)[1]
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts next."""
