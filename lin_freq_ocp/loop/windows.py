@@ -155,7 +155,7 @@ class WindowedPlan:
         maps = maps_of_windows(problem, entries_of(problem.control_spectrum))
         terms = [term for term in problem.terms if term.kind is TermKind.CONTROL_SPECTRUM]
         windows = self.plan.windows.sets if self.plan.windows else ()
-        for term, one, of_set, (_, found, _) in zip(terms, windows, self.plan.duals, maps, strict=True):
+        for term, one, of_set, (_, found, _) in zip(terms, windows, self.plan.duals(), maps, strict=True):
             levels = one.levels * units.u[one.component]
             turned = of_set.duals * np.exp(-1j * of_set.begins * one.frequencies[of_set.points])
             on_points = np.zeros((len(found.starts), len(found.bins)), dtype=np.complex128)

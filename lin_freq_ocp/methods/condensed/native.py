@@ -5,14 +5,15 @@ from __future__ import annotations
 import ctypes
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.condensed.tables import GRADIENT_DEPENDENCE, ROW_TOLERANCE, CondensedTables
-from lin_freq_ocp.methods.condensed.windows import FACETS, ControlWindows, WindowRows
+from lin_freq_ocp.methods.condensed.windows import FACETS, ControlWindows, WindowDuals
 from lin_freq_ocp.methods.native_code import compiled_library
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
@@ -199,11 +200,13 @@ class NativeKernel:
         return max(float(self._memory.rest) - 1, 0.0)
 
     @property
-    def window_rows(self) -> WindowRows:
-        """Return the active rows of the last step."""
-        active, rows = self._memory.active, self._indices["member"] - math.prod(self._stage)
-        oldest = self._indices["first"].copy(), self._indices["begin"].copy()
-        return WindowRows(rows[:active], self._parts["lambda"][:active].copy(), *oldest)
+    def window_duals(self) -> Callable[[], Sequence[WindowDuals]]:
+        """Return a function that reads the multipliers of each set for the last step."""
+        assert self.windows is not None
+        active, horizon, indices = self._memory.active, self.tables.loop.shape[0], self._indices
+        rows, weights = indices["member"][:active] - math.prod(self._stage), self._parts["lambda"][:active]
+        oldest = indices["first"].copy(), indices["begin"].copy()
+        return partial(self.windows.duals, horizon, rows, weights.copy(), *oldest)
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts, (m,)."""
@@ -212,12 +215,11 @@ class NativeKernel:
 
     def correct_past(self, change: Array, ago: int) -> None:
         """Add a change, (m,), to the applied control so many samples before the next plan begins."""
+        sums, windows = self._parts["sums"], self.windows.sets if self.windows else ()
         oldest = self._indices["first"], self._indices["begin"]
-        for i, (one, of_set, *at) in enumerate(zip(self._sets, self.windows.sets, *oldest, strict=True)):
+        for i, (one, of_set, *at) in enumerate(zip(self._sets, windows, *oldest, strict=True)):
             both, first = 2 * one.points, 2 * one.cell
-            for begin in of_set.begins(*at, self.tables.loop.shape[0])[:-1].tolist():
-                if 0 <= -begin - ago < one.length:
-                    self._parts["sums"][first : first + both] += (
-                        change[one.component] * self._arrays[f"wave{i}"][-begin - ago]
-                    )
+            for age in (-ago - of_set.begins(*at, self.tables.loop.shape[0])[:-1]).tolist():
+                if 0 <= age < one.length:
+                    sums[first : first + both] += change[one.component] * self._arrays[f"wave{i}"][age]
                 first += both

@@ -87,16 +87,6 @@ class WindowDuals:
 
 
 @dataclass(frozen=True, eq=False)
-class WindowRows:
-    """The active rows of a step, of which the windows have those from 0 on, and the oldest window of each set."""
-
-    rows: Indices  # (active,)
-    weights: Array  # (active,)
-    firsts: Indices  # (sets,), slots
-    begins: Indices  # (sets,), from that of the plan
-
-
-@dataclass(frozen=True, eq=False)
 class ControlWindows:
     """The limits of all controls, and the states that follow from the controls alone, (n,)."""
 
@@ -107,14 +97,17 @@ class ControlWindows:
         """Return how many points the windows of each set have."""
         return [one.slots(horizon) * len(one.frequencies) for one in self.sets]
 
-    def duals(self, active: WindowRows, horizon: int) -> list[WindowDuals]:
-        """Return the multipliers of each set."""
-        cells, facets = np.divmod(active.rows, FACETS)
-        weights, found, end = active.weights * DIRECTIONS[facets], list[WindowDuals](), 0
-        for one, count, *oldest in zip(self.sets, self.cells(horizon), active.firsts, active.begins, strict=True):
+    def duals(self, horizon: int, rows: Indices, weights: Array, first: Indices, begin: Indices) -> list[WindowDuals]:
+        """Return the multipliers of each set from the active rows, of which those from 0 on are of windows.
+
+        ``first`` are the slots of the oldest windows, and ``begin`` when these begin, (sets,).
+        """
+        (cells, facets), found, end = np.divmod(rows, FACETS), list[WindowDuals](), 0
+        for one, count, *oldest in zip(self.sets, self.cells(horizon), first, begin, strict=True):
             slots, points = np.divmod(cells - end, len(one.frequencies))
             own, end = (cells >= end) & (cells < end + count), end + count
-            found.append(WindowDuals(one.begins(*oldest, horizon)[slots[own]], points[own], weights[own]))
+            on_points = (weights * DIRECTIONS[facets])[own]
+            found.append(WindowDuals(one.begins(*oldest, horizon)[slots[own]], points[own], on_points))
         return found
 
     def integers(self, horizon: int) -> dict[str, int]:

@@ -93,15 +93,8 @@ class Dynamics(ABC):
         """Return the dynamics in words, as pairs (title, text); labels name states and controls."""
         return self.standard_form.facts(labels)
 
-    def __str__(self) -> str:
-        return f"{type(self).__name__}({'; '.join(map(': '.join, self._named_facts))})"
-
     def _repr_html_(self) -> str:
-        return html_table(type(self).__name__, self._named_facts)
-
-    @property
-    def _named_facts(self) -> list[tuple[str, str]]:
-        return self.facts([*map(short_name, self.state_names), *self.control_names])
+        return html_table(type(self).__name__, self.facts([*map(short_name, self.state_names), *self.control_names]))
 
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless data per time have ``horizon`` steps."""

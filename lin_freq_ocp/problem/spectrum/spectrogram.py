@@ -119,7 +119,7 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
-    def _known(self, count: int) -> Array:
+    def _past_columns(self, count: int) -> Array:
         """Return the past of so many components, (P, count); one component at rest stands for all."""
         past = np.zeros((0, 1)) if self.past is None else self.past
         return past if past.any() or past.shape[1] != 1 else np.zeros((len(past), count))
@@ -139,7 +139,7 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(past=past)
 
     def with_past(self, past: Array, measured: int) -> Self:
-        first = self._known(past.shape[1])
+        first = self._past_columns(past.shape[1])
         whole = np.concatenate([first, past])
         if self.length is None:
             return self.changed(past=whole[len(past) :] if len(first) else None, offset=0)
@@ -154,7 +154,7 @@ class Spectrogram(FrequencyConstraint):
         return f"{self.bound.describe(names)}; on {of}{past}"
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
-        past = None if self.past is None else with_columns(self._known(n), k)
+        past = None if self.past is None else with_columns(self._past_columns(n), k)
         bounds = self.bound.on_components(n)
         return [self.changed(bound=bound, component=bound.component, past=past) for bound in bounds]
 
@@ -208,7 +208,7 @@ class Spectrogram(FrequencyConstraint):
 
     def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array, Array | float]]:
         count, samples = len(signal.names), signal.length
-        past = self._known(count)
+        past = self._past_columns(count)
         if past.shape[1] != count:
             raise ProblemError(f"{field}.past", f"shape {past.shape}", f"shape ({len(past)}, {count})")
         length = len(past) + samples - self.offset if self.length is None else self.length
