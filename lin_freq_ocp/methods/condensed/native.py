@@ -217,9 +217,9 @@ class NativeKernel:
         """Add a change, (m,), to the applied control so many samples before the next plan begins."""
         sums, windows = self._parts["sums"], self.windows.sets if self.windows else ()
         oldest = self._indices["first"], self._indices["begin"]
-        for i, (one, of_set, *at) in enumerate(zip(self._sets, windows, *oldest, strict=True)):
+        for i, (one, of_set, slot, begin) in enumerate(zip(self._sets, windows, *oldest, strict=True)):
             both, first = 2 * one.points, 2 * one.cell
-            for age in (-ago - of_set.begins(*at, self.tables.loop.shape[0])[:-1]).tolist():
+            for age in (-ago - of_set.begins(slot, begin, self.tables.loop.shape[0])[:-1]).tolist():
                 if 0 <= age < one.length:
                     sums[first : first + both] += change[one.component] * self._arrays[f"wave{i}"][age]
                 first += both

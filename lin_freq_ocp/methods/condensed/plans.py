@@ -135,7 +135,7 @@ class CondensedSolver:
     def __getstate__(self) -> dict[str, object]:
         """Return what another process needs; the kernel is made anew."""
         kept = {name: getattr(self, name) for name in ("units", "windows", "setup_seconds")}
-        return kept | {"tables": self.kernel.tables}
+        return {**kept, "tables": self.kernel.tables}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         tables = state.pop("tables")

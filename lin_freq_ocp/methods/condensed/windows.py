@@ -103,11 +103,11 @@ class ControlWindows:
         ``first`` are the slots of the oldest windows, and ``begin`` when these begin, (sets,).
         """
         (cells, facets), found, end = np.divmod(rows, FACETS), list[WindowDuals](), 0
-        for one, count, *oldest in zip(self.sets, self.cells(horizon), first, begin, strict=True):
+        for one, count, oldest, when in zip(self.sets, self.cells(horizon), first, begin, strict=True):
             slots, points = np.divmod(cells - end, len(one.frequencies))
             own, end = (cells >= end) & (cells < end + count), end + count
-            on_points = (weights * DIRECTIONS[facets])[own]
-            found.append(WindowDuals(one.begins(*oldest, horizon)[slots[own]], points[own], on_points))
+            on_points = np.asarray(weights[own] * DIRECTIONS[facets[own]], dtype=np.complex128)
+            found.append(WindowDuals(one.begins(oldest, when, horizon)[slots[own]], points[own], on_points))
         return found
 
     def integers(self, horizon: int) -> dict[str, int]:

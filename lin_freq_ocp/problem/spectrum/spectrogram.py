@@ -308,7 +308,7 @@ def closed_loop(
             raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
-    if np.ndim(past) and len(real_array("closed_loop.past", past)) < samples - 1:
+    if past is not None and np.ndim(past) and len(real_array("closed_loop.past", past)) < samples - 1:
         advice = "Of the windows that are under way when the loop begins; 0 for a plant at rest."
         expected = f"at least {samples - 1} samples, or None"
         raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
