@@ -310,7 +310,7 @@ def closed_loop(
     samples = positive_integer("closed_loop.length", length)
     if past is not None and np.ndim(past) and len(real_array("closed_loop.past", past)) < samples - 1:
         advice = "Of the windows that are under way when the loop begins; 0 for a plant at rest."
-        expected = f"at least {samples - 1} samples, or None"
+        expected = f"at least {samples - 1} samples, 0 or None"
         raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
     taper = np.hanning(samples).sum()
     bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling, edges=True)
