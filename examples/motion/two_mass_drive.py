@@ -76,9 +76,7 @@ free = lfo.OptimalControlProblem(
     initial_state=[0.3, 0.0],
     name="two-mass drive",
 )
-limit = lfo.spectrum.closed_loop(
-    BAND, AMPLITUDE, SAMPLING, length=LENGTH, past=np.zeros(LENGTH - 1)
-)
+limit = lfo.spectrum.closed_loop(BAND, AMPLITUDE, SAMPLING, length=LENGTH, past=0)
 limited = replace(free, control_spectrum=limit)
 
 

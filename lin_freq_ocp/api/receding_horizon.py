@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, final
@@ -17,10 +15,10 @@ from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import raise_for
 from lin_freq_ocp.base.activity import activity, report_progress
 from lin_freq_ocp.base.arrays import Array, positive_integer, real_array
-from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.names import ByName
 from lin_freq_ocp.base.phrases import html_table
+from lin_freq_ocp.files.solution_files import write_table
 from lin_freq_ocp.loop.controller import Controller
 from lin_freq_ocp.loop.record import LoopRecord, plant_of
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -69,11 +67,8 @@ class ClosedLoop(LoopRecord):
 
     def to_csv(self, path: str | PathLike[str]) -> None:
         """Write a row for each step, with its state, control, status, cost, gap and times."""
-        rows, text = self.table, StringIO()
-        writer = csv.DictWriter(text, fieldnames=list(rows[0]) if rows else ["step"])
-        writer.writeheader()
-        writer.writerows(rows)
-        write_text(Path(path), text.getvalue())
+        rows = self.table
+        write_table(path, rows[0] if rows else ["step"], (row.values() for row in rows))
 
     def __repr__(self) -> str:
         ended = f", stopped: {self.stopped}" if self.stopped else ""

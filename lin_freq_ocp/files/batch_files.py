@@ -7,8 +7,6 @@ A finished sweep is also written as a table, and as a JSON object.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 from abc import ABC, abstractmethod
@@ -21,7 +19,7 @@ from types import TracebackType
 from typing import Generic, Self, TypeVar, get_type_hints
 
 from lin_freq_ocp.base.arrays import brief, to_shape
-from lin_freq_ocp.base.atomic import lock_file, report_write_errors, write_text
+from lin_freq_ocp.base.atomic import lock_file, report_write_errors
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.batch.grid import grid_points, point_key
 from lin_freq_ocp.batch.many import Item
@@ -36,7 +34,7 @@ from lin_freq_ocp.files.reading import (
     require_file,
     require_keys,
 )
-from lin_freq_ocp.files.solution_files import header
+from lin_freq_ocp.files.solution_files import write_table
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
@@ -205,14 +203,7 @@ def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
 
 def save_sweep_csv(path: str | PathLike[str], sweep: SweepOutcome) -> None:
     """Write a line per row, parameters first; numbers with all digits, absent values empty."""
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(map(header, (*sweep.names, *MEASURED)))
-    for row in sweep.table():
-        # No spreadsheet takes a cell for a formula; "-inf" is a number
-        texts = {name for name, value in row.items() if isinstance(value, str) and value not in ("-inf", "inf", "nan")}
-        writer.writerow([header(str(value)) if name in texts else value for name, value in row.items()])
-    write_text(path, text.getvalue())
+    write_table(path, (*sweep.names, *MEASURED), (row.values() for row in sweep.table()))
 
 
 def sweep_summary(sweep: SweepOutcome) -> FileTable:

@@ -11,7 +11,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from os import PathLike
@@ -33,6 +33,7 @@ from lin_freq_ocp.transform.simulation import simulate
 CLOCK_TOLERANCE = 0.1  # error of a clock in periods since its first time: times are rounded, a wrong rate adds up
 
 STEP, SECONDS = "t", "time [s]"  # columns that count the steps and the seconds; either may be missing
+NOT_FINITE = ("-inf", "inf", "nan")
 FORMULAS = ("=", "+", "-", "@", "'")  # first characters of cells that a spreadsheet evaluates, or takes for a quote
 
 SCHEMA = 2  # version of the layout of the .npz; earlier ones are read
@@ -312,13 +313,20 @@ def save_csv(path: str | PathLike[str], problem: OptimalControlProblem, trajecto
     Columns: t, the time in seconds if the problem has a sampling time, states, controls (empty at t = T).
     """
     problem.require(trajectory)
-    step, text = problem.sampling_time, io.StringIO()
+    step, controls = problem.sampling_time, [*trajectory.u.tolist(), [""] * problem.control_dim]
     clock = [] if step is None else [SECONDS]
-    controls = [*trajectory.u.tolist(), [""] * problem.control_dim]
+    rows = enumerate(zip(trajectory.x.tolist(), controls, strict=True))
+    table = ([t, *(t * step for _ in clock if step), *x, *u] for t, (x, u) in rows)
+    write_table(path, [STEP, *clock, *problem.state_names, *problem.control_names], table)
+
+
+def write_table(path: str | PathLike[str], names: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a CSV table with all digits, in which no spreadsheet takes a cell for a formula; "-inf" is a number."""
+    text = io.StringIO()
     table = csv.writer(text)
-    table.writerow([STEP, *clock, *map(header, (*problem.state_names, *problem.control_names))])
-    for t, (x, u) in enumerate(zip(trajectory.x.tolist(), controls, strict=True)):
-        table.writerow([t, *([] if step is None else [t * step]), *x, *u])
+    table.writerow(map(header, names))
+    for row in rows:
+        table.writerow([header(one) if isinstance(one, str) and one not in NOT_FINITE else one for one in row])
     write_text(path, text.getvalue())
 
 

@@ -134,7 +134,7 @@ class Controller:
         if self.delay:  # the state to which the last control leads
             begin = self._step(0, x, self._applied[-1] if self._applied else np.zeros(self.problem.control_dim))
         if self._planner is not None:
-            self._record(self._windowed_step(self._planner, x, begin, preview, started), preview)
+            self._record(self._windowed_step(self._planner, x, begin, preview, started))
             return self._steps[-1], None
         if plain and not self._remembers:
             for resolver in self._trees:  # the hard problem, then the soft one
@@ -146,7 +146,7 @@ class Controller:
             if quick is not None and quick.plan is not None:
                 self._hard.note_moves(quick.plan)
         if quick is not None:
-            self._record(quick, preview)
+            self._record(replace(quick, reference=self._reference(preview)))
             return self._steps[-1], None
         hard, soft = self._answers(x, begin, preview)
         outcome, solved = hard if soft is None else soft, now()
@@ -176,8 +176,9 @@ class Controller:
             excess=excess(translation_of(outcome.problem), plan) if soft is not None else {},
             nodes=sum(self._trees[one].solved for one, answer in parts if one and answer),
             plan=plan,
+            reference=self._reference(preview),
         )
-        self._record(step, preview)
+        self._record(step)
         return step, outcome
 
     def _windowed_planner(self) -> WindowedPlanner | None:
@@ -202,8 +203,10 @@ class Controller:
         control = limits.clip(begin, found.control)
         planner.apply(control)
         plan, source, ended = found.plan, Source.SOFTENED if found.exceeded else Source.PLAN, now()
-        step = Step(x, control, None, source, "condensed", solve_seconds=ended - started, changes=plan.changes)
-        step = replace(step, pending=found, raised=found.raised > EXCEEDED)
+        step = Step(
+            x, control, None, source, "condensed", solve_seconds=ended - started, changes=plan.changes,
+            pending=found, reference=self._reference(preview), raised=found.raised > EXCEEDED,
+        )  # fmt: skip
         if step.raised and not self._steps:
             exceeds = (
                 f"control_spectrum: the past exceeds the level of a window by {100 * found.raised:.0f} % at step 0"
@@ -218,13 +221,16 @@ class Controller:
             step = replace(step, status=status, source=Source.BEST_POINT, pending=None)
         return replace(step, plan=found.trajectory)
 
-    def _record(self, step: Step, preview: Change) -> None:
-        """Append a step with its reference; of the plans only the last is needed."""
+    def _reference(self, preview: Change) -> Array:
+        """Return the reference of the states in the cost where a plan begins, (n,)."""
         x_ref = np.asarray((preview.references or {}).get("x_ref", self.problem.quadratic.x_ref), dtype=float)
-        reference = np.broadcast_to(x_ref[0] if x_ref.ndim == 2 else x_ref, step.state.shape)
+        return np.zeros(self.problem.state_dim) + (x_ref[0] if x_ref.ndim == 2 else x_ref)
+
+    def _record(self, step: Step) -> None:
+        """Append a step; of the plans only the last is needed."""
         if self._steps and self._steps[-1].plan is not None:
             self._steps[-1] = replace(self._steps[-1], plan=None)
-        self._steps.append(replace(step, reference=reference))
+        self._steps.append(step)
         self._applied.append(step.control)
 
     def _condensed_step(self, x: Array, begin: Array, started: float) -> Step | None:

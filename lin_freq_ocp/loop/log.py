@@ -264,9 +264,8 @@ def _windowed_verdicts(
     for k, status in enumerate(log.statuses):
         found = planner.plan(starts[k], None, UNLIMITED)
         planner.apply(log.controls[k])
-        unknown = (
-            status is StepStatus.PLANNED and found.raised > REPORTED
-        )  # the rest of the plan before: of a capped step
+        # the rest of the plan before is not known: that of a capped step
+        unknown = status is StepStatus.PLANNED and found.raised > REPORTED
         if status is StepStatus.NO_STATE or unknown or not found.plan.settled:
             continue
         outcome = found.certified(None)

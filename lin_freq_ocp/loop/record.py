@@ -274,20 +274,15 @@ class LoopRecord:
     def table(self) -> list[dict[str, object]]:
         """Return a flat row for each step, for pandas.DataFrame."""
         names = [*self.problem.state_names, *self.problem.control_names]
+        fields = "method", "cost", "gap", "nodes", "changes", "excess", "solve_seconds", "certify_seconds"
         return [
             {
                 "step": k,
                 **dict(zip(names, [*step.state.tolist(), *step.control.tolist()], strict=True)),
                 "status": NOT_JUDGED if step.status is None else str(step.status),
                 "source": str(step.source),
-                "method": step.method,
-                "cost": step.cost,
-                "gap": step.gap,
-                "nodes": step.nodes,
-                "changes": step.changes,
+                **{name: getattr(step, name) for name in fields},
                 "excess": sum(step.excess.values()),
-                "solve_seconds": step.solve_seconds,
-                "certify_seconds": step.certify_seconds,
             }
             for k, step in enumerate(self.steps)
         ]

@@ -155,7 +155,7 @@ class WindowedPlan:
         maps = maps_of_windows(problem, entries_of(problem.control_spectrum))
         terms = [term for term in problem.terms if term.kind is TermKind.CONTROL_SPECTRUM]
         windows = self.plan.windows.sets if self.plan.windows else ()
-        for term, one, of_set, (_, found, _) in zip(terms, windows, self.plan.duals, maps, strict=True):
+        for term, one, of_set, (_, found, _) in zip(terms, windows, self.plan.duals(), maps, strict=True):
             levels = one.levels * units.u[one.component]
             turned = of_set.duals * np.exp(-1j * of_set.begins * one.frequencies[of_set.points])
             on_points = np.zeros((len(found.starts), len(found.bins)), dtype=np.complex128)
@@ -195,14 +195,14 @@ class WindowedPlanner:
         none = np.zeros((delay, problem.control_dim))
         self._spectrum = [one.with_past(none, 0) for one in entries_of(problem.control_spectrum)]
 
-    @one_blas_thread
     def plan(self, begin: Array, change: Change | None, budget: Budget) -> WindowedPlan:
         """Return the plan from a state, (n,), with previews if any."""
         stated, lti = self.stated, self._spectral.lti
         if change is not None:
-            stated = change.apply(self.stated)
-            moved = self._translation.change(change, without_windows(stated))
-            lti = self._spectral.changed_problem(moved)[1]
+            with one_blas_thread:
+                stated = change.apply(self.stated)
+                moved = self._translation.change(change, without_windows(stated))
+                lti = self._spectral.changed_problem(moved)[1]
         plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
@@ -211,7 +211,7 @@ class WindowedPlanner:
         """Go on to the next step with the control that acts next."""
         units = self._solver.units.u
         chosen = self._solver.kernel.plan_of_controls * units
-        self._rest = np.vstack([chosen[1:], chosen[-1:]])
+        self._rest = np.concatenate([chosen[1:], chosen[-1:]])
         self._spectrum = [one.with_past(u[None], 0) for one in self._spectrum]
         self._solver.kernel.apply(u / units)
 

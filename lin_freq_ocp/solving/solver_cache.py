@@ -97,7 +97,7 @@ class SolverCache:
         except (ProblemError, UnsupportedError):
             return None
         started = now()
-        answer = condensed.answer(changed.initial_box.lower, lti)
+        answer = condensed.plan(changed.initial_box.lower, lti)
         if answer is None:
             return None
         seconds = {"setup": condensed.setup_seconds, "solve": now() - started}
@@ -125,7 +125,8 @@ class SolverCache:
         """
         if self._condensed is None or self._solver is None or not self.plans:
             return None
-        return self._condensed.plan(start, self._solver.lti, budget)
+        plan = self._condensed.plan(start, self._solver.lti, budget)
+        return plan if plan is not None and plan.eta_C else None
 
     def _changes_rows(self, problem: OptimalControlProblem, change: Change) -> bool:
         """Whether a changed set is one that a reduction turns into rows, which the solver keeps as they were.

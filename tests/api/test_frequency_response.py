@@ -45,6 +45,8 @@ def test_what_cannot_hold_is_explained_with_the_least_change(wave):
 
 def test_facts_say_what_is_known(wave):
     facts = wave._repr_html_()
+    assert str(wave.dynamics).startswith("frequency response: y = G u")
+    assert len(str(wave.dynamics)) < 120
     assert "frequency response: y = G u + g at 51 bins, periodic, 1 output, 1 control" in facts
     assert "starts anywhere" not in facts
 

@@ -312,6 +312,9 @@ def test_a_loop_is_shown_saved_and_tabulated(images, tmp_path):
     rows = (tmp_path / "loop.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 13
     assert "force [N]" in rows[0]
+    formula = replace(base, dynamics=replace(base.linear, control_names=["=1+1"]))
+    replace(loop, problem=formula).to_csv(tmp_path / "loop.csv")
+    assert ",'=1+1," in (tmp_path / "loop.csv").read_text(encoding="utf-8").splitlines()[0]
     assert len(loop.plot().axes) == 7  # control, spectrogram and its scale, two states, times, gaps
     assert repr(loop) == "ClosedLoop(12 steps of a problem)"
 

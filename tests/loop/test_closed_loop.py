@@ -108,6 +108,31 @@ def test_what_does_not_fit_is_named(arguments, field):
         lfo.spectrum.closed_loop(*arguments)
 
 
+@pytest.mark.parametrize(
+    ("past", "words"), [("0", "got '0'; expected numbers"), (np.nan, "got nan; expected a finite")]
+)
+def test_a_past_that_is_no_number_is_named(past, words):
+    with pytest.raises(lfo.errors.ProblemError, match=rf"Spectrogram\.past: {words}"):
+        lfo.spectrum.closed_loop(NOTCH, 0.1, SAMPLING, past=past)
+
+
+@pytest.mark.parametrize("controls", [1, 2])
+def test_a_past_of_zero_is_that_of_all_controls_at_rest(controls):
+    plant = lfo.LinearDynamics(np.eye(2), np.array([[1.0, 0.5], [0.0, 1.0]])[:, :controls], sampling_time=SAMPLING)
+    found = {}
+    for name, past in {"number": 0, "array": np.zeros((19, controls)), "none": None}.items():
+        limit = lfo.spectrum.closed_loop(NOTCH, 0.02, SAMPLING, length=20, past=past)
+        cost, box = lfo.QuadraticCost(Q=np.eye(2), R=0.1), lfo.Box(-1, 1)
+        problem = lfo.OptimalControlProblem(plant, 22, cost, box, initial_state=[1, 1], control_spectrum=limit)
+        loop = lfo.RecedingHorizon(lfo.rate_limited(problem, 0.5, previous=0.0), certify="later")
+        found[name] = loop.run([1.0, 1.0], 8).controls
+        assert set(loop.certify().statuses) == {"optimal"}
+    np.testing.assert_array_equal(found["number"], found["array"])
+    assert np.abs(found["number"] - found["none"]).max() > 0.01
+    with pytest.raises(lfo.errors.ProblemError, match=r"12 to come; expected .* past=0 of closed_loop"):
+        lfo.solve(replace(problem, horizon=12))
+
+
 @cache
 def noisy_and_soft():
     return noisy(oscillating_mass(control_spectrum=LIMIT.softened(1e-3)))

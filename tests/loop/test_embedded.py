@@ -392,12 +392,48 @@ def compiles(folder: Path, text: str, *options: str) -> bool:
     return not subprocess.run(command, cwd=folder, capture_output=True).returncode
 
 
+def windows() -> lfo.OptimalControlProblem:
+    """Return the drive of two masses with limits on windows of its torque."""
+    limit = lfo.spectrum.closed_loop(lfo.spectrum.notch(centre_hz=12, width_hz=8), 0.03, 0.005, length=40, past=0)
+    return replace(lfo.library.two_mass_drive(horizon=20), control_spectrum=limit)
+
+
+COMPILERS = {
+    "gcc": ["gcc", "-std=c99"],
+    "clang": ["clang", "-std=c99"],
+    "gcc, 32 bits": ["gcc", "-std=c99", "-m32"],
+    "clang, 32 bits": ["clang", "-std=c99", "-m32"],
+}
+
+
+@expensive
+@needs_kernel
+@pytest.mark.parametrize("real", APART)
+@pytest.mark.parametrize("name", COMPILERS)
+def test_every_compiler_takes_the_sources_without_a_warning_and_the_test_passes(tmp_path, name, real):
+    command = [*COMPILERS[name], *compile_command()[2:], "test_controller.c", "-o", "test_controller", "-lm"]
+    (tmp_path / "empty.c").write_text("#include <stdio.h>\nint main(void) { return 0; }\n")
+    if (
+        shutil.which(command[0]) is None
+        or subprocess.run([*COMPILERS[name], "empty.c", "-o", "empty"], cwd=tmp_path, capture_output=True).returncode
+    ):
+        pytest.skip(f"no {name}")
+    lfo.generate(controller(lfo.rate_limited(windows(), 0.9, previous=0.0)), tmp_path / "out", real)
+    done = subprocess.run(command, cwd=tmp_path / "out", capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    ran = subprocess.run(["./test_controller"], cwd=tmp_path / "out", capture_output=True, text=True)
+    assert (ran.returncode, "100 of 100 steps planned" in ran.stdout) == (0, True)
+
+
 @expensive
 @needs_compiler
-@pytest.mark.parametrize(("name", "real"), [("rate limit", "float"), ("two controls", "double")])
+@pytest.mark.parametrize(
+    ("name", "real"), [("rate limit", "float"), ("two controls", "double"), ("windows", "float"), ("windows", "double")]
+)
 def test_sizes_are_those_of_the_compiler(tmp_path, name, real):
     """The struct has the size that is stated; more than the allowed memory does not compile."""
-    written = lfo.generate(controller(LOOPS[name]()), tmp_path, real, memory="64k")
+    problem = windows() if name == "windows" else LOOPS[name]()
+    written = lfo.generate(controller(problem), tmp_path, real, memory="64k")
     arrays = len(re.findall(r"\bX\(\w+, ", (tmp_path / "lfo_kernel.h").read_text())) + 1
     excess = f"(int)sizeof(controller) - {written.ram} - (sizeof(void *) > 4 ? {4 * arrays} : 0)"  # pointers of 8 bytes
     near = f"{excess} <= 12 && {excess} >= -12"  # at most 12 bytes to align

@@ -108,7 +108,7 @@ def test_the_worth_of_a_plan_is_its_cost_and_its_violation(name):
     problem = LOOPS[name]()
     spectral = lfo.SpectralSolver(problem)
     solver = CondensedSolver(spectral.lti, spectral.units)
-    plans = [plan for plan in (solver.plan(x, spectral.lti) for x in states(problem, 6)) if plan is not None]
+    plans = [plan for plan in (solver.plan(x, spectral.lti) for x in states(problem, 6)) if plan and plan.eta_C]
     first = plans[0]
     for plan in plans:
         violation, cost = plan.tables.worth(plan.start / plan.units.x, plan.v)

@@ -109,13 +109,11 @@ static void complete(controller *c, const lfo_real *measured, lfo_real *x) {
 }
 
 {% endif %}
+int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEASURED)],
 {% if references %}
-int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEASURED)],
-                    const lfo_real reference[CONTROLLER_LENGTH(MEASURED)], lfo_real u[CONTROLLER_LENGTH(M)]) {
-{% else %}
-int controller_step(controller *c, const lfo_real measured[CONTROLLER_LENGTH(MEASURED)],
-                    lfo_real u[CONTROLLER_LENGTH(M)]) {
+                    const lfo_real reference[CONTROLLER_LENGTH(MEASURED)],
 {% endif %}
+                    lfo_real u[CONTROLLER_LENGTH(M)]) {
 {% if known or windows %}
   lfo_real x[N];
 {% else %}

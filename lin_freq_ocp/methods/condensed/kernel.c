@@ -109,21 +109,26 @@ static int begin_of(const lfo_model *p, const lfo_memory *s, const lfo_windows *
   return slot == ring ? p->T - 1 : s->begin[i] + (slot - s->first[i] + ring) % ring * w->hop;
 }
 
-static facet facet_of(const lfo_model *p, const lfo_memory *s, int row) {
+static void turn(facet *f, int part) {
   static const lfo_real circle[] = {(lfo_real)1, (lfo_real)0.92387953251128674, (lfo_real)0.70710678118654752,
                                     (lfo_real)0.38268343236508977, (lfo_real)0};
-  int number = row - stage_rows(p), cell = number / LFO_FACETS, part = number % LFO_FACETS, eighth = part % 8;
-  const lfo_windows *w = windows_of(p, cell);
-  int slot = (cell - w->cell) / w->points;
-  facet f;
+  int eighth = part % 8;
   lfo_real turned = part < 8 ? 1 : -1;
+  f->cosine = turned * (eighth <= 4 ? circle[eighth] : -circle[8 - eighth]);
+  f->sine = turned * (eighth <= 4 ? circle[4 - eighth] : circle[eighth - 4]);
+}
+
+static facet facet_of(const lfo_model *p, const lfo_memory *s, int row) {
+  int cell = (row - stage_rows(p)) / LFO_FACETS, slot;
+  const lfo_windows *w = windows_of(p, cell);
+  facet f;
+  slot = (cell - w->cell) / w->points;
   f.w = w;
   f.cell = cell;
   f.begin = begin_of(p, s, w, slot);
   f.re = cell + w->cell + slot * w->points;
   f.im = f.re + w->points;
-  f.cosine = turned * (eighth <= 4 ? circle[eighth] : -circle[8 - eighth]);
-  f.sine = turned * (eighth <= 4 ? circle[4 - eighth] : circle[eighth - 4]);
+  turn(&f, (row - stage_rows(p)) % LFO_FACETS);
   return f;
 }
 
@@ -180,15 +185,18 @@ static int window_sweep(const lfo_model *p, lfo_memory *s, candidate *queue, int
       if (begin_of(p, s, w, slot) >= p->T) continue;
       for (int point = 0; point < w->points; point++) {
         int cell = w->cell + slot * w->points + point, re = cell + w->cell + slot * w->points, im = re + w->points;
-        if (s->V[re] * s->V[re] + s->V[im] * s->V[im] <= LEVEL * LEVEL) continue;
-        for (int row = stage_rows(p) + cell * LFO_FACETS, end = row + LFO_FACETS; row < end; row++) {
-          facet f = facet_of(p, s, row);
-          lfo_real y = facet_value(&f, s->V), violation = y - s->level[cell];
-          if (s->flag[row] || violation <= p->tolerance || violation <= worst.violation) continue;
-          worst.row = row;
+        int row = stage_rows(p) + cell * LFO_FACETS;
+        lfo_real known = s->level[cell] + (worst.violation > 0 ? worst.violation : p->tolerance);
+        facet f;
+        if (s->V[re] * s->V[re] + s->V[im] * s->V[im] <= known * known) continue;
+        f = facet_of(p, s, row);
+        for (int i = 0; i < LFO_FACETS; i++) {
+          lfo_real y = (turn(&f, i), facet_value(&f, s->V));
+          if (s->flag[row + i] || y <= known) continue;
+          worst.row = row + i;
           worst.state = 1;
-          worst.y = y;
-          worst.violation = violation;
+          worst.y = known = y;
+          worst.violation = y - s->level[cell];
         }
       }
       count = queued(queue, count, &worst);
@@ -552,10 +560,12 @@ static void begin_windows(const lfo_model *p, lfo_memory *s) {
       for (int point = 0; point < w->points; point++) {
         int cell = w->cell + slot * w->points + point, row = stage_rows(p) + cell * LFO_FACETS;
         lfo_real re = V[point], im = V[w->points + point], *level = s->level + cell;
+        facet f;
         *level = LEVEL;
-        for (int i = 0; begin < p->T && re * re + im * im > LEVEL * LEVEL && i < LFO_FACETS; i++) {
-          facet f = facet_of(p, s, row + i);
-          lfo_real y = facet_value(&f, s->V_old);
+        if (begin >= p->T || re * re + im * im <= LEVEL * LEVEL) continue;
+        f = facet_of(p, s, row);
+        for (int i = 0; i < LFO_FACETS; i++) {
+          lfo_real y = (turn(&f, i), facet_value(&f, s->V_old));
           if (y > s->rest * LEVEL) s->rest = y / LEVEL;
           if (y > *level && y > LEVEL * (1 + LFO_RAISED * p->tolerance)) *level = y; /* rounding alone does not add up */
         }
@@ -615,19 +625,19 @@ static lfo_real part_of_way(const lfo_model *p, lfo_memory *s, const lfo_real *x
     }
   }
   if (moved) all_windows(p, s, s->control, s->V);
-  for (int cell = 0; cell < p->cells; cell++) {
-    int row = stage_rows(p) + cell * LFO_FACETS;
-    facet f = facet_of(p, s, row);
-    lfo_real re = s->V[f.re], im = s->V[f.im], bound = s->level[cell] + (solved ? p->tolerance : 0);
-    if (f.begin >= p->T || re * re + im * im <= LEVEL * LEVEL) continue;
-    if (bound < LEVEL * (1 + slack)) bound = LEVEL * (1 + slack);
-    for (int i = 0; i < LFO_FACETS; i++) {
-      lfo_real old;
-      f = facet_of(p, s, row + i);
-      old = facet_value(&f, s->V_old);
-      shorten(&part, old, facet_value(&f, s->V) - old, bound);
+  for (const lfo_windows *w = p->windows; w < p->windows + p->sets; w++)
+    for (int cell = w->cell; cell < w->cell + w->slots * w->points; cell++) {
+      int at = cell + w->cell + (cell - w->cell) / w->points * w->points;
+      lfo_real re = s->V[at], im = s->V[at + w->points], bound = s->level[cell] + (solved ? p->tolerance : 0);
+      facet f;
+      if (re * re + im * im <= LEVEL * LEVEL) continue;
+      f = facet_of(p, s, stage_rows(p) + cell * LFO_FACETS);
+      if (bound < LEVEL * (1 + slack)) bound = LEVEL * (1 + slack);
+      for (int i = 0; f.begin < p->T && i < LFO_FACETS; i++) {
+        lfo_real old = (turn(&f, i), facet_value(&f, s->V_old));
+        shorten(&part, old, facet_value(&f, s->V) - old, bound);
+      }
     }
-  }
   return part;
 }
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import ctypes
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.methods.condensed.tables import GRADIENT_DEPENDENCE, ROW_TOLERANCE, CondensedTables
-from lin_freq_ocp.methods.condensed.windows import DIRECTIONS, FACETS, ControlWindows, WindowDuals
+from lin_freq_ocp.methods.condensed.windows import FACETS, ControlWindows, WindowDuals
 from lin_freq_ocp.methods.native_code import compiled_library
 
 NONE = 1e30  # LFO_NONE of kernel.h: no bound, or no limit of a multiplier
@@ -198,25 +199,14 @@ class NativeKernel:
         """Return by how much past and rest of the plan before exceed the level of a window, relative; at least 0."""
         return max(float(self._memory.rest) - 1, 0.0)
 
-    def begins(self, i: int) -> Indices:
-        """Return the begins of the windows of a set from that of the plan, (slots,)."""
-        one, T = self._sets[i], self.tables.loop.shape[0]
-        ring = (np.arange(one.slots - 1) - self._indices["first"][i]) % (one.slots - 1)
-        return np.append(self._indices["begin"][i] + ring * one.hop, T - 1)
-
     @property
-    def window_duals(self) -> list[WindowDuals]:
-        """Return the multipliers of each set for the last step."""
-        rows, first = self._indices["member"][: self._memory.active], math.prod(self._stage)
-        of_windows = rows >= first
-        cells, facets = np.divmod(rows[of_windows] - first, FACETS)
-        weights = np.asarray(self._parts["lambda"][: len(rows)][of_windows] * DIRECTIONS[facets], dtype=np.complex128)
-        found = list[WindowDuals]()
-        for i, one in enumerate(self._sets):
-            own = (cells >= one.cell) & (cells < one.cell + one.slots * one.points)
-            slots, points = np.divmod(cells[own] - one.cell, one.points)
-            found.append(WindowDuals(self.begins(i)[slots], points, weights[own]))
-        return found
+    def window_duals(self) -> Callable[[], Sequence[WindowDuals]]:
+        """Return a function that reads the multipliers of each set for the last step."""
+        assert self.windows is not None
+        active, horizon, indices = self._memory.active, self.tables.loop.shape[0], self._indices
+        rows, weights = indices["member"][:active] - math.prod(self._stage), self._parts["lambda"][:active]
+        oldest = indices["first"].copy(), indices["begin"].copy()
+        return partial(self.windows.duals, horizon, rows, weights.copy(), *oldest)
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts, (m,)."""
@@ -225,11 +215,11 @@ class NativeKernel:
 
     def correct_past(self, change: Array, ago: int) -> None:
         """Add a change, (m,), to the applied control so many samples before the next plan begins."""
-        for i, one in enumerate(self._sets):
+        sums, windows = self._parts["sums"], self.windows.sets if self.windows else ()
+        oldest = self._indices["first"], self._indices["begin"]
+        for i, (one, of_set, slot, begin) in enumerate(zip(self._sets, windows, *oldest, strict=True)):
             both, first = 2 * one.points, 2 * one.cell
-            for begin in self.begins(i)[:-1].tolist():
-                if 0 <= -begin - ago < one.length:
-                    self._parts["sums"][first : first + both] += (
-                        change[one.component] * self._arrays[f"wave{i}"][-begin - ago]
-                    )
+            for age in (-ago - of_set.begins(slot, begin, self.tables.loop.shape[0])[:-1]).tolist():
+                if 0 <= age < one.length:
+                    sums[first : first + both] += change[one.component] * self._arrays[f"wave{i}"][age]
                 first += both

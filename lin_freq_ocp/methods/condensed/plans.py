@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Plan:
     settled: bool = True  # whether the working set is the optimal one; else v is where the budget ended
     eta_C: float = 1.0
     windows: ControlWindows | None = None
-    duals: Sequence[WindowDuals] = ()  # of the windows
+    duals: Callable[[], Sequence[WindowDuals]] = tuple  # of the windows, which are read when the plan is judged
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -68,9 +68,8 @@ class Plan:
     def following(self, last: Trajectory) -> Plan:
         """Return the rest of the last plan from this state, with the feedback of the tables, its last v repeated."""
         v = last.u / self.units.u - (last.x[:-1] / self.units.x) @ self.tables.loop.K.T
-        return unsettled_plan(
-            self.tables, self.units, self.start, np.concatenate([v[1:], v[-1:]]).ravel(), self.changes
-        )
+        rest = np.concatenate([v[1:], v[-1:]]).ravel()
+        return unsettled_plan(self.tables, self.units, self.start, rest, self.changes)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -83,7 +82,7 @@ class Plan:
         """Return the plan with its multipliers, or the ray, for the judge of the problem that it solves."""
         tables, units, lti = self.tables, self.units, self.tables.loop.lti
         forces = np.zeros((tables.loop.shape[0], 1, tables.loop.shape[2]))
-        for one, of_set in zip(self.windows.sets if self.windows else (), self.duals, strict=False):
+        for one, of_set in zip(self.windows.sets if self.windows else (), self.duals(), strict=False):
             forces[:, 0, one.component] += one.forces(of_set, len(forces))
         start, v = (self.start / units.x)[None], self.v[:, None]
         found = tables.recover(start, v, self.weights[..., None], self.eta_C, forces)
@@ -135,12 +134,8 @@ class CondensedSolver:
 
     def __getstate__(self) -> dict[str, object]:
         """Return what another process needs; the kernel is made anew."""
-        return {
-            "units": self.units,
-            "windows": self.windows,
-            "setup_seconds": self.setup_seconds,
-            "tables": self.kernel.tables,
-        }
+        kept = {name: getattr(self, name) for name in ("units", "windows", "setup_seconds")}
+        return {**kept, "tables": self.kernel.tables}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         tables = state.pop("tables")
@@ -178,17 +173,12 @@ class CondensedSolver:
     def plan(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
         """Return the plan from an initial state, (n,), with the other data of lti in the same units.
 
-        None if these differ in more than ends, references, offsets and bounds, or if the working set does not settle.
-        Where a limited budget ends before, the plan is not ``settled``.
+        Or the claim, with eta_C = 0, that the rows contradict each other. None if the data differ in more than ends,
+        references, offsets and bounds, or if the working set does not settle. Where a limited budget ends before, the
+        plan is not ``settled``.
         """
-        answer = self.answer(start, lti, budget)
-        return answer if answer is not None and answer.eta_C else None
-
-    def answer(self, start: Array, lti: Lti, budget: Budget = UNLIMITED) -> Plan | None:
-        """Return the plan as ``plan`` does, or the claim, with eta_C = 0, that the rows contradict each other."""
-        units = self.units
+        units, kernel = self.units, self.kernel
         with self._lock:
-            kernel = self.kernel
             if not self._take(lti):
                 return None
             status, made = self._run(start / units.x, budget)
@@ -200,7 +190,9 @@ class CondensedSolver:
                 return Plan(kernel.tables, units, start, control, none, ray, made, eta_C=0.0)
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
-            return self._unsettled_plan(start, made)
+            with one_blas_thread:
+                v = kernel.tables.W @ np.append(start / units.x, 1.0) + kernel.tables.V @ kernel.unknowns
+                return unsettled_plan(kernel.tables, units, start, v, made)
 
     def plan_windows(self, start: Array, lti: Lti, budget: Budget) -> Plan:
         """Return the plan from an initial state, (n,), with windows; where it is not ``settled``, that of promise 4."""
@@ -208,18 +200,9 @@ class CondensedSolver:
         if not self._take(lti):
             raise UnsupportedError("bounds: they bound other components than those of the problem.")
         status, made = self._run(start / units.x, budget)
-        weights, settled = kernel.multipliers, status == SOLVED
-        duals = kernel.window_duals if settled else ()
-        control = kernel.control * units.u
-        found = Plan(kernel.tables, units, start, control, kernel.plan, weights, made, settled)
-        return replace(found, eta_C=float(status != INFEASIBLE), windows=self.windows, duals=duals)
-
-    @one_blas_thread
-    def _unsettled_plan(self, start: Array, changes: int) -> Plan:
-        """Return the plan where the kernel ended."""
-        tables, x = self.kernel.tables, start / self.units.x
-        v = tables.W @ np.append(x, 1.0) + tables.V @ self.kernel.unknowns
-        return unsettled_plan(tables, self.units, start, v, changes)
+        control, weights, settled = kernel.control * units.u, kernel.multipliers, status == SOLVED
+        of_step = kernel.tables, units, start, control, kernel.plan, weights, made, settled, float(status != INFEASIBLE)
+        return Plan(*of_step, self.windows, kernel.window_duals if settled else tuple)
 
     def plan_batch(self, starts: Array, lti: Lti) -> tuple[dict[int, Plan], bool]:
         """Return the plans from initial states (N, n) by number, each from the multipliers of the one before.

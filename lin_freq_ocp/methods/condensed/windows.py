@@ -41,6 +41,14 @@ class WindowSet:
         """Return how many windows have begun before a plan ends and are not over; the last one holds a constant."""
         return (horizon + self.length - 2) // self.hop + 2
 
+    def begins(self, first: int, begin: int, horizon: int) -> Indices:
+        """Return the begins of the windows of all slots from that of a plan, (slots,).
+
+        ``first`` is the slot of the oldest window, which begins at ``begin``.
+        """
+        ring = self.slots(horizon) - 1
+        return np.append(begin + (np.arange(ring) - first) % ring * self.hop, horizon - 1)
+
     @property
     def waves(self) -> ComplexArray:
         """Return the coefficients of the samples of a window in V, (length, points)."""
@@ -88,6 +96,19 @@ class ControlWindows:
     def cells(self, horizon: int) -> list[int]:
         """Return how many points the windows of each set have."""
         return [one.slots(horizon) * len(one.frequencies) for one in self.sets]
+
+    def duals(self, horizon: int, rows: Indices, weights: Array, first: Indices, begin: Indices) -> list[WindowDuals]:
+        """Return the multipliers of each set from the active rows, of which those from 0 on are of windows.
+
+        ``first`` are the slots of the oldest windows, and ``begin`` when these begin, (sets,).
+        """
+        (cells, facets), found, end = np.divmod(rows, FACETS), list[WindowDuals](), 0
+        for one, count, oldest, when in zip(self.sets, self.cells(horizon), first, begin, strict=True):
+            slots, points = np.divmod(cells - end, len(one.frequencies))
+            own, end = (cells >= end) & (cells < end + count), end + count
+            on_points = np.asarray(weights[own] * DIRECTIONS[facets[own]], dtype=np.complex128)
+            found.append(WindowDuals(one.begins(oldest, when, horizon)[slots[own]], points[own], on_points))
+        return found
 
     def integers(self, horizon: int) -> dict[str, int]:
         """Return integers of lfo_model."""

@@ -350,6 +350,9 @@ class FrequencyResponse(StateEquations):
         text = f"frequency response: y = G u{known} at {len(self.G)} bins, {self.mode}, {size}"
         return [("dynamics", text + ("; disturbance given in time" if self.disturbance is not None else ""))]
 
+    def __str__(self) -> str:
+        return self.facts(())[0][1]
+
 
 def _require_real(field: str, spectrum: ComplexArray, k: int) -> None:
     """Raise ProblemError unless a spectrum is real at bin k."""

@@ -41,8 +41,9 @@ class Spectrogram(FrequencyConstraint):
         Samples of a window.
     hop : int, optional
         Samples from the start of one window to the start of the next; default half a window.
-    past : (P, components), or (P,) for a single one, optional
-        The samples before time 0, the last of them at time -1, in the unit of the signal. Default none.
+    past : float, (P, components), or (P,) for a single one, optional
+        The samples before time 0, the last of them at time -1, in the unit of the signal. A number is that of
+        length - 1 samples; 0 is a signal at rest, of all components. Default none.
     offset : int
         Samples of the past, or of the horizon without one, before the first window begins.
 
@@ -95,6 +96,8 @@ class Spectrogram(FrequencyConstraint):
         samples = None if length is None else positive_integer("Spectrogram.length", length)
         step = None if samples is None else max(samples // 2, 1)
         measured = None if past is None else real_array("Spectrogram.past", past)
+        if measured is not None and measured.ndim == 0 and samples is not None:
+            measured = np.full(samples - 1, measured)
         if measured is not None and (measured.ndim not in (1, 2) or not measured.size):
             advice = "Time is axis 0. Leave past out if no sample is known."
             raise ProblemError("Spectrogram.past", f"shape {measured.shape}", "an array (P, components)", advice)
@@ -116,6 +119,11 @@ class Spectrogram(FrequencyConstraint):
             penalty=bound.penalty,
         )
 
+    def _past_columns(self, count: int) -> Array:
+        """Return the past of so many components, (P, count); one component at rest stands for all."""
+        past = np.zeros((0, 1)) if self.past is None else self.past
+        return past if past.any() or past.shape[1] != 1 else np.zeros((len(past), count))
+
     @property
     def slides(self) -> bool:
         return self.length is not None and self.penalty is None and not (self.bound.joint or self.bound.every_frequency)
@@ -131,7 +139,7 @@ class Spectrogram(FrequencyConstraint):
         return self.changed(past=past)
 
     def with_past(self, past: Array, measured: int) -> Self:
-        first = np.zeros((0, past.shape[1])) if self.past is None else self.past
+        first = self._past_columns(past.shape[1])
         whole = np.concatenate([first, past])
         if self.length is None:
             return self.changed(past=whole[len(past) :] if len(first) else None, offset=0)
@@ -146,7 +154,7 @@ class Spectrogram(FrequencyConstraint):
         return f"{self.bound.describe(names)}; on {of}{past}"
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
-        past = None if self.past is None else with_columns(self.past, k)
+        past = None if self.past is None else with_columns(self._past_columns(n), k)
         bounds = self.bound.on_components(n)
         return [self.changed(bound=bound, component=bound.component, past=past) for bound in bounds]
 
@@ -200,7 +208,7 @@ class Spectrogram(FrequencyConstraint):
 
     def windows(self, signal: Signal, field: str) -> Iterator[tuple[str, SpectrumMap, Array, Array | float]]:
         count, samples = len(signal.names), signal.length
-        past = np.zeros((0, count)) if self.past is None else self.past
+        past = self._past_columns(count)
         if past.shape[1] != count:
             raise ProblemError(f"{field}.past", f"shape {past.shape}", f"shape ({len(past)}, {count})")
         length = len(past) + samples - self.offset if self.length is None else self.length
@@ -211,7 +219,8 @@ class Spectrogram(FrequencyConstraint):
             first = np.append(first, last)
         if not len(first):
             got = f"windows of {length} samples, with {len(past)} samples in the past and {samples} to come"
-            raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon")
+            advice = "In a loop, past=0 of closed_loop begins windows before it."
+            raise ProblemError(f"{field}.length", got, "at least one window that ends within the horizon", advice)
         window = Signal(signal.kind, signal.C, signal.D, signal.names, length, signal.sampling_time)
         components = component_indices(field, self.component, signal.names)
         bounded = self.bound.spectra(window, f"{field}.bound")
@@ -256,9 +265,9 @@ def closed_loop(
         into the band, and half of it between zero and the band.
     hop : int, optional
         Default an eighth of the length.
-    past : (P, components), or (P,), optional
-        The samples before the loop begins, length - 1 or more; zeros for a plant at rest. Without it, the first window
-        begins with the loop.
+    past : float, (P, components), or (P,), optional
+        The samples before the loop begins, length - 1 or more, or their common value: 0 for a plant at rest. Without
+        it, the first window begins with the loop.
     oversampling : int
         Points of the grid per bin of the window.
 
@@ -299,9 +308,9 @@ def closed_loop(
             raise ProblemError("closed_loop.band", brief(band), "frequencies below half of the sampling rate")
         length = max(int(np.ceil(LOBE / min(sizes) - LENGTH_ROUNDING)), LEAST_WINDOW)
     samples = positive_integer("closed_loop.length", length)
-    if past is not None and len(real_array("closed_loop.past", np.atleast_1d(past))) < samples - 1:
-        advice = "Of the windows that are under way when the loop begins; zeros for a plant at rest."
-        expected = f"at least {samples - 1} samples, or None"
+    if past is not None and np.ndim(past) and len(real_array("closed_loop.past", past)) < samples - 1:
+        advice = "Of the windows that are under way when the loop begins; 0 for a plant at rest."
+        expected = f"at least {samples - 1} samples, 0 or None"
         raise ProblemError("closed_loop.past", f"shape {np.shape(past)}", expected, advice)
     taper = np.hanning(samples).sum()
     bound = MagnitudeBound(level * taper / 2, band=band, window="hann", oversampling=oversampling, edges=True)

@@ -341,7 +341,7 @@ class ModeRelaxation:
             name = (*self.problem.state_names, *self.problem.control_names)[j]
             raise UnsupportedError(
                 f"{name}: no Box bounds it at t = {t}, where several modes are possible; the search over modes needs "
-                "one, alone or in an Intersection, unless the initial state implies bounds."
+                "one, alone, in an Intersection or in a FiniteSet, unless the initial state implies bounds."
             )
         return self._stages.scaled(np.where(bounded, bounds, 0.0))
 
