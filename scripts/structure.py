@@ -51,7 +51,7 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_443,
+    "shipped lines": 50_442,
     "code lines": 47_011,
     "code lines, linear part": 22_229,
     "code lines, hybrid": 8_825,
