@@ -61,22 +61,19 @@ def common_scaling(programs: Sequence[LinearProgram], sizes: tuple[Array, Array]
     return scale_rows_and_cost(first, columns, columns)
 
 
-def point_scaling(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Scaling:
+def point_scaling(linear: LinearProgram, z: Array, fallback: Array) -> Scaling:
     """Return the units in which a point z (in the program's own units) is of order 1 (see ``point_units``)."""
-    columns = point_units(linear, z, fallback, per_time)
+    columns = point_units(linear, z, fallback)
     return scale_rows_and_cost(linear, columns, np.maximum(np.abs(z), UNNOTICED * columns))
 
 
-def point_units(linear: LinearProgram, z: Array, fallback: Array, per_time: bool = False) -> Array:
+def point_units(linear: LinearProgram, z: Array, fallback: Array) -> Array:
     """Return the units of variables in which a point z (in the program's own units) is of order 1, (variables,).
 
-    ``fallback`` (variables,) are the units of variables that are zero. With ``per_time``, a component has another unit
-    at every time, for one that decays over many orders of magnitude.
+    ``fallback`` (variables,) are the units of variables that are zero.
     """
-    x, u = _noticeable_sizes(linear, z)
-    if not per_time:
-        x, u = (np.broadcast_to(signal.max(0), signal.shape) for signal in (x, u))
-    pairs = zip((x, u), linear.split_signals(fallback), strict=True)
+    signals = (np.broadcast_to(signal.max(0), signal.shape) for signal in _noticeable_sizes(linear, z))
+    pairs = zip(signals, linear.split_signals(fallback), strict=True)
     return linear.column_units(*(np.where(size > UNIT_ROUNDING * unit, size, unit) for size, unit in pairs))
 
 

@@ -126,6 +126,19 @@ def test_a_direction_with_its_sign_flipped_is_refused(name):
     assert unbounded_direction(UNBOUNDED[name], lfo.Trajectory(-along.x, -along.u)) is None
 
 
+@pytest.mark.parametrize(
+    ("growth", "horizon", "cost"),
+    [(0.5, 100, Cost(q=[1.0], R=1.0)), (10.0, 20, Cost(p=[1.0], R=1.0))],
+    ids=["decays to 1e-30", "grows to 1e20"],
+)
+def test_a_direction_holds_to_rounding_of_each_time(growth, horizon, cost):
+    """In one unit for all times, most of it would be zero: the decaying one is simulated, the other has its own."""
+    dynamics = lfo.LinearDynamics([[growth]], [[1.0]])
+    along = lfo.solve(lfo.OptimalControlProblem(dynamics, horizon, cost), throw=False).direction
+    np.testing.assert_allclose(along.x[1:], growth * along.x[:-1] + along.u, rtol=1e-12)
+    assert along.x.all()
+
+
 def moving(problem: lfo.OptimalControlProblem, u: Any, start: Any = None) -> lfo.Trajectory:
     """Return the direction of these changes of the controls (T, m), or of one for all times."""
     linear = replace(problem.dynamics, offset=np.zeros(problem.state_dim))

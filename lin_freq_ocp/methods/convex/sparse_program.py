@@ -7,7 +7,7 @@ far bounds, which may disturb the solver.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,14 +23,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
 from lin_freq_ocp.program.program import Scaling
-from lin_freq_ocp.program.units import (
-    bounds_scaling,
-    natural_scaling,
-    plain_scaling,
-    point_scaling,
-    revised_scaling,
-    stated_scaling,
-)
+from lin_freq_ocp.program.units import bounds_scaling, natural_scaling, plain_scaling, revised_scaling, stated_scaling
 from lin_freq_ocp.transform.reductions import reduce_problem
 
 REDUCTIONS = (absorb_cost,)  # applied to a problem before it becomes a program
@@ -149,22 +142,9 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: ScaledAnswer)
         return
     yield from _round_point(solves, natural, best)
     linear = solves.linear
-    # units that need a point come last, and take the best point so far: the residual of a ray says nothing about it
-    best_point = best if best.z is not None else replace(best, error=np.inf)
-    others: list[Callable[[ScaledAnswer], Scaling | None]] = [
-        lambda _: plain_scaling(linear),
-        lambda _: stated_scaling(linear),
-        lambda _: natural,
-        lambda _: bounds_scaling(linear, natural),
-        lambda attempt: _units_of_point(solves, attempt, natural, per_time=False),
-        lambda attempt: _units_of_point(solves, attempt, natural, per_time=True),
-    ]
-    for units in others:
+    for scaling in (plain_scaling(linear), stated_scaling(linear), bounds_scaling(linear, natural)):
         for solve in (solves.solve_with_all_bounds, solves.solve_without_far_bounds):
-            if solves.over:
-                return
-            scaling = units(best_point)
-            attempt = None if scaling is None else solve(scaling)
+            attempt = None if solves.over else solve(scaling)
             if attempt is None:
                 continue
             if attempt.ended:
@@ -173,13 +153,6 @@ def other_candidates(solves: ScaledSolver, natural: Scaling, best: ScaledAnswer)
                 return
             if attempt.z is not None or attempt.candidate.status in (Status.INFEASIBLE, Status.UNBOUNDED):
                 yield attempt.candidate
-            yield from _round_point(solves, natural, attempt)
-            best_point = best_point if attempt.z is None else better_of(best_point, attempt)
-
-
-def _units_of_point(solves: ScaledSolver, attempt: ScaledAnswer, natural: Scaling, per_time: bool) -> Scaling | None:
-    """Return the units in which the point of an attempt is of order 1; None if it has no point."""
-    return None if attempt.z is None else point_scaling(solves.linear, attempt.z, natural.columns, per_time)
 
 
 def _round_point(solves: ScaledSolver, natural: Scaling, attempt: ScaledAnswer) -> Iterator[Candidate]:
