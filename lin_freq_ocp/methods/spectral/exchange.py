@@ -2,7 +2,7 @@
 
 docs/spectral.md, 7, 8 and 11. Every round corrects the residuals of the true signals (section 6): its fixed point has
 true slacks in spite of errors of the small QP. On short horizons, the first rounds use the couplings of all bounded
-values. On long ones, the first working set is that of a shorter horizon.
+values. On long ones, the first working set is that of a cheaper problem: a shorter horizon, or a coarser control.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral import tolerances as tol
@@ -55,9 +55,12 @@ STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FIN
 RAY_ROUNDS = 8  # rounds between Farkas rays; one is also computed if the small QP is not accurate
 LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
 GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
+HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
+SPREAD = 2  # further samples on each side of an active coarse control
 DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
 ON_CIRCLE = 1e-6  # |log |lambda|| up to which a mode does not decay: it has no decay time
-LEAST_SHORTENING = 2  # least ratio of the horizons
+LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR if samples may be held instead
+HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
 LARGEST_SHORTENING = 10  # largest ratio of the horizons
 
 
@@ -378,24 +381,35 @@ def exchange_values(
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
-    """Return a guess of the active rows, or None; ``structures`` caches those of shorter horizons."""
+    """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
     if lti.horizon < GUESSED_HORIZON or lti.response is not None:
         return None
     shorter = _shortened_horizon(lti)
-    if shorter * LEAST_SHORTENING > lti.horizon:
+    hold = shorter * HOLD_FACTOR > lti.horizon and _grows_slowly(lti)
+    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
-    short = _shorten(lti, shorter)
+    coarse, tolerance = (
+        (_hold_samples(lti), tol.HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), tol.SHORT_TOLERANCE)
+    )
     try:
-        if shorter not in structures:
-            structures[shorter] = Structure(short)
-        guess, data = first_working_set(short, stop, structures), data_of(structures[shorter], short)
-        outcome = Exchange(structures[shorter], data, guess, tol.SHORT_TOLERANCE, stop).run()
+        if coarse.horizon not in structures:
+            structures[coarse.horizon] = Structure(coarse)
+        structure = structures[coarse.horizon]
+        guess = first_working_set(coarse, stop, structures)
+        outcome = Exchange(structure, data_of(structure, coarse), guess, tolerance, stop).run()
     except (UnsupportedError, np.linalg.LinAlgError):
         return None
     if outcome.status != "optimal":
         return None
     t, f, sign, _ = outcome.working.rows().active()
+    if hold:
+        return _refine_rows(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
+
+
+def _grows_slowly(lti: Lti) -> bool:
+    """Whether the dynamics hardly grow over the samples of a zero-order hold."""
+    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
 
 
 def _shortened_horizon(lti: Lti) -> int:
@@ -407,22 +421,55 @@ def _shortened_horizon(lti: Lti) -> int:
 
 
 def _shorten(lti: Lti, T: int) -> Lti:
-    """Return the problem without its middle, without state bands and without values fixed by bounds.
-
-    Bands keep their frequencies.
-    """
+    """Return the problem without its middle; bands keep their frequencies."""
     times = np.append(np.arange(T // 2), np.arange(lti.horizon - (T - T // 2), lti.horizon))
     bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
-    bounds = lti.bounds.map(lambda signal: signal[:, times])
+    return _without_equations(lti, T, lti.passed[:, bins], lambda signal: signal[:, times])
+
+
+def _hold_samples(lti: Lti) -> Lti:
+    """Return the problem with a zero-order hold of HOLD_FACTOR samples on the control."""
+    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
+    A, B = np.eye(n), np.zeros_like(lti.B)
+    offset = None if lti.offset is None else np.zeros((n, T))
+    for j in range(HOLD_FACTOR):
+        A, B = lti.A @ A, lti.A @ B + lti.B
+        if offset is not None and lti.offset is not None:
+            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
+    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
+    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
+    prices = None if coarse.prices is None else coarse.prices.map(lambda price: HOLD_FACTOR * price)
+    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
+
+
+def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
+    """Return the problem at another horizon, without state bands and without values fixed by bounds."""
+    bounds = lti.bounds.map(sample)
     fixed = bounds.lower == bounds.upper
-    lower, upper = np.where(fixed, -np.inf, bounds.lower), np.where(fixed, np.inf, bounds.upper)
     return replace(
         lti,
         horizon=T,
-        passed=lti.passed[:, bins],
+        passed=passed,
         state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
-        bounds=replace(bounds, lower=lower, upper=upper),
-        linear=None if lti.linear is None else lti.linear[:, times],
-        offset=None if lti.offset is None else lti.offset[:, times],
-        prices=None if lti.prices is None else lti.prices.map(lambda signal: signal[:, times]),
+        bounds=replace(
+            bounds, lower=np.where(fixed, -np.inf, bounds.lower), upper=np.where(fixed, np.inf, bounds.upper)
+        ),
+        linear=None if lti.linear is None else sample(lti.linear),
+        offset=None if lti.offset is None else sample(lti.offset),
+        prices=None if lti.prices is None else lti.prices.map(sample),
     )
+
+
+def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
+    """Return rows of the coarse problem as rows of ``lti``: controls with their neighbours, states once, and x_T."""
+    n, T = lti.state_dim, lti.horizon
+    last = t == T // HOLD_FACTOR
+    states = ~last & ~lti.F[f, n:].any(1)
+    controls = ~last & ~states
+    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
+    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
+    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
+    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
+    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
+    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
+    return Rows(times[unique], rows[unique], signs[unique])

@@ -126,7 +126,7 @@ class SpectralSolver:
             except np.linalg.LinAlgError as error:
                 text = f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
                 raise UnsupportedError(text) from None
-        self._shorter: dict[int, Structure] = {}
+        self._coarser: dict[int, Structure] = {}
         self.setup_seconds = now() - started
 
     @classmethod
@@ -258,7 +258,7 @@ class SpectralSolver:
         From the second solve on, a problem that differs in its ends only has a model of data between other ends.
         """
         if first is None:
-            first = first_working_set(lti, stop, self._shorter)
+            first = first_working_set(lti, stop, self._coarser)
         exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
         outcome = exchange.run()
         return PricedOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))

@@ -66,7 +66,7 @@ DECREASE_TOLERANCE = 1e-9  # ... by moves as large as the point: flat directions
 SMALL_COST = 1e-6  # least cost that decreases are relative to, as a part of that of states and controls of order 1
 DIVERGING_WEIGHT = 1e6  # weight of a row from which the rows are tested for infeasibility
 UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lower bound
-SHORT_TOLERANCE = 1e-6  # violation at which the shorter problem of the first set stops
+SHORT_TOLERANCE, HOLD_TOLERANCE = 1e-6, 1e-4  # violations at which the cheaper problems of the first set stop
 
 # Rays (structure.py)
 RAY_TOLERANCE = 1e-6  # stationarity of a ray, relative to its multipliers

@@ -1,4 +1,4 @@
-"""Horizons long enough for a first working set guessed from a shorter one: a wrong guess must do no harm."""
+"""Horizons long enough for a first working set guessed from cheaper problems: a wrong guess must do no harm."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from helpers.spectral_plants import END, START, A, B, moving, plant, problem_of,
 from lin_freq_ocp.methods.spectral import first_working_set, lti_problem, natural_units
 
 LONG = 640
-"""A horizon from which a first working set is guessed from a shorter one."""
+"""A horizon from which a first working set is guessed from cheaper problems."""
 
 SLOW = plant(0.05 * A + 0.95 * np.eye(3), 0.2 * B)
 QUICK = plant(A, B)
@@ -84,8 +84,9 @@ def test_long_horizons_with_a_guessed_first_working_set(name):
     assert max(residuals(problem, result.trajectory).values()) < 1e-11
 
 
-def test_the_guess_is_near_what_is_active_in_the_end():
-    problem = lfo.library.pendulum(horizon=10_000)
+@pytest.mark.parametrize(("horizon", "sampling_time"), [(10_000, 0.01), (1000, 0.0024)])
+def test_the_guess_is_near_what_is_active_in_the_end(horizon, sampling_time):
+    problem = lfo.library.pendulum(horizon=horizon, sampling_time=sampling_time)
     guess = first_working_set(lti_problem(problem, natural_units(problem)), lambda: None, {})
     active = lfo.SpectralSolver(problem).solve().active
     forces = active.t[active.f == 4]
