@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -108,15 +108,11 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     cost = extremal.cost
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-    deviations, at = _deviations(found, curvatures, problem.state_dim), extremal.trajectory
-    for around in (
-        lambda: nearby_bounds(problem, at, deviations, cost, allowed),
-        lambda: nearby_bounds(problem, at, deviations, cost, allowed, mistrusted=True),
-        lambda: level_bounds(problem, at, deviations, cost),
-    ):
+    for around in (nearby_bounds, partial(nearby_bounds, mistrusted=True), level_bounds):
         if cost - proven.value <= allowed:
             break
-        nearby = around()
+        deviations = _deviations(found, curvatures, problem.state_dim)
+        nearby = around(problem, extremal.trajectory, deviations, cost, allowed)
         if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
             proven = of_nearby if of_nearby.value > proven.value else proven
@@ -132,7 +128,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
 
 
 def level_bounds(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float
+    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, _: float
 ) -> Region | None:
     """Return the same box by the inverse Z of the Hessian H on all changes that keep the equations M, or None.
 
@@ -206,7 +202,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
-        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level)
+        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level, allowed)
         if nearby is not None:
             return nearby
     return reachable_bounds(problem)

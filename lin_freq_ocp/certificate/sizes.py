@@ -106,10 +106,9 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
     x, u = trajectory.x, trajectory.u
     quadratic, levels = problem.quadratic, problem.level_sizes
     in_x, in_u = (DATA_ROUNDING * own for own in _own_terms(problem, trajectory))
-    magnitudes, (a, b) = quadratic.magnitudes, quadratic.deviations(x, u)
-    rounding = magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * magnitudes.value(np.abs(a), np.abs(b))
+    rounding = quadratic.magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * quadratic.products(x, u)
     if levels.any():
-        rounding += DATA_ROUNDING * magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
+        rounding += DATA_ROUNDING * quadratic.magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     value, total = quadratic.value_and_terms(x, u)
     formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
     cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
@@ -120,6 +119,7 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
     return cost, max(total, rounding / GAP_TOLERANCE)
 
 
+@lru_cache(maxsize=2)  # for the scale of the cost and those of slopes
 def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
     """Return the sums of the absolute values of the terms of each state, (T+1, n), and control, (T, m), at its time."""
     x, u, cost = trajectory.x, trajectory.u, problem.quadratic
