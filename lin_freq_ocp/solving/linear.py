@@ -239,8 +239,8 @@ class Structured(_Linear):
 class LinearAuto:
     """The Fourier-domain method if it applies and its answer is proven; otherwise the structured or the sparse one.
 
-    ``structured_first`` says which of these two comes first, by measured times; the other follows if the first one ends
-    without an answer. ``result.reason`` says why the method was chosen.
+    ``structured_first`` says which of these two comes first, by measured times; the other follows if the answer of the
+    first one is not proven. ``result.reason`` says why the method was chosen.
 
     Attributes
     ----------
@@ -273,10 +273,8 @@ class LinearAuto:
             except UnsupportedError as error:
                 answer = Attempt(method.shorthand, None, Reason.REFUSED, str(error))
             yield answer
-            if method is methods[0]:  # what it does not prove, others may; these end alike
+            if method is methods[0]:  # what it does not prove, others may
                 methods += self._other_methods(problem)
-            elif isinstance(answer, Outcome) and answer.attempt.reason >= Reason.LOCALLY_OPTIMAL:
-                return
 
     def _other_methods(self, problem: OptimalControlProblem) -> tuple[Method, ...]:
         """Return the methods that follow the Fourier-domain method, in this order."""

@@ -56,6 +56,12 @@ def test_features_work_together_or_are_refused(names):
     assert outcome.passed, outcome.words
 
 
+def test_limited_changes_of_the_size_of_rounding_have_an_answer():
+    """Errors of rows from 1e-16 to 1e5, relative to their units, are no weights of one factorisation."""
+    problem = lfo.rate_limited(pairs.problem_of("zero-padded frequency response"), limit=1e-12)
+    assert lfo.solve(problem, throw=False).certificate.feasible
+
+
 def test_the_page_has_every_pair():
     every = pairs.pairs()
     assert SAID.keys() == set(every)

@@ -149,6 +149,19 @@ def test_attempts_of_auto_say_why_the_next_method_follows():
     assert (convex.method, convex.status, convex.reason) == ("convex", "optimal", Reason.PROVEN)
 
 
+def test_auto_asks_the_next_method_where_no_bound_proves_an_answer(monkeypatch):
+    """The judge confirms of the convex method no more than local optimality; the structured method follows."""
+
+    def distrust(problem, candidate, method, *options):
+        outcome = judge_candidate(problem, candidate, method, *options)
+        return replace(outcome, status=Status.LOCALLY_OPTIMAL) if method == "convex" else outcome
+
+    substitute(monkeypatch, "solving.judge_candidate", distrust)
+    result = lfo.solve(replace(PROBLEM, terminal_state=lfo.sets.Ball(0.3, [0.1])))
+    assert result.status == "optimal"
+    assert [one.reason for one in result.attempts][-2:] == [Reason.LOCALLY_OPTIMAL, Reason.PROVEN]
+
+
 def test_an_interrupted_solve_returns_the_best_answer_with_its_verdict(monkeypatch):
     """A solver may call a point solved that the judge refutes; Ctrl-C while others are tried does not confirm it."""
     right = solve_convex(PROBLEM, "clarabel")
