@@ -14,6 +14,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, POWER, SUM
+from lin_freq_ocp.problem.costs.formula_cost import SmoothCost
 from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost
 from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -46,35 +47,54 @@ class AffineNorms(NonsmoothCost):
 
 @dataclass(eq=False)
 class _Summands:
-    """The summands of a formula found so far, by their rows (..., n + m + 1)."""
+    """The summands of a formula found so far, by their rows (..., n + m + 1); with ``only_norms``, others stay."""
 
     affine: Array
+    only_norms: bool = False
     norms: list[Array] = field(default_factory=list[Array])
     squares: list[Array] = field(default_factory=list[Array])
+    others: list[Formula] = field(default_factory=list[Formula])
 
-    def add(self, node: Formula, factor: float) -> bool:
-        """Add a multiple of a formula; return whether it has this form."""
+    def add(self, node: Formula, factor: float) -> None:
+        """Add a multiple of a formula."""
         own = affine_row(node)
-        if own is not None:
+        if own is not None and not self.only_norms:
             self.affine += factor * own
-            return True
-        if node.kind == SUM:
+            return
+        if own is None and node.kind == SUM:
             self.affine[-1] += factor * node.data[-1]
-            parts = zip(node.arguments, node.data[:-1], strict=True)
-            return all(self.add(part, factor * own_factor) for part, own_factor in parts)
+            for part, own_factor in zip(node.arguments, node.data[:-1], strict=True):
+                self.add(part, factor * own_factor)
+            return
         rows = [row for row in map(affine_row, node.arguments) if row is not None]
-        if len(rows) < len(node.arguments):
-            return False
-        if node.kind == NORM and factor > 0:
+        known = len(rows) == len(node.arguments)
+        if known and node.kind == NORM and factor > 0:
             self.norms.append(factor * np.array(rows))
+        elif not known or self.only_norms:
+            self.others.append(factor * node)
         elif len(rows) == 2 and ((node.kind == MAXIMUM and factor > 0) or (node.kind == MINIMUM and factor < 0)):
             self.affine += factor / 2 * (rows[0] + rows[1])
             self.norms.append(factor / 2 * (rows[0] - rows[1])[None])
         elif node.kind == POWER and node.data[0] == 2 and factor > 0:
             self.squares.append(np.sqrt(factor) * rows[0])
         else:
-            return False
-        return True
+            self.others.append(factor * node)
+
+
+def with_norms_as_terms(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem with norms in its stage cost as terms, which have multipliers where they are zero.
+
+    Its cost differs by a constant. Other summands stay formulas; without a norm, it is the problem itself.
+    """
+    stage, terminal = problem.cost.formulas
+    if stage is None:
+        return problem
+    found, cost = _Summands(np.zeros(sum(stage.dimensions) + 1), only_norms=True), problem.cost.without_formulas
+    found.add(stage, 1.0)
+    if not found.norms:
+        return problem
+    formulas = SmoothCost(stage=sum(found.others, 0.0 * stage), terminal=terminal)
+    return replace(problem, cost=CostSum([cost.quadratic, *cost.norms, AffineNorms(tuple(found.norms)), formulas]))
 
 
 def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem | None:
@@ -87,7 +107,8 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
         return None
     T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
     found = _Summands(np.zeros(n + m + 1))
-    if not found.add(stage, 1.0) or not found.norms:
+    found.add(stage, 1.0)
+    if found.others or not found.norms:
         return None
     squares = np.array(found.squares).reshape(-1, n + m + 1)
     M, slope = 2 * squares[:, :-1].T @ squares[:, :-1], found.affine[:-1] + 2 * squares[:, -1] @ squares[:, :-1]

@@ -58,7 +58,10 @@ STAGES = {  # of cost: whether a text is convex
         "1e6 + {w}*(1 - cos(u_0))",
     ],
 }
-ENDS = {True: ["exp(0.5*x_0)", "{w}*x_1**4", "(x_0 + {a}*x_1)**2", ""], False: ["cos(x_1)", "x_0**4 - x_0**2", "sin(x_0*x_1)", ""]}
+ENDS = {
+    True: ["exp(0.5*x_0)", "{w}*x_1**4", "(x_0 + {a}*x_1)**2", ""],
+    False: ["cos(x_1)", "x_0**4 - x_0**2", "sin(x_0*x_1)", ""],
+}
 PATHS = {
     True: [
         "x_1**2 + {w}*u_0**2 - 1.2",
@@ -143,7 +146,9 @@ def draw(seed: int) -> Drawn:
     stage, terminal, path = (pick(texts) if there else "" for texts, there in zip((STAGES, ENDS, PATHS), parts[1:]))
     convex &= not LEVELS & set(names) and "indefinite cost" not in names
     method = "nonsmooth" if rng.random() < 0.7 else "auto"
-    return Drawn(tuple(maps), stage, terminal, path, bool(rng.random() < 0.3), convex, names, method, bool(rng.random() < 0.15))
+    return Drawn(
+        tuple(maps), stage, terminal, path, bool(rng.random() < 0.3), convex, names, method, bool(rng.random() < 0.15)
+    )
 
 
 def parts_of(drawn: Drawn) -> list[pairs.Fields]:
