@@ -2,8 +2,8 @@
 
 Values of states and controls at a bound are held, stopped bins are zero, and hard terms at their limits do not exceed
 them. Residuals of the dynamics move the states; held states, stopped bins of states, and terms are the rows of a small
-dense system for the change of controls and x_0. Nothing is minimised but that change, and no multiplier is used: the cost
-of the repaired trajectory is that of a feasible one.
+dense system for the change of controls and x_0. Nothing is minimised but that change, and no multiplier is used: the
+cost of the repaired trajectory is that of a feasible one.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class _Repair:
         return dx, np.concatenate([ends.ravel(), dx[self.states], coupled])
 
     def _responses(self) -> tuple[Array, Array]:
-        """Return the responses of the rows on states to controls, (T, m, rows), and to x_0 and starts, (n + starts, rows)."""
+        """Return the responses of the rows on states to controls, (T, m, rows), and to x_0 and starts."""
         breaks, B, (T, m), n = self.breaks, self.B, self.u.shape, self.x.shape[1]
         ends, right = np.repeat(breaks, n) - 1, np.zeros((T + 1, n, self.on_x))
         right[ends, :, np.arange(self.starts)] = self.A[breaks - 1].reshape(-1, n)

@@ -67,11 +67,10 @@ class _Summands:
                 self.add(part, factor * own_factor)
             return
         rows = [row for row in map(affine_row, node.arguments) if row is not None]
-        known = len(rows) == len(node.arguments)
-        if known and node.kind == NORM and factor > 0:
-            self.norms.append(factor * np.array(rows))
-        elif not known or self.only_norms:
+        if len(rows) < len(node.arguments) or (self.only_norms and node.kind != NORM):
             self.others.append(factor * node)
+        elif node.kind == NORM and factor > 0:
+            self.norms.append(factor * np.array(rows))
         elif len(rows) == 2 and ((node.kind == MAXIMUM and factor > 0) or (node.kind == MINIMUM and factor < 0)):
             self.affine += factor / 2 * (rows[0] + rows[1])
             self.norms.append(factor / 2 * (rows[0] - rows[1])[None])

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import cvxpy as cp
@@ -33,7 +32,7 @@ CONES: dict[str, Callable[..., Any]] = {
     "max": cp.maximum,
     "norm": lambda *parts: cp.norm(cp.hstack(parts)),
 }
-A, B, C, D = "x_0", "x_1", "u_0", "({a}*x_0 + {b}*x_1 + {c}*u_0)"
+D = "({a}*x_0 + {b}*x_1 + {c}*u_0)"
 STAGES = {  # of cost: whether a text is convex
     True: [
         "exp(0.5*" + D + ")",
@@ -98,6 +97,7 @@ NO_COMPANION = {  # dynamics of their own, or formulas
 LEVELS = {"levels", "duty cycles"}
 COMPANIONS = [name for name in pairs.FEATURES if name not in NO_COMPANION]
 WITHIN = 2e-6  # violation of a constraint, and difference of costs, relative to 1 or the cost
+SEARCHED_GAP = 1e-4  # at which a search for a global bound ends
 PRICE = 0.4  # of a soft path constraint
 STATUSES = {str(status) for status in lfo.results.Status}
 TIME_LIMIT = 4.0  # seconds of a search for a global bound
@@ -115,7 +115,6 @@ class Drawn:
     convex: bool
     companions: tuple[str, ...]
     method: str
-    functions: bool
 
     @property
     def kind(self) -> str:
@@ -143,12 +142,11 @@ def draw(seed: int) -> Drawn:
         names = tuple(str(name) for name in sorted(rng.choice(COMPANIONS, count, replace=False)))
         if not any(pairs.exclude_each_other(one, other) for one in names for other in names if one < other):
             break
-    stage, terminal, path = (pick(texts) if there else "" for texts, there in zip((STAGES, ENDS, PATHS), parts[1:]))
+    kinds = zip((STAGES, ENDS, PATHS), parts[1:], strict=True)
+    stage, terminal, path = (pick(texts) if there else "" for texts, there in kinds)
     convex &= not LEVELS & set(names) and "indefinite cost" not in names
     method = "nonsmooth" if rng.random() < 0.7 else "auto"
-    return Drawn(
-        tuple(maps), stage, terminal, path, bool(rng.random() < 0.3), convex, names, method, bool(rng.random() < 0.15)
-    )
+    return Drawn(tuple(maps), stage, terminal, path, bool(rng.random() < 0.3), convex, names, method)
 
 
 def parts_of(drawn: Drawn) -> list[pairs.Fields]:
@@ -259,9 +257,9 @@ def faults(drawn: Drawn, statuses: list[str]) -> list[str]:
         again = lfo.certify(problem, found, result.multipliers)
         wrong += [f"{again.pmp} by certify, {result.certificate.pmp}"] if again.pmp != result.certificate.pmp else []
         wrong += [f"bound {result.lower_bound} above"] if (result.gap or 0.0) < -WITHIN else []
-        proven = result.gap is not None and abs(result.gap) <= WITHIN and result.bound == "rigorous"
+        proven = result.gap is not None and abs(result.gap) <= SEARCHED_GAP and result.bound == "rigorous"
         wrong += ["optimal without a bound"] if result.status == "optimal" and not proven else []
-        if abs(theirs - result.cost) > 1e-5 * size and np.isfinite(theirs) or np.isinf(theirs):
+        if np.isinf(theirs) or abs(theirs - result.cost) > pairs.AGREEMENT * size:
             every = any(term.semi_infinite is not None for term in problem.terms)
             wrong += [] if every and result.cost > theirs else [f"cost {result.cost:.9g}, {theirs:.9g} by CVXPY"]
     elif result.status == "infeasible" and np.isfinite(theirs):
@@ -287,7 +285,7 @@ def contradictions(problem: lfo.OptimalControlProblem, drawn: Drawn, result: lfo
     if result.status in ("infeasible", "infeasible_claimed", "numerical_error"):
         return [f"{result.status}, and {best:.9g} by another start: {result.message}"]
     bound = result.lower_bound if result.bound == "rigorous" else None
-    if bound is not None and bound > best + 1e-5 * max(1.0, abs(best)):
+    if bound is not None and bound > best + pairs.AGREEMENT * max(1.0, abs(best)):
         return [f"bound {bound:.9g} above the cost {best:.9g} of another start"]
     return []
 
