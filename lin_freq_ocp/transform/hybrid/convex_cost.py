@@ -11,11 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, POWER, SUM
 from lin_freq_ocp.problem.costs.formula_cost import SmoothCost
-from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost, QuadraticCost
 from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -57,17 +57,14 @@ class _Summands:
 
     def add(self, node: Formula, factor: float) -> None:
         """Add a multiple of a formula."""
-        own = affine_row(node)
+        own, rows = affine_row(node), [row for row in map(affine_row, node.arguments) if row is not None]
         if own is not None and not self.only_norms:
             self.affine += factor * own
-            return
-        if own is None and node.kind == SUM:
+        elif own is None and node.kind == SUM:
             self.affine[-1] += factor * node.data[-1]
             for part, own_factor in zip(node.arguments, node.data[:-1], strict=True):
                 self.add(part, factor * own_factor)
-            return
-        rows = [row for row in map(affine_row, node.arguments) if row is not None]
-        if len(rows) < len(node.arguments) or (self.only_norms and node.kind != NORM):
+        elif len(rows) < len(node.arguments) or (self.only_norms and node.kind != NORM):
             self.others.append(factor * node)
         elif node.kind == NORM and factor > 0:
             self.norms.append(factor * np.array(rows))
@@ -104,22 +101,29 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
     stage, terminal = problem.cost.formulas
     if stage is None or terminal is not None:
         return None
-    T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
-    found = _Summands(np.zeros(n + m + 1))
+    found, width = _Summands(np.zeros(sum(stage.dimensions) + 1)), sum(stage.dimensions)
     found.add(stage, 1.0)
     if found.others or not found.norms:
         return None
-    squares = np.array(found.squares).reshape(-1, n + m + 1)
+    squares = np.array(found.squares).reshape(-1, width + 1)
     M, slope = 2 * squares[:, :-1].T @ squares[:, :-1], found.affine[:-1] + 2 * squares[:, -1] @ squares[:, :-1]
-    references = np.hstack([np.broadcast_to(cost.x_ref, (T + 1, n))[:T], np.broadcast_to(cost.u_ref, (T, m))])
-    slopes = slope + references @ M  # 1/2 y'M y is 1/2 a'M a + r'M y, a = y - r, up to a constant
-    quadratic = replace(
-        cost,
-        Q=cost.Q + M[:n, :n],
-        R=cost.R + M[n:, n:],
-        S=cost.S + M[:n, n:],
-        q=cost.q + slopes[:, :n],
-        r=cost.r + slopes[:, n:],
-    )
+    steps = np.arange(problem.horizon + 1)[:, None] < problem.horizon
+    quadratic = with_parabola(problem.quadratic, np.zeros((len(steps), width)), steps * slope, steps[..., None] * M)
     norms = [*problem.cost.without_formulas.norms, AffineNorms(tuple(found.norms))]
     return replace(problem, cost=CostSum([quadratic, *norms]))
+
+
+def with_parabola(cost: QuadraticCost, points: Array, slopes: Array, hessians: Array) -> QuadraticCost:
+    """Return a cost plus slope'd + 1/2 d'H d, d the deviation from points of (x_t, u_t), t = 0 .. T."""
+    n, T, H = cost.S.shape[-2], len(points) - 1, 0.5 * (hessians + hessians.swapaxes(1, 2))
+    slopes = slopes - times_vectors(H, cost.deviations_of(points))  # the quadratic cost counts from its references
+    return replace(
+        cost,
+        Q=cost.Q + H[:T, :n, :n],
+        R=cost.R + H[:T, n:, n:],
+        S=cost.S + H[:T, :n, n:],
+        q=cost.q + slopes[:T, :n],
+        r=cost.r + slopes[:T, n:],
+        P=cost.P + H[T, :n, :n],
+        p=cost.p + slopes[T, :n],
+    )
