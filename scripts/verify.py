@@ -36,6 +36,8 @@ frequencies  masks at every frequency, between bounds of an independent model, a
 proofs       proofs of random problems beside exact optima, and with every number changed
 pairs        every pair of features, and of a feature and a use, in a small problem: it works, or is refused with reason
 triples      three features at random in a small problem: it works, or is refused with reason
+formulas_together  random formulas of dynamics, costs and path constraints beside other features: feasibility and cost
+             by NumPy, convex problems against CVXPY, others against solves from other starts
 cancellation  costs and constraints by formulas that lose most digits of their values, against balls of 400 bits
 cost_units    costs in units of 1e-9 to 1e9 and with constants of 1e6 times their variation: no status may change
 small_ends    ends and references of 1e-15 to 0.1 in place of zero: no status may change, and nor the cost much
@@ -95,6 +97,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "derivatives": 300,
     "pairs": None,
     "triples": 1000,
+    "formulas_together": 300,
     "answers": None,
     "presented": None,
     "limits": None,

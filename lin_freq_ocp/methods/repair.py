@@ -1,9 +1,9 @@
-"""A trajectory near a given one that satisfies every constraint, by the least change of the controls.
+"""A trajectory near a given one that satisfies every constraint, by the least change of controls and of a free x_0.
 
 Values of states and controls at a bound are held, stopped bins are zero, and hard terms at their limits do not exceed
 them. Residuals of the dynamics move the states; held states, stopped bins of states, and terms are the rows of a small
-dense system for the change of the controls. Nothing is minimised but that change, and no multiplier is used: the cost
-of the repaired trajectory is that of a feasible one.
+dense system for the change of controls and x_0. Nothing is minimised but that change, and no multiplier is used: the
+cost of the repaired trajectory is that of a feasible one.
 """
 
 from __future__ import annotations
@@ -117,7 +117,8 @@ class _Repair:
     def __init__(self, problem: OptimalControlProblem, x: Array, u: Array, surplus: float):
         self.x, self.u, self.stop, (T, n) = x, u, problem.control_stop, (len(u), x.shape[1])
         self.held_states, self.held = _at_bounds(problem.state_tube, x), _at_bounds(problem.control_tube, u)
-        self.held_states[0] = False  # no row holds x_0: it does not change, or is x_T
+        self.free_start = ~self.held_states[0] & x.any(axis=0) & (problem.response is None)
+        self.held_states[0] = False  # no row holds x_0: what is at a bound does not change
         self.banded, self.response = self.stop.any(0), problem.response
         self.unmoved, self.residual = self.held & ~self.banded, np.zeros_like(x)
         if self.response is None:
@@ -139,13 +140,13 @@ class _Repair:
         """Return the changes of states and controls; None if rows contradict each other, or growth hides them."""
         x, u, held = self.x, self.u, self.controls
         removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
-        dx, values = self._simulate(removed, np.zeros(self.starts))
+        dx, values = self._simulate(removed, np.zeros(len(self.free_start) + self.starts))
         if not self.count:
             return dx, removed
         missed = np.append(self.wanted - values, -removed[held])
         responses, of_starts = self._responses()
         of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in (np.abs(signal).max(0) for signal in (x, u)))
-        starts = np.tile(of_x, len(self.breaks))[:, None] * of_starts
+        starts = np.append(of_x * self.free_start, np.tile(of_x, len(self.breaks)))[:, None] * of_starts
         gram = self._gram(responses, of_u)
         gram[: self.on_x, : self.on_x] += of_starts.T @ starts
         scale = 1.0 / np.sqrt(np.where(gram.diagonal() > 0, gram.diagonal(), 1.0))
@@ -163,18 +164,19 @@ class _Repair:
         return (dx, du) if np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed) else None
 
     def _simulate(self, du: Array, starts: Array) -> tuple[Array, Array]:
-        """Return the changes of states, with these starts at breaks, and the values of the rows on states."""
-        right, breaks = self.residual.copy(), self.breaks
+        """Return the changes of states, with these starts at 0 and at breaks, and the values of the rows on states."""
+        (right, breaks), (first, others) = (self.residual.copy(), self.breaks), np.split(starts, [len(self.free_start)])
+        right[0] += first
         right[1:] += times_vectors(self.B, du)
         ends = right[breaks]
-        right[breaks] = starts.reshape(ends.shape)
+        right[breaks] = others.reshape(ends.shape)
         dx = simulate(self.matrix, right, False) if self.response is None else right + self.response.linear(du)
         ends += times_vectors(self.A[breaks - 1], dx[breaks - 1]) - dx[breaks]
         coupled = np.tensordot(self.of_x, dx) + np.tensordot(self.of_u, du)
         return dx, np.concatenate([ends.ravel(), dx[self.states], coupled])
 
     def _responses(self) -> tuple[Array, Array]:
-        """Return the responses of the rows on states to controls, (T, m, rows), and to starts, (starts, rows)."""
+        """Return the responses of the rows on states to controls, (T, m, rows), and to x_0 and starts."""
         breaks, B, (T, m), n = self.breaks, self.B, self.u.shape, self.x.shape[1]
         ends, right = np.repeat(breaks, n) - 1, np.zeros((T + 1, n, self.on_x))
         right[ends, :, np.arange(self.starts)] = self.A[breaks - 1].reshape(-1, n)
@@ -190,8 +192,8 @@ class _Repair:
         responses[ends] = 0.0  # these controls change the end of their piece alone
         responses[ends, :, np.arange(self.starts)] = np.broadcast_to(B, (T, n, m))[breaks - 1].reshape(-1, m)
         responses[..., self.values :] += np.moveaxis(self.of_u, 0, -1)
-        of_starts = costates[breaks].reshape(self.starts, self.on_x)
-        of_starts[:, : self.starts] -= np.eye(self.starts)
+        of_starts = costates[np.append(0, breaks)].reshape(n + self.starts, self.on_x)
+        of_starts[n:, : self.starts] -= np.eye(self.starts)
         return responses, of_starts
 
     def _gram(self, responses: Array, of_u: Array) -> Array:

@@ -259,8 +259,10 @@ class LinearProgram:
         """Return one unit per variable from those of states, (n,) or (T+1, n), and of controls, (m,) or (T, m)."""
         T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
         steady = np.broadcast_to(state_units, (T + 1, n)), np.broadcast_to(control_units, (T, m))
-        slacks = (rows.slack_units(*steady) for rows in self.of_terms)
-        return np.concatenate([*(part.ravel() for part in steady), *slacks])
+        slacks = (rows.slack_sizes(*steady) for rows in self.of_terms)
+        units = np.concatenate([*(part.ravel() for part in steady), *slacks])
+        # a slack that no signal moves has no size: a large unit would make it the largest part of the cost
+        return np.where(units > 0, units, units[units > 0].min(initial=1.0))
 
     @property
     def dynamics(self) -> sp.csr_array:

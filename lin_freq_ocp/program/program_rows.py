@@ -110,12 +110,14 @@ class ProgramRows:
         parts = {name: getattr(self, name)[chosen] for name in ("entries", "targets", "lower", "upper")}
         return replace(self, **parts, slacks=sp.csr_array(self.slacks[chosen]))
 
-    def slack_units(self, x: Array, u: Array) -> Array:
-        """Return the unit of each slack for states and controls of the sizes x (T+1, n) and u (T, m)."""
+    def slack_sizes(self, x: Array, u: Array) -> Array:
+        """Return the size of each slack for states and controls of the sizes x (T+1, n) and u (T, m).
+
+        It is zero where all weights are.
+        """
         if self.map is None or not len(self.prices):
             return np.zeros(0)
-        units = self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
-        return np.where(units > 0, units, 1.0)
+        return self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:

@@ -117,10 +117,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
         return proof
     own = own if known else replace(own, worth_of_residuals=np.inf)
     zero = Trajectory(np.zeros_like(trajectory.x), np.zeros_like(trajectory.u))
-    for near in (trajectory, zero) if claims and not own.proven_within(allowed) else ():
-        resting = trajectory_at_rest(problem, near)
-        if resting is None:
-            continue
+    near = (trajectory, zero) if claims and not own.proven_within(allowed) else ()
+    for resting in filter(None, (trajectory_at_rest(problem, one) for one in near)):
         proof = judge_nearest(problem, Candidate(Status.LIMIT, resting, zero_multipliers(problem, 1.0)), allowed)
         if proof.certificate.proven_within(allowed):
             return proof

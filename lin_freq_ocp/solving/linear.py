@@ -239,8 +239,8 @@ class Structured(_Linear):
 class LinearAuto:
     """The Fourier-domain method if it applies and its answer is proven; otherwise the structured or the sparse one.
 
-    ``structured_first`` says which of these two comes first, by measured times; the other follows if the first one ends
-    without an answer. ``result.reason`` says why the method was chosen.
+    ``structured_first`` says which of these two comes first, by measured times; the other follows if the answer of the
+    first one is not proven. ``result.reason`` says why the method was chosen.
 
     Attributes
     ----------
@@ -266,24 +266,20 @@ class LinearAuto:
 
     def _answers(self, problem: OptimalControlProblem, request: Request) -> Iterator[Outcome | Attempt]:
         """Yield the answers of the methods in turn, and what those say that do not take the problem."""
-        end, methods = now() + request.time_limit, list[Method]([Spectral(self.tolerance)])
-        for method in methods:
+        end = now() + request.time_limit
+        for method in self._methods(problem):
             try:
-                answer = method.solve(problem, request.with_end(end))
+                yield method.solve(problem, request.with_end(end))
             except UnsupportedError as error:
-                answer = Attempt(method.shorthand, None, Reason.REFUSED, str(error))
-            yield answer
-            if method is methods[0]:  # what it does not prove, others may; these end alike
-                methods += self._other_methods(problem)
-            elif isinstance(answer, Outcome) and answer.attempt.reason >= Reason.LOCALLY_OPTIMAL:
-                return
+                yield Attempt(method.shorthand, None, Reason.REFUSED, str(error))
 
-    def _other_methods(self, problem: OptimalControlProblem) -> tuple[Method, ...]:
-        """Return the methods that follow the Fourier-domain method, in this order."""
-        convex, structured = Convex(self.backend, self.tolerance), Structured(self.tolerance)
-        if problem.response is not None:  # there are no stages
-            return (convex,)
-        return (structured, convex) if structured_first(problem) else (convex, structured)
+    def _methods(self, problem: OptimalControlProblem) -> Iterator[Method]:
+        """Yield the methods in turn; the order of the last two takes time to find."""
+        yield Spectral(self.tolerance)
+        methods: list[Method] = [Convex(self.backend, self.tolerance)]
+        if problem.response is None:  # there are stages
+            methods.insert(0 if structured_first(problem) else 1, Structured(self.tolerance))
+        yield from methods
 
 
 def _explain_choice(problem: OptimalControlProblem, best: Outcome) -> str:

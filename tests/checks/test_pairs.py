@@ -1,13 +1,15 @@
 """A share of the pairs of ``scripts/verify.py --part pairs``, and those that were once wrong."""
 
 import inspect
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.checks import pairs
+from helpers.checks import formulas_together, pairs
 from helpers.combinations import PAGE, page, words_of_page
-from helpers.seeds import seeds
+from helpers.seeds import expensive, seeds
 
 SHARE = 20  # of so many pairs one is solved here, and a twelfth of these on one day
 SAID = words_of_page(PAGE.read_text(encoding="utf-8"))
@@ -54,6 +56,31 @@ def test_features_work_together_or_are_refused(names):
         pytest.skip("a bound of formulas with a mask takes a minute")
     outcome = pairs.outcome_of(names, lambda: pairs.solved_wrongly(names))
     assert outcome.passed, outcome.words
+
+
+def test_limited_changes_of_the_size_of_rounding_have_an_answer():
+    """Errors of rows from 1e-16 to 1e5, relative to their units, are no weights of one factorisation."""
+    problem = lfo.rate_limited(pairs.problem_of("zero-padded frequency response"), limit=1e-12)
+    assert lfo.solve(problem, throw=False).certificate.feasible
+
+
+@expensive
+@pytest.mark.parametrize("seed", [20, 36, 130, 246, 281, 358, 398])
+def test_random_formulas_work_beside_other_features(seed):
+    """The last four once had no answer: a constant, norms beside other formulas, and a ball at whose edge it rests."""
+    outcome = formulas_together.check(seed)
+    assert outcome.passed, outcome.wrong
+
+
+def test_formulas_that_are_read_otherwise_are_found_out(monkeypatch):
+    drawn = replace(formulas_together.draw(36), stage="0.5*exp(u_0)")
+    assert formulas_together.faults(drawn, []) == []
+    shifted = formulas_together.NUMBERS | {"exp": lambda a: np.exp(a) + 1e-3}
+    monkeypatch.setattr(formulas_together, "NUMBERS", shifted)
+    assert ["by NumPy" in one for one in formulas_together.faults(drawn, [])] == [True]
+    monkeypatch.setattr(formulas_together, "twin", lambda given: None)
+    tight = replace(drawn, stage="", path="exp(u_0) - 1.1", soft=False, convex=False)
+    assert any("violated" in one for one in formulas_together.faults(tight, []))
 
 
 def test_the_page_has_every_pair():

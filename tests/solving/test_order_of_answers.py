@@ -149,6 +149,19 @@ def test_attempts_of_auto_say_why_the_next_method_follows():
     assert (convex.method, convex.status, convex.reason) == ("convex", "optimal", Reason.PROVEN)
 
 
+def test_auto_asks_the_next_method_where_no_bound_proves_an_answer(monkeypatch):
+    """The judge confirms of the convex method no more than local optimality; the structured method follows."""
+
+    def distrust(problem, candidate, method, *options):
+        outcome = judge_candidate(problem, candidate, method, *options)
+        return replace(outcome, status=Status.LOCALLY_OPTIMAL) if method == "convex" else outcome
+
+    substitute(monkeypatch, "solving.judge_candidate", distrust)
+    result = lfo.solve(replace(PROBLEM, terminal_state=lfo.sets.Ball(0.3, [0.1])))
+    assert result.status == "optimal"
+    assert [one.reason for one in result.attempts][-2:] == [Reason.LOCALLY_OPTIMAL, Reason.PROVEN]
+
+
 def test_an_interrupted_solve_returns_the_best_answer_with_its_verdict(monkeypatch):
     """A solver may call a point solved that the judge refutes; Ctrl-C while others are tried does not confirm it."""
     right = solve_convex(PROBLEM, "clarabel")
@@ -207,16 +220,18 @@ NEARLY = replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + 1
     [(PROBLEM, Reason.LOCALLY_OPTIMAL), (FALLING, Reason.UNBOUNDED), (NEARLY, Reason.NEARLY_FEASIBLE)],
     ids=["local optimum", "unbounded", "nearly feasible"],
 )
-def test_an_answer_of_the_sparse_program_ends_the_solve(problem, reason, monkeypatch):
+def test_other_units_do_not_follow_an_answer_of_the_sparse_program_but_the_next_method_does(
+    problem, reason, monkeypatch
+):
     def doubt(problem, candidate, *options):
         outcome = judge_candidate(problem, candidate, *options)
         return replace(outcome, status=Status.LOCALLY_OPTIMAL) if outcome.status == "optimal" else outcome
 
     substitute(monkeypatch, "solving.judge_candidate", doubt)
-    for method in ("convex", "auto"):
-        *before, last = lfo.solve(problem, method=method, throw=False).attempts
-        assert (last.method, last.reason) == ("convex", reason)
-        assert ("convex", reason) not in [(attempt.method, attempt.reason) for attempt in before]
+    for method, last in (("convex", ["convex"]), ("auto", ["convex", "structured"])):
+        attempts = lfo.solve(problem, method=method, throw=False).attempts
+        assert [one.method for one in attempts if one.method in last and one.reason == reason] == last
+        assert attempts[-1].method == last[-1]
 
 
 def test_the_answer_of_a_warm_start_counts_only_if_it_is_proven(monkeypatch):

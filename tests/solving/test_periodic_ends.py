@@ -323,3 +323,24 @@ def test_controls_that_leave_the_sets_are_judged_where_their_ends_meet():
     problem = double_integrator(state_set=lfo.Box([-0.5, None], [0.5, None]))
     certificate = lfo.certify(problem, 2 * lfo.solve(problem).trajectory.u)
     assert {condition.label for condition in certificate.failed if condition.on_feasibility} == {"S-x"}
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e3, 1e9])
+def test_rest_at_the_edge_of_a_ball_is_proven_where_a_norm_is_zero_and_the_cost_is_not(unit):
+    """No Newton step leads there; the repair of a point beside it moves x_0 into the ball.
+
+    The cost is linear, at least (0.3 * 6 + 0.5) * 0.8.
+    """
+    cost = lfo.QuadraticCost(q=[0.3, -0.2], r=[0.1], p=[0.5, 0.1])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.5], [1.0]]),
+        6,
+        cost + lfo.costs.SmoothCost(stage="norm(x_1, 0.131*u_0)"),
+        control_set=lfo.Box(-unit, unit),
+        state_set=lfo.Box(-5 * unit, 5 * unit),
+        initial_state=lfo.sets.Ball(0.2 * unit, [unit, 0.0]),
+        terminal_state=lfo.Periodic(),
+    )
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(1.84 * unit, rel=1e-9)

@@ -155,3 +155,20 @@ def test_numbers_that_vanish_end_with_an_answer_or_a_refusal(name, method, horiz
     problem = replace(SMALL, horizon=horizon, cost=cost, initial_state=start, terminal_state=end)
     with suppress(lfo.errors.UnsupportedError) if method == "spectral" else nullcontext():
         assert lfo.solve(problem, method, throw=False).status in list(lfo.results.Status)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("method", ["structured", "convex"])
+def test_a_norm_that_does_not_weigh_a_state_has_no_size_of_its_own(method, size):
+    """The slack of |0 x_1| counted 1: beside it, motions of 1e-9 and their cost were nothing to the solvers."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 1.0], [0.0, 1.0]], [[0.5], [1.0]]),
+        6,
+        lfo.QuadraticCost(Q=1e-3, R=1e-3) + lfo.costs.L1Cost(x=[0.1, 0.0], u=0.2, terminal=1.0),
+        control_set=lfo.Box(-1.0, 1.0),
+        state_set=lfo.Box(-5.0, 5.0),
+        initial_state=[0.7 * size, -0.3 * size],
+    )
+    result = lfo.solve(problem, method)
+    assert result.status == "optimal"
+    assert result.cost == pytest.approx(0.1825 * size, rel=1e-8)

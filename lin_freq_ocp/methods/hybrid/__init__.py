@@ -7,7 +7,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "search.branch_and_bound": "CoverNode TreeSearch shifted_cover", "search.enumeration": "MOST_SEQUENCES",
     "search.common": "SearchLimits TOLERANCES solve_relaxation", "search.mixed": "SolverClaim solve_miqp",
     "search.level_rounding": "level_rounding neighbouring_levels", "search.multipliers": "multipliers_with_weights",
-    "search.node": "solve_path_relaxation", "search.parts": "PARTS", "smooth.model": "Pieces SmoothModel",
+    "search.node": "NodeSolution solve_path_relaxation", "search.parts": "PARTS", "smooth.model": "Pieces SmoothModel",
     "search.path_native": "OPTIMAL path_library run_path",
     "smooth.interior_point": "Barrier BarrierPoint FEW_ROWS Filter Measure",
     "smooth.local_optimum": "End LocalOptimum smooth_optimum",

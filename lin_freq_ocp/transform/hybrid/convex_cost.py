@@ -11,10 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, times_vectors
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, NORM, POWER, SUM
-from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost
+from lin_freq_ocp.problem.costs.formula_cost import SmoothCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum, NonsmoothCost, QuadraticCost
 from lin_freq_ocp.problem.hybrid.formula_modes import affine_row
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import StageMap
@@ -46,26 +47,26 @@ class AffineNorms(NonsmoothCost):
 
 @dataclass(eq=False)
 class _Summands:
-    """The summands of a formula found so far, by their rows (..., n + m + 1)."""
+    """The summands of a formula found so far, by their rows (..., n + m + 1); with ``only_norms``, others stay."""
 
     affine: Array
+    only_norms: bool = False
     norms: list[Array] = field(default_factory=list[Array])
     squares: list[Array] = field(default_factory=list[Array])
+    others: list[Formula] = field(default_factory=list[Formula])
 
-    def add(self, node: Formula, factor: float) -> bool:
-        """Add a multiple of a formula; return whether it has this form."""
-        own = affine_row(node)
-        if own is not None:
+    def add(self, node: Formula, factor: float) -> None:
+        """Add a multiple of a formula."""
+        own, rows = affine_row(node), [row for row in map(affine_row, node.arguments) if row is not None]
+        if own is not None and not self.only_norms:
             self.affine += factor * own
-            return True
-        if node.kind == SUM:
+        elif own is None and node.kind == SUM:
             self.affine[-1] += factor * node.data[-1]
-            parts = zip(node.arguments, node.data[:-1], strict=True)
-            return all(self.add(part, factor * own_factor) for part, own_factor in parts)
-        rows = [row for row in map(affine_row, node.arguments) if row is not None]
-        if len(rows) < len(node.arguments):
-            return False
-        if node.kind == NORM and factor > 0:
+            for part, own_factor in zip(node.arguments, node.data[:-1], strict=True):
+                self.add(part, factor * own_factor)
+        elif len(rows) < len(node.arguments) or (self.only_norms and node.kind != NORM):
+            self.others.append(factor * node)
+        elif node.kind == NORM and factor > 0:
             self.norms.append(factor * np.array(rows))
         elif len(rows) == 2 and ((node.kind == MAXIMUM and factor > 0) or (node.kind == MINIMUM and factor < 0)):
             self.affine += factor / 2 * (rows[0] + rows[1])
@@ -73,8 +74,23 @@ class _Summands:
         elif node.kind == POWER and node.data[0] == 2 and factor > 0:
             self.squares.append(np.sqrt(factor) * rows[0])
         else:
-            return False
-        return True
+            self.others.append(factor * node)
+
+
+def with_norms_as_terms(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """Return the problem with norms in its stage cost as terms, which have multipliers where they are zero.
+
+    Its cost differs by a constant. Other summands stay formulas; without a norm, it is the problem itself.
+    """
+    stage, terminal = problem.cost.formulas
+    if stage is None:
+        return problem
+    found, cost = _Summands(np.zeros(sum(stage.dimensions) + 1), only_norms=True), problem.cost.without_formulas
+    found.add(stage, 1.0)
+    if not found.norms:
+        return problem
+    formulas = SmoothCost(stage=sum(found.others, 0.0 * stage), terminal=terminal)
+    return replace(problem, cost=CostSum([cost.quadratic, *cost.norms, AffineNorms(tuple(found.norms)), formulas]))
 
 
 def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem | None:
@@ -85,21 +101,29 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
     stage, terminal = problem.cost.formulas
     if stage is None or terminal is not None:
         return None
-    T, n, m, cost = problem.horizon, problem.state_dim, problem.control_dim, problem.quadratic
-    found = _Summands(np.zeros(n + m + 1))
-    if not found.add(stage, 1.0) or not found.norms:
+    found, width = _Summands(np.zeros(sum(stage.dimensions) + 1)), sum(stage.dimensions)
+    found.add(stage, 1.0)
+    if found.others or not found.norms:
         return None
-    squares = np.array(found.squares).reshape(-1, n + m + 1)
+    squares = np.array(found.squares).reshape(-1, width + 1)
     M, slope = 2 * squares[:, :-1].T @ squares[:, :-1], found.affine[:-1] + 2 * squares[:, -1] @ squares[:, :-1]
-    references = np.hstack([np.broadcast_to(cost.x_ref, (T + 1, n))[:T], np.broadcast_to(cost.u_ref, (T, m))])
-    slopes = slope + references @ M  # 1/2 y'M y is 1/2 a'M a + r'M y, a = y - r, up to a constant
-    quadratic = replace(
-        cost,
-        Q=cost.Q + M[:n, :n],
-        R=cost.R + M[n:, n:],
-        S=cost.S + M[:n, n:],
-        q=cost.q + slopes[:, :n],
-        r=cost.r + slopes[:, n:],
-    )
+    steps = np.arange(problem.horizon + 1)[:, None] < problem.horizon
+    quadratic = with_parabola(problem.quadratic, np.zeros((len(steps), width)), steps * slope, steps[..., None] * M)
     norms = [*problem.cost.without_formulas.norms, AffineNorms(tuple(found.norms))]
     return replace(problem, cost=CostSum([quadratic, *norms]))
+
+
+def with_parabola(cost: QuadraticCost, points: Array, slopes: Array, hessians: Array) -> QuadraticCost:
+    """Return a cost plus slope'd + 1/2 d'H d, d the deviation from points of (x_t, u_t), t = 0 .. T."""
+    n, T, H = cost.S.shape[-2], len(points) - 1, 0.5 * (hessians + hessians.swapaxes(1, 2))
+    slopes = slopes - times_vectors(H, cost.deviations_of(points))  # the quadratic cost counts from its references
+    return replace(
+        cost,
+        Q=cost.Q + H[:T, :n, :n],
+        R=cost.R + H[:T, n:, n:],
+        S=cost.S + H[:T, :n, n:],
+        q=cost.q + slopes[:T, :n],
+        r=cost.r + slopes[:T, n:],
+        P=cost.P + H[T, :n, :n],
+        p=cost.p + slopes[T, :n],
+    )

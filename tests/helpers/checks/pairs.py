@@ -168,11 +168,11 @@ FEATURES: dict[str, Callable[[], Fields]] = {
 
 def exclude_each_other(one: str, other: str) -> bool:
     """Whether two features need different values of a field that cannot be shared."""
-    return bool((_fields_of(one).keys() & _fields_of(other).keys()) - TOGETHER.keys())
+    return bool((fields_of(one).keys() & fields_of(other).keys()) - TOGETHER.keys())
 
 
 @cache
-def _fields_of(name: str) -> Fields:
+def fields_of(name: str) -> Fields:
     """Return the fields of a feature."""
     return FEATURES[name]()
 
@@ -187,9 +187,14 @@ def _combine_values(field: str, one: Any, other: Any) -> Any:
 
 def problem_of(*names: str) -> Problem:
     """Return the problem with these features; ProblemError or UnsupportedError if there is none."""
+    return problem_with([fields_of(name) for name in names], ", ".join(names))
+
+
+def problem_with(parts: Sequence[Fields], name: str) -> Problem:
+    """Return the problem with the fields of some features; ProblemError or UnsupportedError if there is none."""
     fields: Fields = {}
-    for name in names:
-        for field, value in _fields_of(name).items():
+    for part in parts:
+        for field, value in part.items():
             fields[field] = _combine_values(field, fields[field], value) if field in fields else value
     quadratic = {"Q": 0.5, "R": 0.2, "P": 1.0, "x_ref": [0.6, 0.0]} | fields.pop("quadratic", {})
     cost = lfo.QuadraticCost(**quadratic)
@@ -200,7 +205,7 @@ def problem_of(*names: str) -> Problem:
         "initial_state": lfo.sets.Point([1.5, 0.0]),
     }
     base |= {"control_set": lfo.Box(-1, 1), "state_set": lfo.Box(-5, 5)}
-    problem = Problem(horizon=T, cost=cost, name=", ".join(names), **base | fields)
+    problem = Problem(horizon=T, cost=cost, name=name, **base | fields)
     return problem if rates is None else lfo.rate_limited(problem, **rates)
 
 

@@ -15,7 +15,7 @@ from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import IntervalReach, tree_bound
-from lin_freq_ocp.methods.hybrid import solve_path_relaxation, solve_relaxation
+from lin_freq_ocp.methods.hybrid import NodeSolution, solve_path_relaxation, solve_relaxation
 from lin_freq_ocp.program.hybrid import PathRelaxation
 from lin_freq_ocp.transform.hybrid import ModeReach
 
@@ -133,3 +133,11 @@ def test_nodes_that_reach_nothing_are_proven_by_the_judge():
     assert tree_bound(result.problem, result.tree).value == np.inf
     relaxation, reach = reached(problem, (1, 1))
     assert solve_relaxation(relaxation, reach).trajectory is not None
+
+
+def test_leaves_that_their_solver_does_not_solve_are_no_limit_of_time(monkeypatch):
+    """No sequence is left to split, and time is left: the search ends without a proof, and names no limit."""
+    substitute(monkeypatch, "methods.hybrid.solve_relaxation", lambda _, reach, *given: NodeSolution(reach, -np.inf))
+    result = lfo.solve(random_problem(2, horizon=3, n=1), "branch_and_bound", throw=False)
+    assert result.status == "numerical_error"
+    assert result.message == "no trajectory was found, and infeasibility is not proven"

@@ -1,5 +1,6 @@
 """Costs by formulas with kinks that are convex terms: solved as a convex program, with its proof."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
@@ -123,3 +124,33 @@ def test_smooth_dynamics_rest_where_the_norm_of_the_cost_is_zero(unit, horizon):
     assert (result.status, result.certificate.pmp) == ("locally_optimal", "satisfied")
     assert result.cost == pytest.approx(21.2682376173, rel=1e-9)
     assert np.abs(result.trajectory.x[35:]).max() < 1e-6 * unit
+
+
+@pytest.mark.parametrize("terminal", [None, "x_0**2 + 0.5*x_1**4"])
+@pytest.mark.parametrize("path", [None, "norm(x_0, x_1) - 2"])
+@pytest.mark.parametrize("others", ["", " + 0.2*exp(u_0) + 0.1*abs(x_0 - 0.7)"])
+def test_norms_beside_other_formulas_have_multipliers_where_they_are_zero(terminal, path, others):
+    """The references rest at the zero of the norm for a part of the time; CVXPY finds the same optimum."""
+    stage = "norm(x_0, x_1 - u_0)"
+    x_ref = np.outer(np.sin(1.3 * np.arange(7)), [1.0, 0.0])
+    cost = lfo.QuadraticCost(Q=0.5, R=0.2, P=1.0, x_ref=x_ref) + lfo.costs.SmoothCost(stage + others, terminal)
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.5], [1.0]])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, B),
+        6,
+        cost,
+        control_set=lfo.Box(-1.0, 1.0),
+        initial_state=[1.5, 0.0],
+        stage_rows=[] if path is None else [lfo.sets.PathConstraint(path)],
+    )
+    x, u = cp.Variable((7, 2)), cp.Variable((6, 1))
+    total = 0.5 * (0.5 * cp.sum_squares(x[:6] - x_ref[:6]) + 0.2 * cp.sum_squares(u) + cp.sum_squares(x[6] - x_ref[6]))
+    total += sum(cp.norm(cp.hstack([x[t, 0], x[t, 1] - u[t, 0]])) for t in range(6))
+    total += 0 if terminal is None else x[6, 0] ** 2 + 0.5 * x[6, 1] ** 4
+    total += 0 if not others else 0.2 * cp.sum(cp.exp(u)) + 0.1 * cp.sum(cp.abs(x[:6, 0] - 0.7))
+    rows = [x[0] == [1.5, 0.0], cp.abs(u) <= 1, *(x[t + 1] == A @ x[t] + B @ u[t] for t in range(6))]
+    rows += [] if path is None else [cp.norm(x[t]) <= 2 for t in range(7)]
+    best = cp.Problem(cp.Minimize(total), rows).solve(solver=cp.CLARABEL)
+    result = lfo.solve(problem, "nonsmooth")
+    assert result.certificate.pmp == "satisfied"
+    assert result.cost == pytest.approx(best, rel=1e-7)

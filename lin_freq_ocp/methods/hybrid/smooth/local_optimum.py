@@ -15,7 +15,7 @@ from lin_freq_ocp.methods.structured.embedding import End
 from lin_freq_ocp.methods.structured.kkt.recursions import loops
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
+from lin_freq_ocp.transform.hybrid.convex_cost import with_norms_as_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 
 WARM_MU = 1e-3  # first weight of the barrier at a start that is taken to be near
@@ -54,15 +54,6 @@ def is_smooth(problem: OptimalControlProblem) -> bool:
     """Whether the dynamics are one smooth map, in a region at most."""
     dynamics = piecewise_smooth(problem)
     return len(dynamics.modes) == 1 and not dynamics.norms
-
-
-def with_norms_as_terms(problem: OptimalControlProblem) -> OptimalControlProblem:
-    """Return the problem with norms in its stage cost as terms, which have multipliers where they are zero.
-
-    The problem itself if its cost has another form, or kinks that are borders of modes, or its dynamics are affine.
-    """
-    convex = None if problem.dynamics.standard_form.affine else with_convex_terms(problem)
-    return convex if convex is not None and convex.mode_names == problem.mode_names else problem
 
 
 def smooth_optimum(

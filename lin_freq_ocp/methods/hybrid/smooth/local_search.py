@@ -77,11 +77,12 @@ class ValueGrid:
         costs, end = _StageCosts(problem, multipliers), problem.ends[1]
         cost = costs.at(problem.horizon - 1, self.pairs)
         spread = float(np.ptp(cost))
-        far = 10 * (1 + spread) * problem.horizon
         distance = np.maximum(np.maximum(end.lower - states, states - end.upper), 0.0)
         to_end = spread * (distance / np.maximum(np.ptp(self.axes, axis=1), 1e-300)).sum(axis=1)
         prices = np.array(END_PRICES if to_end.any() else END_PRICES[:1])
         value = costs.last(states)[:, None] + prices * to_end[:, None]
+        # more than any trajectory costs, in any unit of the cost, and with any constant in it
+        far = 10 * problem.horizon * (float(max(np.abs(cost).max(), np.abs(value).max())) or 1.0)
         following = [value]  # of each state and price, from the last time to the first
         for t in range(problem.horizon - 1, 0, -1):
             if now() > deadline:

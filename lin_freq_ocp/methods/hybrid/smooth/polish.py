@@ -20,18 +20,19 @@ from itertools import islice
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, stack_signals, times_vectors
+from lin_freq_ocp.base.arrays import Array, stack_signals
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.methods.correction import corrections
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
-from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
+from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.convex_cost import with_parabola
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 MOST_STEPS = 6  # one is enough near an optimum; where active rows depend on each other, the first ones may leave it
@@ -82,26 +83,10 @@ def quadratic_model(
     for one in problem.path_constraints:
         prices = multipliers.stage.get(one.name, np.zeros(one.map.shape))
         hessians[one.map.times] += np.einsum("ti,tijk->tjk", prices, one.map.jets_along(x, u).curvatures)
-    cost = CostSum([_with_parabola(problem.quadratic, points, slopes, hessians), *problem.cost.without_formulas.norms])
+    cost = CostSum([with_parabola(problem.quadratic, points, slopes, hessians), *problem.cost.without_formulas.norms])
     return replace_fields(
         problem,
         dynamics=pieces.linear_at(trajectory),
         cost=cost.at_dimensions(n, m, T),
         stage_rows=problem.rows_along(trajectory),
-    )
-
-
-def _with_parabola(cost: QuadraticCost, points: Array, slopes: Array, hessians: Array) -> QuadraticCost:
-    """Return a cost plus slope'd + 1/2 d'H d, d the deviation from points of (x_t, u_t), t = 0 .. T."""
-    n, T, H = cost.S.shape[-2], len(points) - 1, 0.5 * (hessians + hessians.swapaxes(1, 2))
-    slopes = slopes - times_vectors(H, cost.deviations_of(points))  # the quadratic cost counts from its references
-    return replace(
-        cost,
-        Q=cost.Q + H[:T, :n, :n],
-        R=cost.R + H[:T, n:, n:],
-        S=cost.S + H[:T, :n, n:],
-        q=cost.q + slopes[:T, :n],
-        r=cost.r + slopes[:T, n:],
-        P=cost.P + H[T, :n, :n],
-        p=cost.p + slopes[T, :n],
     )

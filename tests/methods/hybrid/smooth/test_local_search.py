@@ -223,3 +223,24 @@ def test_states_of_several_controls_are_those_of_each():
     states = states_of_controls(problem, first, u)
     np.testing.assert_allclose(states[0], lfo.simulate(problem, u[0]).x, rtol=1e-15)
     assert np.isnan(states[1, 1:]).all()  # the map is not defined there
+
+
+@expensive
+@pytest.mark.parametrize("constant", [0.0, 1e3, 1e6])
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_constant_in_the_cost_does_not_hide_the_grid_from_the_search(constant, unit):
+    """Values outside of the grid had a size of their own: with a constant, all values were that."""
+    formulas = ["x_0 + x_1 + 0.5*u_0", "x_1 + u_0 - 0.0913*abs(x_1)"]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseSmoothDynamics.from_formulas(formulas, 2, 1),
+        6,
+        lfo.QuadraticCost(Q=0.5 * unit, R=0.2 * unit, P=unit, x_ref=[0.6, 0.0])
+        + lfo.costs.SmoothCost(stage=f"{unit}*({constant} + 0.591*(1 - cos(u_0)))"),
+        control_set=lfo.Box(-1, 1),
+        state_set=lfo.Box(-5, 5),
+        initial_state=[1.5, 0.0],
+        state_spectrum=lfo.stop_band(bins=[2], component=1),
+    )
+    result = lfo.solve(problem, "nonsmooth", throw=False)
+    assert result.status == "locally_optimal"
+    assert result.cost / unit - 6 * constant == pytest.approx(0.5471359871549387, abs=1e-8)
