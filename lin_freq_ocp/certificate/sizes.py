@@ -121,11 +121,17 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
 
 @lru_cache(maxsize=2)  # for the scale of the cost and those of slopes
 def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
-    """Return the sums of the absolute values of the terms of each state, (T+1, n), and control, (T, m), at its time."""
+    """Return the sums of the absolute values of the terms of each state, (T+1, n), and control, (T, m), at its time.
+
+    A component whose terms are all zero has its size.
+    """
     x, u, cost = trajectory.x, trajectory.u, problem.quadratic
     A, B, offset = problem.form.gains_along(x, u)
     of_x, of_u = np.abs(x) + np.abs(cost.x_ref), np.abs(u) + np.abs(cost.u_ref)
     of_x[1:] += np.abs(x[:-1]) @ A.T + np.abs(u) @ B.T + offset
+    if not (of_x.any(axis=0).all() and of_u.any(axis=0).all()):
+        sizes = trajectory_sizes(problem, trajectory)
+        of_x, of_u = (np.where(own.any(axis=0), own, size) for own, size in zip((of_x, of_u), sizes, strict=True))
     return of_x, of_u
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,10 +170,10 @@ class Box(ConvexSet):
         lower[0], upper[0], lower[-1], upper[-1] = *first.bounds, *last.bounds
         return _box_of_checked(freeze(lower), freeze(upper))
 
-    @property
+    @cached_property
     def fixed(self) -> Mask:
         """Where the box leaves no freedom: lower == upper."""
-        return self.lower == self.upper
+        return freeze(self.lower == self.upper)
 
     def violation(self, v: Array) -> Array:
         """Return the distance of each component of v from the box (0 inside); same shape as v."""
