@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_442,
-    "code lines": 47_011,
-    "code lines, linear part": 22_229,
+    "shipped lines": 50_537,
+    "code lines": 47_099,
+    "code lines, linear part": 22_328,
     "code lines, hybrid": 8_825,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
@@ -66,7 +66,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 12.3,
     "files entered by a solve": 49,
     "functions entered by a solve": 383,
-    "calls of a solve": 745,
+    "calls of a solve": 746,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
