@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_537,
-    "code lines": 47_099,
-    "code lines, linear part": 22_328,
-    "code lines, hybrid": 8_825,
+    "shipped lines": 50_546,
+    "code lines": 47_108,
+    "code lines, linear part": 22_335,
+    "code lines, hybrid": 8_827,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,

@@ -30,6 +30,7 @@ from lin_freq_ocp.certificate.reach import (
     Pair,
     Region,
     box_around,
+    cost_is_never_negative,
     implied_bounds,
     nearby_bounds,
     reachable_bounds,
@@ -253,15 +254,6 @@ def bounds_within(bounds: Pair, signal: Array, distance: Array) -> Pair:
     """Return bounds on a signal, at a distance from it where there are none."""
     lower, upper = bounds
     return np.where(np.isinf(lower), signal - distance, lower), np.where(np.isinf(upper), signal + distance, upper)
-
-
-def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
-    """Whether the cost without formulas is a sum of squares, norms and penalties, exactly semidefinite."""
-    cost = problem.quadratic
-    if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
-        return False
-    stage, end = cost.rises
-    return not stage.any() and end == 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -119,6 +119,7 @@ def nearby_bounds(
     so that |d| <= 2 |s|/m + sqrt(2/m) q where there is curvature; m of the others is zero, or below by rounding. The
     dynamics turn these radii into those of the others, all of the form alpha + beta q + gamma q^2, above and below;
     then q^2 <= left + losses + a + b q + c q^2, and q is at most the larger root if c < 1.
+    Where no part of the cost can be negative, none of its terms costs more than the trajectory.
     Missing bounds do not matter: the cost is higher that far away. Components without a loss over the stated sets need
     no radius. Where these radii do not suffice, others count:
     stated bounds, or |d| <= q^2/s where the cost rises at least by s. Far ones come last, as they may be large numbers
@@ -133,9 +134,10 @@ def nearby_bounds(
     if mistrusted and not _replace(radii, near, [curvature <= 0 for curvature in deviations.curvatures]):
         return None  # the same as with trust
     changed, lossless = True, [lost == 0 for lost in deviations.losses]
+    level_of_terms = cost if cost_is_never_negative(problem) and not problem.cost.has_formulas else np.inf
     for further in (near, others, None):
         if changed:
-            _propagate_radii(problem, trajectory, radii)
+            _propagate_radii(problem, trajectory, radii, level_of_terms)
             if all((np.isfinite(part[0]) | mask).all() for part, mask in zip(radii, lossless, strict=True)):
                 break
         if further is None:
@@ -179,6 +181,15 @@ def box_around(
             return None
         pairs.append(_intersection((box.lower, box.upper), (signal - below, signal + above)))
     return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
+
+
+def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
+    """Whether the cost without formulas is a sum of squares, norms and penalties, exactly semidefinite."""
+    cost = problem.quadratic
+    if any(np.any(part) for part in (cost.q, cost.r, cost.p)):
+        return False
+    stage, end = cost.rises
+    return not stage.any() and end == 0
 
 
 def _replace(radii: Pair, others: Sequence[Array], chosen: Sequence[Mask]) -> bool:
@@ -236,12 +247,14 @@ def _is_near(extent: Array, signal: Array) -> Mask:
     return extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
 
 
-def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair) -> None:
-    """Fill in the radii that the dynamics imply."""
+def _propagate_radii(
+    problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair, level: float = np.inf
+) -> None:
+    """Fill in the radii that the dynamics imply, and terms whose cost is at most ``level``."""
     x, u = radii
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
-    rows = _rows_of_steps(problem, trajectory)
+    rows = _rows_of_steps(problem, trajectory, level)
     left = np.zeros(problem.horizon, dtype=int)
     _propagate_one_step(problem, residual, rows, 0, radii, left)
     if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
@@ -259,12 +272,12 @@ def _propagate_radii(problem: OptimalControlProblem, trajectory: Trajectory, rad
     _solve_all_steps(problem, trajectory, residual, radii)
 
 
-def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory) -> Rows:
+def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level: float) -> Rows:
     """Return, per time, rows of (x_t, u_t) with the largest distance that their values can rise."""
     signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
     by_time: Rows = {}
     for term in problem.terms:
-        rows = term.implied_rows(problem.state_dim, problem.control_dim)
+        rows = term.implied_rows(problem.state_dim, problem.control_dim, level)
         if rows is None:
             continue
         for group, t in enumerate(rows.times):

@@ -29,14 +29,13 @@ from lin_freq_ocp.certificate.bound import (
     Bound,
     bounds_within,
     box_minimum,
-    cost_is_never_negative,
     farthest_bound,
     lower_bound,
     ray_bound,
     unit_rounding,
 )
 from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
-from lin_freq_ocp.certificate.reach import Pair, implied_bounds
+from lin_freq_ocp.certificate.reach import Pair, cost_is_never_negative, implied_bounds
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response import Response

@@ -128,6 +128,29 @@ def test_what_costs_nothing_and_changes_nothing_needs_no_bound(seed):
     assert result.cost == pytest.approx(in_J * 0.5 * residual @ residual, rel=1e-7)
 
 
+FUEL = {
+    "L1": lfo.costs.L1Cost(u=1.0),
+    "largest": lfo.costs.LInfCost(u=1.0),
+    "L1 of both": lfo.costs.L1Cost(x=[1.0, 0.5], u=0.1),
+}
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("name", FUEL)
+def test_a_price_on_the_size_of_controls_bounds_them(name, unit):
+    """A move of least fuel needs no bound: none of its terms costs more than all."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005 * unit], [0.1 * unit]])
+    price = replace(FUEL[name], u=np.ravel(FUEL[name].u) * unit)
+    task = lfo.OptimalControlProblem(dynamics, 30, price, initial_state=[1.0, 0.3], terminal_state=[0.0, 0.0])
+    result = lfo.solve(task)
+    assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")
+    bounded = lfo.solve(replace(task, control_set=lfo.Box(-50.0 / unit, 50.0 / unit)))
+    assert result.cost == pytest.approx(bounded.cost, rel=1e-6)
+    # a linear price may be negative, and then nothing follows
+    cheaper = replace(task, cost=price + lfo.QuadraticCost(r=[-2.0 * unit]), terminal_state=None)
+    assert lfo.solve(cheaper, throw=False).status == "unbounded"
+
+
 def estimation(seed, in_x=1.0, in_J=1.0):
     """Return a fit of one output of 2 to 4 states by a disturbance, from a free start: no state alone has a price."""
     rng = np.random.default_rng(seed)

@@ -31,8 +31,9 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.polyhedra import box_minimiser
-from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, box_minimum, cost_is_never_negative
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, box_minimum
 from lin_freq_ocp.certificate.hamiltonian import Extremal, diagonal_curvature, extremal_at
+from lin_freq_ocp.certificate.reach import cost_is_never_negative
 from lin_freq_ocp.certificate.tolerances import (
     ARITHMETIC_ROUNDING,
     FINITE,

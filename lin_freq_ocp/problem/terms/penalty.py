@@ -134,10 +134,14 @@ class Penalty(ABC):
         """Return bounds on the values that the limits imply, hard or soft, (groups, dim)."""
         return np.full(shape, -np.inf), np.full(shape, np.inf)
 
-    def hard_bounds(self, shape: tuple[int, int]) -> tuple[Array, Array]:
-        """Return the bounds that hard limits imply."""
-        lower, upper = self.bounds(shape)
-        return np.where(np.isinf(self.weights), lower, -np.inf), np.where(np.isinf(self.weights), upper, np.inf)
+    def hard_bounds(self, shape: tuple[int, int], level: float = np.inf) -> tuple[Array, Array]:
+        """Return the bounds that hard limits imply, and a price on excesses of at most ``level``."""
+        (lower, upper), weights = self.bounds(shape), self.weights
+        beyond = np.divide(
+            level, weights, out=np.full(weights.shape, np.inf), where=(weights > 0) & np.isfinite(weights)
+        )
+        beyond = np.where(np.isinf(weights), 0.0, beyond)
+        return lower - beyond, upper + beyond
 
     def limit_multipliers(self, multipliers: Array, v: Array, change: Array | None = None) -> Array | None:
         """Return minus the derivatives of h by its limits at v, from the multipliers; None if h has no limits.

@@ -147,12 +147,15 @@ class Term:
             return None
         return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
 
-    def implied_rows(self, n: int, m: int) -> LinearRows | None:
-        """Return rows of (x_t, u_t) that a hard term implies, such as the box around a ball; None without one."""
-        form = self.map.stage_form(n, m) if self.hard else None
+    def implied_rows(self, n: int, m: int, level: float = np.inf) -> LinearRows | None:
+        """Return rows of (x_t, u_t) that a term implies, such as the box around a ball; None without one.
+
+        A hard term implies them; a price does where it costs at most ``level``.
+        """
+        form = self.map.stage_form(n, m) if self.hard or level < np.inf else None
         if form is None:
             return None
-        lower, upper = self.penalty.hard_bounds(self.shape)
+        lower, upper = self.penalty.hard_bounds(self.shape, level)
         sides = [(form[0], upper - form[1]), (-form[0], form[1] - lower)]
         finite = [(matrix, limits) for matrix, limits in sides if np.isfinite(limits).any()]
         if not finite:

@@ -20,12 +20,13 @@ from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import join_words, plural
 from lin_freq_ocp.base.status import Status
-from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound, cost_is_never_negative
+from lin_freq_ocp.certificate.bound import NEVER_NEGATIVE, RIGOROUS, Bound
 from lin_freq_ocp.certificate.hybrid.clarke import facts_where_modes_meet
 from lin_freq_ocp.certificate.hybrid.global_bound.bound import value_bounds
 from lin_freq_ocp.certificate.hybrid.global_bound.lattice import least_by_formulas
 from lin_freq_ocp.certificate.hybrid.global_bound.step import OutOfTimeError
 from lin_freq_ocp.certificate.hybrid.smooth import convex_bound, is_proven_convex, judged_modes, tangents_exclude
+from lin_freq_ocp.certificate.reach import cost_is_never_negative
 from lin_freq_ocp.certificate.sizes import cost_scale
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
