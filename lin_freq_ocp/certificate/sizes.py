@@ -37,9 +37,10 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
     The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
     without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon. If it acts on none, and there are no data, its size is that of the origin, or 1.
+    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
+    is zero and there are no data, the size is that of the origin, or 1.
     """
-    n, (references, slopes) = problem.state_dim, _sizes_of_cost(problem.quadratic)
+    n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
     in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
@@ -49,6 +50,11 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     anchored = (in_data > 0) | (slopes > 0)
     needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
     sizes = np.maximum(known, needed)
+    alone = ~anchored & (needed == 0)
+    if alone.any():  # by their cost, 0 if they cost nothing
+        total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
+        by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
+        sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
     if not sizes.all() and problem.origin is not None:
         sizes[:n] = np.where(sizes[:n] > 0, sizes[:n], np.abs(problem.origin))
     sizes = np.where(sizes > 0, sizes, 1.0)
@@ -56,15 +62,16 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
 
 
 @lru_cache(maxsize=4)  # the steps of a loop have one cost
-def _sizes_of_cost(cost: QuadraticCost) -> tuple[Array, Array]:
-    """Return the largest references and linear costs over times, each (n + m,)."""
+def _sizes_of_cost(cost: QuadraticCost) -> tuple[Array, Array, Array]:
+    """Return the largest references, linear costs and diagonal entries of the Hessian over times, each (n + m,)."""
 
     def largest(*parts: Array) -> Array:
         return np.concatenate([part.reshape(-1, part.shape[-1]).max(0) for part in parts])
 
     slopes = largest(np.abs(cost.q), np.abs(cost.r))
     slopes[: len(cost.p)] += np.abs(cost.p)
-    return largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes
+    curvatures = largest(*(np.diagonal(part, axis1=-2, axis2=-1) for part in (cost.Q, cost.R)))
+    return largest(np.abs(cost.x_ref), np.abs(cost.u_ref)), slopes, curvatures
 
 
 def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: Mask) -> Array:
@@ -109,14 +116,20 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
     rounding = quadratic.magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * quadratic.products(x, u)
     if levels.any():
         rounding += DATA_ROUNDING * quadratic.magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
-    value, total = quadratic.value_and_terms(x, u)
-    formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
-    cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
-    total = float(total) + sum(float(np.abs(part).sum()) for part in (formulas, *priced))
+    cost, total, priced = _cost_and_terms(problem, trajectory)
     for term, given in zip(problem.terms, priced, strict=True):
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
     return cost, max(total, rounding / GAP_TOLERANCE)
+
+
+def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[float, float, list[Array]]:
+    """Return J, the sum of the absolute values of its terms, and what each of the problem's terms costs."""
+    x, u = trajectory.x, trajectory.u
+    value, total = problem.quadratic.value_and_terms(x, u)
+    formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
+    cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
+    return cost, float(total) + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
 
 
 @lru_cache(maxsize=2)  # for the scale of the cost and those of slopes

@@ -328,7 +328,8 @@ def test_near_the_least_limit_a_point_is_found_where_there_is_an_optimum(margin)
     problem = masked_move(least * (1 + margin))
     optimum, point = lfo.solve(problem, throw=False), solve_judged(problem, any_point=True)
     assert (point.primal, point.any_point) == (optimum.primal, optimum.primal)
-    assert point.primal == (margin > 1e-6)
+    if abs(margin) > 1e-6:  # of the limit: the tolerance of its peaks
+        assert point.primal == (margin > 0)
     assert point.primal or point.status == optimum.status == "infeasible"
 
 
@@ -421,9 +422,9 @@ def test_problems_that_cannot_be_stated_at_another_horizon_are_refused():
 
 
 def test_a_numerical_ray_is_no_proof():
-    """Without bounds on the control, the ray of a stop band excludes trajectories up to a size alone."""
+    """Without bounds on two equal controls, the ray of a stop band excludes trajectories up to a size alone."""
     h = 0.1
-    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2], [h]], sampling_time=h)
+    dynamics = lfo.LinearDynamics([[1.0, h], [0.0, 1.0]], [[h * h / 2] * 2, [h] * 2], sampling_time=h)
     band = lfo.low_pass(cutoff_hz=0.35)  # of 28 steps, only constant controls pass; of 29, one more bin
     cost = lfo.QuadraticCost(R=1.0)
     free = lfo.OptimalControlProblem(dynamics, 30, cost, None, None, [0, 0], [1, 0], control_spectrum=band)

@@ -190,9 +190,7 @@ class CondensedSolver:
                 return Plan(kernel.tables, units, start, control, none, ray, made, eta_C=0.0)
             if status != LIMIT or (budget.changes is None and now() < budget.end):
                 return None
-            with one_blas_thread:
-                v = kernel.tables.W @ np.append(start / units.x, 1.0) + kernel.tables.V @ kernel.unknowns
-                return unsettled_plan(kernel.tables, units, start, v, made)
+            return self._unsettled_plan(start, made)
 
     def plan_windows(self, start: Array, lti: Lti, budget: Budget) -> Plan:
         """Return the plan from an initial state, (n,), with windows; where it is not ``settled``, that of promise 4."""
@@ -203,6 +201,13 @@ class CondensedSolver:
         control, weights, settled = kernel.control * units.u, kernel.multipliers, status == SOLVED
         of_step = kernel.tables, units, start, control, kernel.plan, weights, made, settled, float(status != INFEASIBLE)
         return Plan(*of_step, self.windows, kernel.window_duals if settled else tuple)
+
+    @one_blas_thread
+    def _unsettled_plan(self, start: Array, changes: int) -> Plan:
+        """Return the plan where the kernel ended."""
+        tables, x = self.kernel.tables, start / self.units.x
+        v = tables.W @ np.append(x, 1.0) + tables.V @ self.kernel.unknowns
+        return unsettled_plan(tables, self.units, start, v, changes)
 
     def plan_batch(self, starts: Array, lti: Lti) -> tuple[dict[int, Plan], bool]:
         """Return the plans from initial states (N, n) by number, each from the multipliers of the one before.
