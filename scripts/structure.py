@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_546,
-    "code lines": 47_108,
-    "code lines, linear part": 22_335,
+    "shipped lines": 50_563,
+    "code lines": 47_125,
+    "code lines, linear part": 22_352,
     "code lines, hybrid": 8_827,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.3,
     "files entered by a solve": 49,
-    "functions entered by a solve": 383,
-    "calls of a solve": 746,
+    "functions entered by a solve": 384,
+    "calls of a solve": 747,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

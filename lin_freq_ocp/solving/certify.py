@@ -12,6 +12,7 @@ from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.arrays import Array, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
+from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.peaks import peak_points
 from lin_freq_ocp.certificate.rays import descent_direction
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
@@ -152,9 +153,13 @@ def _certify_linear(problem: OptimalControlProblem, trajectory: Trajectory, allo
     Every optimal trajectory of a convex problem has the multipliers of every other one.
     """
     with suppress(UnsupportedError):  # such as a cost that is not convex
-        multipliers = solve_judged(problem).multipliers
-        if multipliers is not None:  # proven to be optimal or not
-            certificate = _judge_to_rounding(problem, trajectory, multipliers, allowed)
+        best = solve_judged(problem)
+        if best.multipliers is not None:  # proven to be optimal or not
+            certificate = _judge_to_rounding(problem, trajectory, best.multipliers, allowed)
+            bound = None if best.certificate is None else best.certificate.bound
+            if bound is not None and bound.kind == RIGOROUS and not certificate.globally_optimal:
+                proven = replace(certificate, bound=Bound(bound.value, bound.kind, sets=bound.sets))
+                certificate = proven if proven.globally_optimal else certificate
             if certificate.pmp == "satisfied":
                 return certificate
     problem = at_frequencies(problem, peak_points(problem, trajectory.x, trajectory.u, NEAR_LIMIT))

@@ -17,7 +17,7 @@ from helpers.random.linear import random_linear
 
 KINDS = "any", "uncosted", "masked"
 METHODS = "auto", "structured", "convex"
-MARGIN = 0.1  # part of the tolerance that the residuals of a proven optimum stay below
+MARGIN = 0.2  # part of the tolerance that the residuals of a proven optimum stay below
 AS_GOOD = (
     1.5  # or this multiple of those with the multipliers of the solve: a trajectory may be that far from the optimum
 )
