@@ -151,6 +151,19 @@ def test_a_price_on_the_size_of_controls_bounds_them(name, unit):
     assert lfo.solve(cheaper, throw=False).status == "unbounded"
 
 
+def test_no_price_bounds_anything_where_the_cost_may_be_negative():
+    """|u| - 0.9 u is 0.1 at u = 1, where the price of |u| alone is 1."""
+    cost = lfo.costs.L1Cost(u=1.0) + lfo.QuadraticCost(r=[-0.9])
+    task = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.5]], [[1.0]]), 3, cost, initial_state=[0.0])
+    best = lfo.solve(task, throw=False)
+    np.testing.assert_allclose(best.control, 0.0, atol=1e-9)
+    region = optimum_box(extremal_at(task, best.trajectory, best.multipliers), 0.1001)
+    moved = lfo.simulate(task, np.array([[1.0], [0.0], [0.0]]))
+    assert task.value(moved.x, moved.u) == pytest.approx(0.1)
+    assert (region.u[0] <= moved.u).all()
+    assert (moved.u <= region.u[1]).all()
+
+
 def estimation(seed, in_x=1.0, in_J=1.0):
     """Return a fit of one output of 2 to 4 states by a disturbance, from a free start: no state alone has a price."""
     rng = np.random.default_rng(seed)
