@@ -144,29 +144,22 @@ def level_bounds(
     residual = np.abs(state_residual(problem, trajectory)) + (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     missed = np.abs(lower - stack_signals(trajectory.x, trajectory.u))[~free]
     of_free, sides = [weights @ (residual.ravel() + through_fixed @ missed), beta], np.zeros((2, *free.shape))
-    for side, radius in zip(sides, of_free, strict=True):
+    for k, radius in enumerate(of_free):
         added = error @ radius
         if (2 * error @ added > added).any():
             return None
-        side[free] = radius + 2 * added
-    sides[0][~free] = missed
-    pairs = (
-        np.stack([np.stack([part] * 2) for part in (*of, 0 * of[0])])
-        for of in split_signals(sides, trajectory.x.shape[1])
-    )
-    of_x, of_u = pairs
-    return box_around(problem, trajectory, deviations, cost, (of_x, of_u), [lost == 0 for lost in deviations.losses])
+        sides[k, free] = radius + 2 * added
+    sides[0, ~free] = missed
+    alpha_beta_gamma = np.stack([sides[0], sides[1], 0 * sides[1]])[:, None].repeat(2, axis=1)
+    radii, lossless = split_signals(alpha_beta_gamma, problem.state_dim), [lost == 0 for lost in deviations.losses]
+    return box_around(problem, trajectory, deviations, cost, radii, lossless)
 
 
 @lru_cache(maxsize=2)  # for the candidates of one problem, one after another
 def _level_inverse(problem: OptimalControlProblem) -> tuple[Array, Array, Array, Array] | None:
     """Return sqrt(2 diag(Z H Z')), |Y|, |M| of fixed components, and |E|; None if Z is unknown."""
-    curvatures, (lower, upper), T = (
-        cost_curvatures(problem.quadratic, problem.horizon),
-        problem.signal_bounds,
-        problem.horizon,
-    )
-    n, free = problem.state_dim, (lower < upper).ravel()
+    (lower, upper), n, T = problem.signal_bounds, problem.state_dim, problem.horizon
+    curvatures, free = cost_curvatures(problem.quadratic, T), (lower < upper).ravel()
     if curvatures is None or problem.response is not None or free.sum() > MAX_UNKNOWN:
         return None
     blocks, M = np.zeros((*lower.shape, lower.shape[1])), np.zeros((T, n, *lower.shape))

@@ -326,7 +326,7 @@ def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, res
             columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
         columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
     rows, limits = [columns.reshape(T * n, -1)], [np.stack([residual.ravel()] * 2)]
-    at_zero = [(map, (0.0, 0.0)) for map in problem.stop_band_maps]
+    at_zero = [(map, (np.zeros(1), np.zeros(1))) for map in problem.stop_band_maps]
     for map, bounds in (*((term.map, term.penalty.hard_bounds(term.shape)) for term in problem.terms), *at_zero):
         sides = _stated_radii(map.values(trajectory.x, trajectory.u), bounds)[0].reshape(2, -1)
         limited = np.flatnonzero(np.isfinite(sides).any(0))
