@@ -299,11 +299,11 @@ class OptimalControlProblem(ProblemData):
     def stop_band_maps(self) -> tuple[SpectrumMap, ...]:
         """The maps from (x, u) to (Re, Im) of the bins that stop bands make zero, one of each state and control."""
         maps = list[SpectrumMap]()
-        of_x, of_u = (self.state_stop, self.state_samples), (self.control_stop, self.horizon)
-        for stop, samples in (of_x, of_u):
+        signals = (True, self.state_stop, self.state_samples), (False, self.control_stop, self.horizon)
+        for of_states, stop, samples in signals:
             for i in np.flatnonzero(stop.any(axis=0)):
                 row, bins = np.eye(stop.shape[1])[i], np.flatnonzero(stop[:, i])
-                parts = (row, None) if stop is of_x[0] else (None, row)
+                parts = (row, None) if of_states else (None, row)
                 maps.append(SpectrumMap(*parts, np.ones(samples), samples, bins, joint=True))
         return tuple(maps)
 

@@ -346,13 +346,13 @@ def test_soft_masks_and_masks_at_bins_need_no_round(monkeypatch):
 def test_ctrl_c_during_the_optimum_keeps_the_feasible_trajectory(monkeypatch):
     """Of 20 to 61, the horizon 46 is decided before 45 is."""
 
-    def stopped(problem, *options, any_point=False, **more):
+    def solve_until_interrupted(problem, *options, any_point=False, **more):
         if not any_point and problem.horizon == 46:
             raise KeyboardInterrupt
         return solve_judged(problem, *options, any_point=any_point, **more)
 
     whole = lfo.minimum_time(masked_move(), (20, 61))
-    substitute(monkeypatch, "solving.solve_judged", stopped)
+    substitute(monkeypatch, "solving.solve_judged", solve_until_interrupted)
     found = lfo.minimum_time(masked_move(), (20, 61))
     assert (found.interrupted, found.horizon, found.proof) == (True, 46, whole.proof)
     assert (found.result.status, found.result.any_point) == ("limit", True)
