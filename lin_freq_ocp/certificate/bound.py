@@ -157,7 +157,11 @@ def level_bounds(
 
 @lru_cache(maxsize=2)  # for the candidates of one problem, one after another
 def _level_inverse(problem: OptimalControlProblem) -> tuple[Array, Array, Array, Array] | None:
-    """Return sqrt(2 diag(Z H Z')), |Y|, |M| of fixed components, and |E|; None if Z is unknown."""
+    """Return sqrt(2 diag(Z H Z')), |Y|, |M| of fixed components, and |E|; None if Z is unknown.
+
+    E counts whatever Z and Y are. So equations may depend on each other: a little less than zero in place of their
+    block keeps Y finite.
+    """
     (lower, upper), n, T = problem.signal_bounds, problem.state_dim, problem.horizon
     curvatures, free = cost_curvatures(problem.quadratic, T), (lower < upper).ravel()
     if curvatures is None or problem.response is not None or free.sum() > MAX_UNKNOWN:
@@ -170,13 +174,15 @@ def _level_inverse(problem: OptimalControlProblem) -> tuple[Array, Array, Array,
         M[t, :, t], M[t, :, t + 1, :n] = np.hstack([A, B]), -np.eye(n)
     M = M.reshape(T * n, -1)
     system = np.block([[H, M[:, free].T], [M[:, free], np.zeros((T * n, T * n))]])
-    units = 1 / np.sqrt(units_of(system, axis=0))
+    units, eps = 1 / np.sqrt(units_of(system, axis=0)), np.finfo(float).eps
+    units[len(H) :] = 1 / units_of(units[: len(H), None] * system[: len(H), len(H) :], axis=0)
+    scaled = units[:, None] * system * units - np.sqrt(eps) * np.diag(np.arange(len(system)) >= len(H))
     try:
-        solved = units[:, None] * np.linalg.solve(units[:, None] * system * units, np.diag(units)[:, : len(H)])
+        solved = units[:, None] * np.linalg.solve(scaled, np.diag(units)[:, : len(H)])
     except np.linalg.LinAlgError:
         return None
     Z, Y = solved[: len(H)].T, solved[len(H) :].T
-    terms, rounding = np.abs(Z) @ np.abs(H), len(system) * np.finfo(float).eps
+    terms, rounding = np.abs(Z) @ np.abs(H), len(system) * eps
     beta = np.sqrt(2 * (np.maximum(((Z @ H) * Z).sum(1), 0.0) + rounding * (terms * np.abs(Z)).sum(1)))
     error = np.abs(Z @ H + Y @ M[:, free] - np.eye(len(H))) + rounding * (terms + np.abs(Y) @ np.abs(M[:, free]))
     return beta, np.abs(Y), np.abs(M[:, ~free]), error

@@ -43,6 +43,7 @@ LABELS = {
     "stage cost": ("", "N-c"),
     "terminal cost": ("", "N-c"),
 }
+OF_RESIDUALS = "N-r"  # of the residuals of all constraints
 FEASIBILITY_LABELS = {"C-vi", "C-vii", "S-x", "S-u", "S-z", "S-yhat", "S-ends", "S-f"}
 
 
@@ -115,6 +116,7 @@ def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
         *frequency(extremal, least),
         *membership(extremal, least),
         *normal_cones(extremal, least),
+        *worth_of_residuals(extremal, least),
         *(
             condition
             for priced, size, precise in zip(extremal.terms, least.terms, least.limits, strict=True)
@@ -275,6 +277,20 @@ def normal_cones(extremal: Extremal, least: Floors) -> Iterator[Condition]:
         scale, (t, component) = max(least.level, float(terms.sum(1).max())), first_largest(gap) if gap.any() else (0, 0)
         name = f"{signal} multiplier in the normal cone"
         yield Condition(label, name, float(gap[t, component]), scale, CONDITION_TOLERANCE, t, component)
+
+
+def worth_of_residuals(extremal: Extremal, least: Floors) -> list[Condition]:
+    """N-r: residuals of the constraints times their multipliers are worth nothing; compared with S.
+
+    A residual may be small for its component and large for the cost: where states decay, one that is small beside the
+    first of them may decide the last.
+    """
+    if (multipliers := extremal.multipliers).eta_C != 1:
+        return []
+    rounded = least.bounds[: multipliers.eta.shape[1]]  # whether states are at rest or not
+    rounding = float((np.abs(multipliers.eta) @ rounded).sum())
+    residual, scale = float(extremal.cost_of_residuals), max(least.level, rounding)
+    return [Condition(OF_RESIDUALS, "residuals are worth nothing", residual, scale, CONDITION_TOLERANCE)]
 
 
 def term_conditions(priced: PricedTerm, level: float, least: Array, precise: Array) -> list[Condition]:

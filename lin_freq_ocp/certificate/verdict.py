@@ -16,7 +16,7 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.between_samples import BetweenSamples, bounds_between_samples
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
-from lin_freq_ocp.certificate.conditions import Condition, all_conditions
+from lin_freq_ocp.certificate.conditions import OF_RESIDUALS, Condition, all_conditions
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
@@ -336,20 +336,22 @@ def judge(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a condition that overflows does not pass
         judgement = entry_for(JUDGES, problem.form)(problem, trajectory, multipliers)
         scale = cost_scale(problem, trajectory) if judgement.cost_scale is None else judgement.cost_scale
-        bound, normal, worth = judgement.bound, multipliers.eta_C == 1, judgement.cost_of_residuals
+        bound, conditions, worth = judgement.bound, judgement.conditions, judgement.cost_of_residuals
+        normal = multipliers.eta_C == 1
         if judgement.extremal is not None and normal:
             bound = best_bound(judgement.extremal, max(GAP_TOLERANCE, tolerance) * scale)
         parts = multipliers.eta, multipliers.mu, multipliers.nu, multipliers.rho_u, multipliers.rho_x
         if not any(part.any() for part in (*parts, *multipliers.stage.values())):
             # multipliers that are all zero do not price residuals: these must be rounding, or the cost zero
-            costs_nothing = problem.quadratic.zero and all(term.hard for term in problem.terms)
-            costs_nothing &= not problem.cost.has_formulas
-            on_feasibility = (condition for condition in judgement.conditions if condition.on_feasibility)
-            worth = worth if costs_nothing or all(condition.exact for condition in on_feasibility) else np.inf
+            if not problem.costs_nothing and not all(one.exact for one in conditions if one.on_feasibility):
+                worth = np.inf
+                conditions = tuple(
+                    replace(one, residual=worth) if one.label == OF_RESIDUALS else one for one in conditions
+                )
         certificate = Certificate(
             applicable=judgement.borders is None or judgement.borders.applicable,
             normal=normal,
-            conditions=judgement.conditions,
+            conditions=conditions,
             cost=problem.value(trajectory.x, trajectory.u) if judgement.cost is None else judgement.cost,
             cost_scale=scale,
             worth_of_residuals=worth,

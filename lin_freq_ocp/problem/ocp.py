@@ -280,6 +280,11 @@ class OptimalControlProblem(ProblemData):
         """All constraints and costs but the quadratic cost, formulas, boxes and stop bands."""
         return terms_of(self)
 
+    @property
+    def costs_nothing(self) -> bool:
+        """Whether any trajectory that satisfies the constraints is optimal."""
+        return self.quadratic.zero and not self.cost.has_formulas and all(term.hard for term in self.terms)
+
     def value(self, x: Array, u: Array) -> float:
         """Return J: the costs, quadratic, nonsmooth and by formulas, and the penalties of soft constraints."""
         terms = sum(term.cost(x, u).sum() for term in self.terms)

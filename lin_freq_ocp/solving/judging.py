@@ -95,6 +95,8 @@ def judge_nearest(problem: OptimalControlProblem, candidate: Candidate, allowed:
     assert multipliers is not None
     if problem.mode_names or multipliers.eta_C != 1 or candidate.interrupted:
         return Judged(trajectory, multipliers, judge(problem, trajectory, multipliers, allowed))
+    if problem.costs_nothing:  # those of a solver are noise
+        multipliers = zero_multipliers(problem, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that are not finite are no repair
         repaired = repair_trajectory(at_frequencies(problem, multipliers.frequencies), trajectory)
     if repaired is not None:

@@ -69,7 +69,7 @@ def test_an_optimum_passes(solved, name):
     assert certificate.globally_optimal
     assert all(one.relative < 1e-6 for one in certificate.conditions)
     assert {one.label for one in certificate.conditions} == {
-        "C-i", "C-ii", "C-iii", "C-iv", "C-v", "C-vi", "C-vii", "S-x", "S-u", "N-x", "N-u",
+        "C-i", "C-ii", "C-iii", "C-iv", "C-v", "C-vi", "C-vii", "N-r", "S-x", "S-u", "N-x", "N-u",
     }  # fmt: skip
 
 

@@ -213,6 +213,23 @@ def test_the_box_of_such_a_cost_holds_all_that_costs_no_more(seed):
         assert np.abs(x[t, i] - best.trajectory.x[t, i]) > 0.99 * np.abs(region.x[0][t, i] - best.trajectory.x[t, i])
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_equations_that_depend_on_each_other_leave_the_box_of_such_a_cost(unit):
+    """No control moves the third state, whose ends are both fixed: its equations are one too many."""
+    dynamics = lfo.LinearDynamics(np.diag([1.0, 1.0, 0.5]), [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    weight = np.zeros((3, 3))
+    weight[:2, :2] = [[1.0, -1.0], [-1.0, 1.0]]
+    cost = lfo.QuadraticCost(
+        Q=weight / unit**2, R=np.ones((2, 2)) / unit**2, P=weight / unit**2, p=[1 / unit, 0.0, 0.0]
+    )
+    ends = {
+        "initial_state": [unit, 0.0, 1.0],
+        "terminal_state": lfo.Box([-np.inf, -np.inf, 0.125], [np.inf, np.inf, 0.125]),
+    }
+    result = lfo.solve(lfo.OptimalControlProblem(dynamics, 3, cost, **ends))
+    assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")
+
+
 @pytest.mark.parametrize("last", [0.0, 1e6, 1e13])
 def test_a_value_that_costs_nothing_hides_no_cost(last):
     """u_T-1 moves x_T alone, which has no price: its size says nothing about the prices of others."""
@@ -227,6 +244,18 @@ def test_a_value_that_costs_nothing_hides_no_cost(last):
     dearer = lfo.certify(task, lfo.simulate(task, u))
     assert dearer.cost > 1.05 * best.cost
     assert not dearer.globally_optimal
+
+
+@pytest.mark.parametrize("missed", [0.0, 5e3])
+def test_multipliers_of_zero_excuse_no_residual(missed):
+    """At rest nothing has a price, and a last value of 1e13 makes any residual small."""
+    dynamics, cost = lfo.LinearDynamics([[0.9]], [[1.0, 1.0]]), lfo.QuadraticCost(Q=1.0, R=np.diag([0.0, 1.0]))
+    task = lfo.OptimalControlProblem(dynamics, 10, cost, initial_state=[0.0])
+    x, u = np.zeros((11, 1)), np.zeros((10, 2))
+    u[-1, 0], x[-1] = 1e13, 1e13 + missed
+    certificate = lfo.certify(task, lfo.Trajectory(x, u))
+    assert certificate.pmp == ("violated" if missed else "satisfied")
+    assert [one.label for one in certificate.failed] == (["N-r"] if missed else [])
 
 
 def test_a_start_that_nothing_holds_leaves_the_bound_numerical():

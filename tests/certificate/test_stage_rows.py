@@ -52,7 +52,7 @@ def test_a_tighter_limit_fails_where_it_is_tighter(two_families):
     e[t, row] -= 1e-3
     problem = replace(two_families.problem, stage_rows=[replace_limits(first, e, first.name), second])
     certificate = judge(problem, two_families.trajectory, two_families.multipliers)
-    assert failed(certificate) == {"S-z", "N-z"}
+    assert failed(certificate) == {"S-z", "N-z", "N-r"}
     violated = next(one for one in certificate.failed if one.label == "S-z")
     assert (violated.time, violated.component, violated.residual) == (t, row, pytest.approx(1e-3, rel=1e-3))
     assert not certificate.feasible

@@ -127,7 +127,7 @@ def require_words(summary):
     if certificate is not None:
         assert certificate["pmp"] in ("satisfied", "violated", "not_applicable")
         for condition in certificate["conditions"]:
-            assert condition["label"] in "C-i C-ii C-iii C-iv C-v C-vi C-vii S-x S-u N-x N-u".split()
+            assert condition["label"] in "C-i C-ii C-iii C-iv C-v C-vi C-vii N-r S-x S-u N-x N-u".split()
 
 
 UNCLOCKED = """

@@ -225,6 +225,19 @@ def test_multipliers_that_fail_at_a_proven_optimum_are_looked_for_again(monkeypa
     assert outcomes == [("optimal", "violated"), ("optimal", "satisfied")]
 
 
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("method", ["auto", "structured", "convex"])
+def test_a_problem_without_a_cost_has_no_multipliers(method, unit):
+    """An interior-point method leaves some of 1e-43, whose conditions fail relative to themselves."""
+    plant = lfo.LinearDynamics([[1.0, 0.2], [0.0, 0.9]], [[0.0], [0.2 * unit]])
+    ends = {"initial_state": [1.0, 0.0], "terminal_state": [0.0, 0.0]}
+    result = lfo.solve(
+        lfo.OptimalControlProblem(plant, 20, lfo.QuadraticCost(), lfo.Box(-1 / unit, 1 / unit), **ends), method
+    )
+    assert (result.status, result.certificate.pmp) == ("optimal", "satisfied")
+    assert not result.multipliers.eta.any()
+
+
 @pytest.mark.parametrize("method", ["auto", "structured", "convex", "spectral"])
 def test_rest_is_found_where_the_initial_state_is_free_and_costs_in_part(method):
     """The other component of x_0 is 1e-15 after a solve, and so is what it causes: rest needs a zero."""

@@ -99,6 +99,8 @@ def test_residuals_that_are_worth_something_prove_nothing():
     assert certificate.feasible  # 0.15 is small beside 1e6
     assert certificate.worth_of_residuals > 0.05 * certificate.cost_scale
     assert not certificate.globally_optimal
+    assert [one.label for one in certificate.failed] == ["N-r"]
+    assert certificate.pmp == "violated"
 
 
 def test_sizes_and_scale_follow_units_and_not_bounds():
