@@ -163,9 +163,9 @@ class Extremal:
         of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
         return total(of_x), total(of_u)
 
-    @property
+    @cached_property
     def cost_of_residuals(self) -> Array:
-        """Return the residuals of the constraints times their multipliers, in units of the cost.
+        """The residuals of the constraints times their multipliers, in units of the cost.
 
         If the optimal cost is differentiable in the constraints, J differs by this from the cost of the nearest
         feasible trajectory, to first order. A residual may be small for its component and large for the cost. Residuals

@@ -345,9 +345,7 @@ def judge(
             # multipliers that are all zero do not price residuals: these must be rounding, or the cost zero
             if not problem.costs_nothing and not all(one.exact for one in conditions if one.on_feasibility):
                 worth = np.inf
-                conditions = tuple(
-                    replace(one, residual=worth) if one.label == OF_RESIDUALS else one for one in conditions
-                )
+                conditions = tuple(replace(c, residual=worth) if c.label == OF_RESIDUALS else c for c in conditions)
         certificate = Certificate(
             applicable=judgement.borders is None or judgement.borders.applicable,
             normal=normal,
