@@ -371,6 +371,9 @@ class Barrier:
         while self._steps < self.most_steps:
             self._last = local
             if local.error(0.0) <= ACCURATE or (mu <= LEAST_MU and local.error(mu) <= ACCURATE):
+                further = None if self.unequal else self._filter_step(local, entries, mu)  # it doubles the digits
+                if further is not None and further.error(0.0) < local.error(0.0):
+                    self._last = further
                 return End.OPTIMAL
             if self.below < np.inf and local.bound(self._longest) >= self.below:
                 return End.DEARER

@@ -37,6 +37,7 @@ def test_a_published_optimum_is_found_or_a_better_one(name):
     assert result.status == "locally_optimal"
     assert result.cost <= case.cost * (1 + 1e-7)
     assert result.certificate.worst.relative <= 1e-6
+    assert result.certificate.worth_of_residuals <= 1e-10 * result.certificate.cost_scale
 
 
 @pytest.fixture(scope="module")
