@@ -49,6 +49,8 @@ class Shaper(Impulses):
         Seconds: no shorter shaper keeps the limit, whatever the times of its impulses. Proven.
     on_grid : MinimumTime
         The shortest shaper with impulses at samples, with its proof.
+    interrupted : bool
+        Whether Ctrl-C ended the proof: ``shortest`` is zero then.
     known : dict of str to (float, Impulses)
         Shapers of the literature that keep the limit at some frequency, by name: the frequency in Hz at which each is
         shortest, and its impulses. Their vibration is that of modes on the edges of the bands: measured, not proven.
@@ -66,13 +68,17 @@ class Shaper(Impulses):
     shortest: float
     on_grid: MinimumTime
     known: Mapping[str, tuple[float, Impulses]]
+    interrupted: bool = False
 
     @property
     def proof(self) -> str:
         """Return what is proven, in words."""
+        fact = f"vibration at most {number(100 * self.largest)} % for {self.modes}"
+        if self.interrupted:
+            return f"{fact}; nothing is proven of shorter ones (interrupted)"
         return (
-            f"vibration at most {number(100 * self.largest)} % for {self.modes}; no shaper shorter than "
-            f"{number(1e3 * self.shortest)} ms keeps {number(100 * self.limit)} %, whatever the times of its impulses"
+            f"{fact}; no shaper shorter than {number(1e3 * self.shortest)} ms keeps {number(100 * self.limit)} %, "
+            "whatever the times of its impulses"
         )
 
     def vibration(self, frequency: ArrayLike, damping: ArrayLike) -> Array:
@@ -146,6 +152,8 @@ def shaper(
         If a value is not of this kind, or no shaper of so few impulses was found that keeps the limit.
     InfeasibleError
         If no shaper of up to 70 periods of the lowest frequency keeps the limit, with the proof.
+    KeyboardInterrupt
+        If Ctrl-C arrives before a shaper is known; later, it ends the proof.
 
     References
     ----------
@@ -169,13 +177,16 @@ def shaper(
         raise ProblemError("shaper.step", brief(step), f"at most {number(1 / modes.highest)} s for these frequencies")
     on_grid = _shortest_on_grid(modes, limit, step)
     horizon, control = on_grid.horizon, None if on_grid.result is None else on_grid.result.control
+    if on_grid.interrupted:
+        raise KeyboardInterrupt
     assert horizon is not None
     assert control is not None
     fine = rounded_down(2 * np.pi / (TIMES_IN_PERIOD * modes.highest))
     found = few_impulses(control[:, 0], modes, limit, impulses, (step, fine))
     known = {name: one for name in SHAPERS if (one := shortest_known(name, modes, limit)) is not None}
     largest, shortest = modes.proven_vibration(found, fine), _shortest_at_any_times(modes, limit, step, horizon)
-    return Shaper(freeze(found.amplitudes), freeze(found.times), modes, limit, largest, shortest, on_grid, known)
+    found_at, least = (freeze(found.amplitudes), freeze(found.times)), shortest or 0.0
+    return Shaper(*found_at, modes, limit, largest, least, on_grid, known, interrupted=shortest is None)
 
 
 def _bands(bands: ArrayLike) -> tuple[tuple[float, float], ...]:
@@ -233,12 +244,17 @@ def _shortest_on_grid(modes: Modes, limit: float, step: float) -> MinimumTime:
                 raise
 
 
-def _shortest_at_any_times(modes: Modes, limit: float, step: float, horizon: int) -> float:
-    """Return a duration up to which no impulses at any times keep the limit, proven; samples do from a horizon on."""
+def _shortest_at_any_times(modes: Modes, limit: float, step: float, horizon: int) -> float | None:
+    """Return a duration up to which no impulses at any times keep the limit, proven; None if it was interrupted.
+
+    Samples keep it from a horizon on.
+    """
     wider, near = limit + (modes.highest * step) ** 2 / 8, SAMPLES_BELOW
     while True:
         low = max(horizon - near, 1)
         found = minimum_time(_impulse_problem(modes, wider, step, horizon), (low, horizon))
+        if found.interrupted:
+            return None
         if found.horizon is not None and found.horizon > low and found.proven:
             return (found.horizon - 2) * step  # so long are the samples of one horizon less
         if low == 1:

@@ -47,16 +47,18 @@ def shaper_command(
         bands = read_calibration(calibration, share, column)
         other = read_calibration(calibration, OTHER_SHARE, column)
     found = shaper(bands, damping, vibration, impulses)
-    second = shaper(other, damping, vibration, impulses) if other is not None and other != bands else None
+    status = console.INTERRUPTED if found.interrupted else console.PROVEN
+    if not as_json:  # before the second search
+        console.print_lines(str(found))
+    further = other is not None and other != bands and not found.interrupted
+    second = shaper(other, damping, vibration, impulses) if further else None
     if as_json:
         console.print_json(_summary(found) | ({} if second is None else {"other_bands": _summary(second)}))
-    else:
-        console.print_lines(str(found))
-        if second is not None:
-            named = join_words([f"{number(low)} to {number(high)}" for low, high in second.modes.bands])
-            length = number(1e3 * second.duration, 6)
-            console.say(f"Power above {100 * OTHER_SHARE:g} % of its largest: {named} Hz, {length} ms.")
-    return console.write_files(console.PROVEN, *([] if plot is None else [lambda: save_figure(found.plot(), plot)]))
+    elif second is not None:
+        named = join_words([f"{number(low)} to {number(high)}" for low, high in second.modes.bands])
+        length = number(1e3 * second.duration, 6)
+        console.say(f"Power above {100 * OTHER_SHARE:g} % of its largest: {named} Hz, {length} ms.")
+    return console.write_files(status, *([] if plot is None else [lambda: save_figure(found.plot(), plot)]))
 
 
 def _summary(found: Shaper) -> FileTable:

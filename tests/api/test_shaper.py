@@ -10,6 +10,7 @@ from helpers.command_line import run
 from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp.comparison import SHAPERS, Modes, bands_of, eigenvalues_of, known_shaper, shorten
+from lin_freq_ocp.solving import solve_judged
 
 COARSE = 1e-3  # seconds: a search of a tenth of a second
 
@@ -254,6 +255,22 @@ def test_a_calibration_gives_two_choices_of_bands(tmp_path):
     assert status == 0
     assert "every mode of 30.9 to 63 Hz" in out
     assert "Power above 20 % of its largest: 35.1 to 47.2 Hz" in out
+
+
+@pytest.mark.parametrize("limit", [0.0, 0.3])
+def test_ctrl_c_keeps_the_shaper_that_is_found(monkeypatch, limit):
+    """The shaper is looked for with a limit of 0.3, its proof with a wider one."""
+
+    def interrupted(problem, *options, **more):
+        if problem.control_spectrum[0].limit > limit:
+            raise KeyboardInterrupt
+        return solve_judged(problem, *options, **more)
+
+    substitute(monkeypatch, "solving.solve_judged", interrupted)
+    status, out, err = run("shaper", "--band", "0.85", "1.15", "--damping", "0", "0", "--vibration", "0.3")
+    assert (status, err) == (130, "")
+    assert ("A         [0" in out) == (limit > 0)
+    assert ("nothing is proven of shorter ones (interrupted)" in out) == (limit > 0)
 
 
 def test_the_command_asks_for_bands(tmp_path):
