@@ -121,7 +121,18 @@ def test_bad_input_is_refused_by_its_field(given, message):
 
 def test_families_need_different_names():
     with pytest.raises(lfo.errors.ProblemError, match="a different name for each"):
-        replace(mass(), stage_rows=[PathConstraint("x_0"), PathConstraint("x_1")])
+        replace(mass(), stage_rows=[PathConstraint("x_0", name="a"), PathConstraint("x_1", name="a")])
+
+
+def test_families_without_a_name_are_numbered():
+    rows, others = [lfo.sets.StageRows(C=np.eye(2), e=[1.0, 1.0])], [PathConstraint("x_1", name="a")]
+    problem = replace(mass(), stage_rows=[*2 * rows, *others, PathConstraint("x_0"), PathConstraint("x_0 - 1")])
+    numbered = ["stage rows 1", "stage rows 2", "a", "path constraint 1", "path constraint 2"]
+    assert [one.name for one in problem.stage_rows] == numbered
+    assert [one.name for one in rows] == ["stage rows"]
+    further = replace(problem, stage_rows=[*problem.stage_rows, *rows])
+    assert [one.name for one in further.stage_rows] == [*numbered, "stage rows"]
+    assert [one.name for one in replace(mass(), stage_rows=rows).stage_rows] == ["stage rows"]
 
 
 def test_no_other_kind_of_dynamics_takes_one():

@@ -92,11 +92,12 @@ class PathConstraint(StageRows):
     h: object  # tuple of Formula in a problem
     convex: bool
     let: object
+    _unnamed = "path constraint"
 
     def __init__(
         self,
         h: Formulas,
-        name: str = "path constraint",
+        name: str = _unnamed,
         upper: ArrayLike = 0.0,
         price: float | None = None,
         convex: bool = False,

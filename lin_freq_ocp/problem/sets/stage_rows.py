@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,7 @@ from lin_freq_ocp.base.arrays import (
     to_shape,
     upper_limits,
     with_columns,
+    with_fields,
     with_products,
 )
 from lin_freq_ocp.base.errors import ProblemError
@@ -49,7 +51,7 @@ class StageRows:
     e : (rows,) or (T, rows)
         Upper limits, required; inf, or 1e20 and above, for no limit of a row at that time.
     name : str
-        The name of the rows in messages and of their multipliers.
+        The name of the rows in messages and of their multipliers. A problem numbers several rows without a name.
     penalty : float, optional
         Makes the rows soft: penalty times the violation of each row is added to the cost.
 
@@ -83,13 +85,14 @@ class StageRows:
     e: Array
     name: str
     penalty: float | None
+    _unnamed: ClassVar[str] = "stage rows"
 
     def __init__(
         self,
         C: ArrayLike | None = None,
         D: ArrayLike | None = None,
         e: ArrayLike | None = None,
-        name: str = "stage rows",
+        name: str = _unnamed,
         penalty: float | None = None,
     ):
         printable("stage_rows.name", name, empty="")
@@ -211,10 +214,15 @@ def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, 
         return (given.at_dimensions(n, m, horizon, "stage_rows"),)
     if not isinstance(given, Sequence) or not all(isinstance(rows, StageRows) for rows in given):
         raise ProblemError("stage_rows", brief(given), "StageRows, PathConstraint, a sequence of them, or None")
-    names = [rows.name for rows in given]
+    own = [rows.name for rows in given]
+    names = [
+        f"{name} {own[: i + 1].count(name)}" if name == rows._unnamed and own.count(name) > 1 else name
+        for i, (name, rows) in enumerate(zip(own, given, strict=True))
+    ]
     if len(set(names)) != len(names):
         raise ProblemError("stage_rows", f"the names {brief(names)}", "a different name for each", "Give name=.")
-    return tuple(rows.at_dimensions(n, m, horizon, f"stage_rows[{i}]") for i, rows in enumerate(given))
+    named = (with_fields(rows, name=name) for name, rows in zip(names, given, strict=True))
+    return tuple(rows.at_dimensions(n, m, horizon, f"stage_rows[{i}]") for i, rows in enumerate(named))
 
 
 def _matrix(field: str, value: ArrayLike | None, rows: int) -> Array:
