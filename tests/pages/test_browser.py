@@ -192,6 +192,20 @@ def test_a_narrow_dark_screen_shows_all_without_scrolling_sideways(browser, page
     assert dark == "rgb(20, 24, 29)"
 
 
+@pytest.mark.parametrize("page", ["address", "file"])
+def test_on_a_phone_a_slider_and_a_plot_are_seen_at_once(browser, page, request):
+    screen(browser, 400, 800)
+    opened(browser, request.getfixturevalue(page))
+    for figure in range(len(browser.find_elements("css selector", ".panels figure"))):
+        browser.execute_script(f"document.querySelectorAll('.panels figure')[{figure}].scrollIntoView()")
+        edges = "[...document.querySelectorAll('.panels figure')].map(one => one.getBoundingClientRect())"
+        plot = browser.execute_script(f"return {edges}[{figure}].toJSON()")
+        controls = browser.execute_script("return document.getElementById('controls').getBoundingClientRect().toJSON()")
+        slider = browser.find_element("css selector", "input[type='range']").rect
+        assert plot["bottom"] <= controls["top"]
+        assert controls["top"] < slider["y"] - browser.execute_script("return scrollY") < 800
+
+
 def limited_move():
     """Return a move with a notch, a mask, a rate limit and a bound on the speed."""
     dynamics = lfo.LinearDynamics(
