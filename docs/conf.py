@@ -20,6 +20,7 @@ from sphinx_gallery.scrapers import figure_rst
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from ascii_formulas import as_formulas, with_superscripts  # noqa: E402
+from symbols import link_symbols  # noqa: E402
 
 FIELDS = ("motion", "mri", "power", "space", "energy", "hybrid", "method")  # the gallery's sections, in this order
 project, author, copyright = "lin_freq_ocp", "the lin_freq_ocp authors", "the lin_freq_ocp authors"
@@ -203,5 +204,6 @@ def setup(app: Sphinx) -> None:
         subprocess.run([sys.executable, str(HERE / script)], check=True)
     app.add_lexer("mermaid", TextLexer)
     app.connect("source-read", show_sketch)
+    app.connect("doctree-resolved", link_symbols)
     app.connect("autodoc-process-docstring", plain_text, priority=400)
     app.connect("autodoc-skip-member", skip_internals)

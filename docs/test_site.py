@@ -34,6 +34,23 @@ def test_a_page_fits_a_phone_and_its_formulas_are_set(browser, page):
     assert wanted == available <= 400
 
 
+def test_the_first_of_each_symbol_on_a_page_leads_to_the_glossary(browser):
+    site = DOCS / "_build" / "html"
+    anchors = set(re.findall(r'id="(symbol-.*?)"', (site / "glossary.html").read_text(encoding="utf-8")))
+    assert {"symbol-eta-C", "symbol-rho-u", "symbol-J-optimal"} <= anchors
+    for page in [*PAGES, *REFERENCE]:
+        text = (site / f"{page}.html").read_text(encoding="utf-8")
+        found = re.findall(r"\\href\{(.*?)glossary\.html#(.*?)\}", text)
+        names = [name for _, name in found]
+        assert set(names) <= anchors
+        assert len(set(names)) == len(names)
+        assert all(((site / page).parent / folder / "glossary.html").exists() for folder, _ in found)
+    browser.get((site / "theory.html").as_uri())
+    browser.execute_async_script("Promise.resolve(window.MathJax?.startup?.promise).then(arguments[0])")
+    browser.execute_script("document.querySelector('mjx-container a').click()")
+    assert browser.current_url.endswith("glossary.html#symbol-eta-C")
+
+
 def test_the_page_of_a_class_shows_what_users_call():
     page = (DOCS / "_build" / "html" / "api" / "names" / "lin_freq_ocp.QuadraticCost.html").read_text(encoding="utf-8")
     names = re.findall(r'<dt class="sig sig-object py" id="lin_freq_ocp\.(.*?)"', page)
