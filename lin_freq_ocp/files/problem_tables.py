@@ -470,11 +470,8 @@ def _problem(
 ) -> OptimalControlProblem:
     problem = OptimalControlProblem(**fields)
     if rate_limit is not None:
-        try:
+        with at_location("rate_limit"):
             problem = rate_limited(problem, **rate_limit)
-        except ProblemError as error:
-            field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
-            raise ProblemError(field, error.got, error.expected, error.advice) from None
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
     if disturbance is not None and discs is not None:

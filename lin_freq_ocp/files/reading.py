@@ -11,7 +11,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Generator, Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NoReturn
@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from lin_freq_ocp.base.archives import FileValue, decode_text, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
-from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, rename_field, suggestion
 
 FileTable = dict[str, FileValue]
 FileArray = NDArray[FileValue]  # of any type of entries
@@ -174,22 +174,17 @@ def join_location(location: str, key: str) -> str:
     return f"{location}.{key}" if location else key
 
 
-@contextmanager
-def naming_file(path: Path) -> Generator[None]:
+def naming_file(path: Path) -> AbstractContextManager[None]:
     """Put the file's name in front of the field of every ProblemError."""
-    try:
-        yield
-    except ProblemError as error:
-        raise ProblemError(f"{path.name}: {error.field}", error.got, error.expected, error.advice) from None
+    return rename_field(lambda field: f"{path.name}: {field}")
 
 
-@contextmanager
-def at_location(location: str, *own: str) -> Generator[None]:
+def at_location(location: str, *own: str) -> AbstractContextManager[None]:
     """Replace the names ``own`` ("Box.lower") at the beginning of a ProblemError's field ("state_set.lower")."""
-    try:
-        yield
-    except ProblemError as error:
-        rests = [error.field.removeprefix(name) for name in (location, *own)]
-        replaced = (location + rest for rest in rests if rest != error.field and rest[:1] in ("", ".", "["))
-        field = next(replaced, f"{location}.{error.field}") if location else error.field
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+
+    def rename(field: str) -> str:
+        rests = [field.removeprefix(name) for name in (location, *own)]
+        replaced = (location + rest for rest in rests if rest != field and rest[:1] in ("", ".", "["))
+        return next(replaced, f"{location}.{field}") if location else field
+
+    return rename_field(rename)
