@@ -165,14 +165,13 @@ def _labels(sampling_time: object = None, state_names: object = None, control_na
 
 def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
-    formulas: list[Formula] = []
-    for i, mode in enumerate(dynamics.modes):
-        for key in FORMULA_KEYS:
-            for j, formula in enumerate(getattr(mode, key)):
-                for node in nodes_in_order([formula]):
-                    require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
-                formulas.append(formula)
-    texts, definitions = with_definitions(formulas)
+    formulas = {
+        f"dynamics.modes[{i}].{key}[{j}]": formula
+        for i, mode in enumerate(dynamics.modes)
+        for key in FORMULA_KEYS
+        for j, formula in enumerate(getattr(mode, key))
+    }
+    texts, definitions = _texts(formulas)
     left = iter(texts)
     modes = [
         replace(mode, **{key: [next(left) for _ in getattr(mode, key)] for key in FORMULA_KEYS})

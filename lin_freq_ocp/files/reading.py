@@ -138,6 +138,15 @@ def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
     return stream.getvalue()
 
 
+def merge_tables(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
+    """Return nested tables with the overrides in place of their entries."""
+    merged = dict(table)
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = merge_tables(merged[key], value) if both else value
+    return merged
+
+
 def require_keys(location: str, table: object, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
     """Raise ProblemError unless ``table``, at this location of the file ("" at the top), is a table with these keys."""
     if not isinstance(table, Mapping):

@@ -28,7 +28,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.names import component_names, index_of_name
-from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
+from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, runs_of, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -273,8 +273,7 @@ class WindowSpectra:
     @property
     def bands(self) -> list[tuple[int, int]]:
         """Return the first and the last point of each run of neighbouring bounded points."""
-        runs = np.split(self.bins, np.flatnonzero(np.diff(self.bins) > 1) + 1)
-        return [(int(run[0]), int(run[-1])) for run in runs]
+        return runs_of(self.bins)
 
     @property
     def exceeded(self) -> Mask:
