@@ -4,7 +4,7 @@ from lin_freq_ocp.base import lazy_exports
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "batch_files": "BEGINNING sweep_summary", "codec": "TableRecord",
+    "batch_files": "sweep_summary", "codec": "TableRecord",
     "problem_file": "INLINE_LIMIT init_problem_file problem_text template", "run_file": "dump_run",
     "problem_tables": "NORM_COSTS RECORDS SETS SPECTRUM problem_from_tables",
     "solution_files": "header load_solution save_csv save_mat save_solution",

@@ -20,6 +20,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
+from lin_freq_ocp.base.archives import require_file
 from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.atomic import report_write_errors, write_bytes
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -111,7 +112,7 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
             return array
         if set(value) == {"csv"}:
             path = _path_inside(f"{field}.csv", value["csv"], folder)
-            reading.require_file(f"{field}.csv", path)
+            require_file(f"{field}.csv", path)
             return read_response(path)
         return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
@@ -138,7 +139,7 @@ def _path_inside(field: str, name: FileValue, folder: Path) -> Path:
 
 def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
-    reading.require_file(str(path), path)
+    require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
         advice = 'Put large arrays into an .npz next to it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.archives import FileValue, decode_text, require_modest
+from lin_freq_ocp.base.archives import FileValue, decode_text, read_bytes, require_file, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError, rename_field, suggestion
@@ -47,15 +47,6 @@ def read_text(path: Path) -> str:
         raise ProblemError(str(path), got, "a text file", "Save it with the encoding UTF-8.") from None
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file; the field of a ProblemError is the path."""
-    require_file(str(path), path)
-    try:
-        return path.read_bytes()
-    except (OSError, MemoryError) as error:
-        raise ProblemError(str(path), reason(error), "a file that can be read") from None
-
-
 def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileValue:
     """Return the value of a JSON text; ``infinite`` allows Infinity and NaN, which Python also writes.
 
@@ -75,17 +66,6 @@ def _parse_integer(digits: str) -> int:
     if not math.isfinite(float(digits)):
         raise ValueError(f"a number of {len(digits)} digits")
     return int(digits)
-
-
-def require_file(field: str, path: Path) -> None:
-    """Raise ProblemError unless there is a regular file; a pipe or a device would never end."""
-    try:
-        got = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
-        if path.is_file():
-            return
-    except (OSError, ValueError) as error:
-        got = reason(error)
-    raise ProblemError(field, f"{got} ({path})", "an existing file")
 
 
 @contextmanager
