@@ -10,4 +10,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "solution_files": "header load_solution save_csv save_mat save_solution",
     "summary": "certificate_summary comparison_summary failed_comparison_summary head result_summary to_json",
 })
-# fmt: on
