@@ -22,12 +22,12 @@ from lin_freq_ocp.problem.costs.quadratic import PREVIEWED
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
+from lin_freq_ocp.problem.sets.box import Box, Everything, box_of, map_sets
 from lin_freq_ocp.problem.sets.convex import softened_set
 from lin_freq_ocp.problem.spectrum.base import entries_of, map_constraints
 from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.limits import SPECTRA, intersection, map_sets
+from lin_freq_ocp.transform.limits import SPECTRA, intersection
 from lin_freq_ocp.transform.reformulations import Translation
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy

@@ -19,12 +19,12 @@ from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
-from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.box import Box, box_of, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, component_indices, entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.transform.limits import intersection, map_sets
+from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.protocol import Uncertainty, trajectory_of
