@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -193,14 +193,9 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             changes[field] = [rows.softened(penalty) for rows in given]
         else:
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
-            sets, known = _sets_at(given) if per_time else given, dict[int, ConvexSet]()
-            changes[field] = map_sets(sets, partial(_softened_once, known, penalty))
+            soften_once = cache(partial(softened_set, penalty))  # the terms of a set that repeats are then made once
+            changes[field] = map_sets(_sets_at(given) if per_time else given, soften_once)
     return replace(problem, **changes)
-
-
-def _softened_once(known: dict[int, ConvexSet], penalty: float, given: ConvexSet) -> ConvexSet:
-    """Return a soft set, the same object each time for the same set: its terms are then made once."""
-    return known.setdefault(id(given), softened_set(penalty, given))
 
 
 def _sets_at(given: ConvexSet) -> list[ConvexSet]:

@@ -290,7 +290,6 @@ def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
 
 def switching_facts(
     problem: OptimalControlProblem,
-    trajectory: Trajectory,
     stages: Sequence[SwitchingStage],
     weights: Array,
     gaps: Indices,
@@ -459,7 +458,7 @@ def judge_modes(
     elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
-    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
+    facts = switching_facts(problem, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
     return Judgement(conditions, facts, float(extremal.cost_of_residuals), slopes=scale)
 
