@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import control
 import numpy as np
@@ -186,3 +187,5 @@ def test_bad_files_are_named(tmp_path, text, message):
         lfo.FrequencyResponse.from_csv(tmp_path / "plant.csv", 8, 1.0)
     with pytest.raises(ProblemError, match="got no such file"):
         lfo.FrequencyResponse.from_csv(tmp_path / "none.csv", 8, 1.0)
+    with pytest.raises(ProblemError, match="got not a regular file"):  # which would never end
+        lfo.FrequencyResponse.from_csv(Path("/dev/zero"), 8, 1.0)
