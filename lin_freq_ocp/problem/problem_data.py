@@ -256,7 +256,7 @@ def frequency_constraints(
     fields = vars(problem) if given is None else given
     for field, signal in limited_signals(problem, *(samples or (problem.state_samples, T))).items():
         for i, (where, one) in enumerate(named_entries(field, fields[field])):
-            yield (field, i), where, one, signal
+            yield (field, i), where, cast("FrequencyConstraint", one), signal
     for i, (where, outputs) in enumerate(named_entries(of_outputs, fields[of_outputs])):
         if not isinstance(outputs, OutputSpectrum):
             raise ProblemError(of_outputs, brief(outputs), "OutputSpectrum, a list of them, or None")
