@@ -152,7 +152,7 @@ class ModeRelaxation:
         groups.one_region.take(rows, only, np.isfinite(stages.limits))
         groups.weight_sum.take(rows, ~single)
         groups.weight.take(rows, many)
-        self._take_several(rows, values, reach, many)
+        self._take_several(rows, values, right, reach, many)
         columns[self._at.delta] = columns[self._at.epsilon] = many
         columns[self._at.share] = many[..., None]
         kept_columns = np.flatnonzero(columns)
@@ -167,7 +167,7 @@ class ModeRelaxation:
         form = self._template.member(rows, columns, values, right, (P, self._price[kept_columns]), cones)
         return Member(form, reach, kept_columns)
 
-    def _take_several(self, rows: Mask, values: Array, reach: Reach, many: Mask) -> None:
+    def _take_several(self, rows: Mask, values: Array, right: Array, reach: Reach, many: Mask) -> None:
         """Take the rows of shares and epigraphs of the modes ``many`` (T, modes), in the boxes of the reach."""
         groups, several = self._rows, np.asarray(many.any(axis=1))
         lower, upper = self._require_bounds(reach.mode_lower, many), self._require_bounds(reach.mode_upper, many)
