@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from functools import partial
 from pathlib import Path
@@ -99,6 +100,24 @@ def test_a_damaged_line_is_named(written):
     lines = written.read_text().splitlines()
     written.write_text("\n".join([*lines[:3], "}{", *lines[3:]]) + "\n")
     with pytest.raises(lfo.errors.ProblemError, match="line 4"):
+        lfo.load_sweep(written)
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (lambda head: head.pop("fingerprint"), "fingerprint: got nothing"),
+        (lambda head: head.update(options=[]), "options: got"),
+        (lambda head: head.update(more=1), "more: got an unknown key"),
+    ],
+    ids=["no fingerprint", "options of another type", "an unknown key"],
+)
+def test_a_damaged_first_line_is_named(written, change, place):
+    head, *rest = written.read_text().splitlines()
+    table = json.loads(head)
+    change(table)
+    written.write_text("\n".join([json.dumps(table), *rest]) + "\n")
+    with pytest.raises(lfo.errors.ProblemError, match=place):
         lfo.load_sweep(written)
 
 
