@@ -201,6 +201,8 @@ def test_bands_are_where_the_power_is(tmp_path, power, share, bands):
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "calibration.csv").write_text(table(power), encoding=encoding)
         assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
+    (tmp_path / "calibration.csv").write_text(f"#{table(power)}")  # the header as a comment
+    assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
     assert bands_of(HZ, power, share) == bands
 
 
