@@ -20,4 +20,3 @@ __all__ = [
     "BandWarning", "ClosedLoopWarning", "InfeasibleError", "LimitError", "LinFreqOCPError", "MissingExtraError",
     "NoDerivativeError", "NumericalError", "ProblemError", "SolveError", "UnboundedError", "UnsupportedError",
 ]
-# fmt: on

@@ -29,4 +29,3 @@ __all__ = [
     "Multipliers", "Reading", "Reason", "Result", "SavedRun", "SavedSolution", "Sensitivities", "Shaper", "Side",
     "SolutionDerivatives", "Solutions", "Status", "Sweep", "Trajectory",
 ]
-# fmt: on

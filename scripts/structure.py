@@ -51,19 +51,19 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_556,
-    "code lines": 47_118,
-    "code lines, linear part": 22_345,
-    "code lines, hybrid": 8_827,
+    "shipped lines": 50_360,
+    "code lines": 46_937,
+    "code lines, linear part": 22_343,
+    "code lines, hybrid": 8_758,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,
     "folders at the root": 20,
     "modules at the root": 11,
     "names in __all__": 65,
-    "lines of a file": 535,
+    "lines of a file": 530,
     "lines of a function": 63,
-    "functions used once [%]": 12.3,
+    "functions used once [%]": 12.2,
     "files entered by a solve": 49,
     "functions entered by a solve": 384,
     "calls of a solve": 747,

@@ -8,4 +8,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "shaper": "FIRST_PERIODS",
     "solve": "ERRORS raise_for",
 })
-# fmt: on

@@ -15,7 +15,7 @@ from lin_freq_ocp.api.result import Result, present_as
 from lin_freq_ocp.api.solve import conflict_in_words, raise_for
 from lin_freq_ocp.base.activity import report_progress
 from lin_freq_ocp.base.errors import InfeasibleError
-from lin_freq_ocp.base.phrases import html_table, plural, runs_of, term_rows
+from lin_freq_ocp.base.phrases import html_table, plural, runs_in_words, runs_of, term_rows
 from lin_freq_ocp.batch.grid import Source, require_executor
 from lin_freq_ocp.batch.minimum_time import (
     Search,
@@ -224,17 +224,12 @@ def _proof_in_words(search: Search, unproven: list[int], monotone: bool) -> str:
     elif monotone and proven:
         facts.append(f"{proven[-1]} is proven infeasible, and with it all shorter horizons")
     elif proven:
-        each = f"{proven[0]} is" if len(proven) == 1 else f"each of {_ranges(proven)} is"
+        each = f"{proven[0]} is" if len(proven) == 1 else f"each of {runs_in_words(runs_of(np.array(proven)))} is"
         facts.append(f"{each} proven infeasible")
     if unproven:
         claimed = [T for T in unproven if T in search.claimed]
         if claimed:
-            facts.append(f"a solver claims without a proof that no trajectory exists at {_ranges(claimed)}")
-        facts.append(f"nothing is proven of {_ranges(unproven)}")
+            where = runs_in_words(runs_of(np.array(claimed)))
+            facts.append(f"a solver claims without a proof that no trajectory exists at {where}")
+        facts.append(f"nothing is proven of {runs_in_words(runs_of(np.array(unproven)))}")
     return "; ".join(facts)
-
-
-def _ranges(horizons: list[int]) -> str:
-    """Return increasing horizons as "3, 5 to 9"."""
-    runs = runs_of(np.array(horizons))
-    return ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in runs)

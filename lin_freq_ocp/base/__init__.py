@@ -36,4 +36,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "polyhedra": "Cell PROJECTIONS SAME_FACET THICKNESS box_minimiser cell_of irredundant natural_sizes "
     "uncovered_point", "resources": "ALWAYS_THERE memory_limit",
 })
-# fmt: on

@@ -1,4 +1,4 @@
-"""Files from anyone: what an archive unpacks to is limited before it is unpacked."""
+"""Files from anyone: only regular files are read, and what an archive unpacks to is limited before it is unpacked."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import codecs
 import struct
 import zlib
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
+from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 
 FileValue = Any  # a value of a TOML, JSON, .npz or .mat file: of unknown type until it is checked
@@ -18,6 +20,26 @@ MOST_BYTES = 2**34  # unpacked size of an archive: 16 GiB, more than any answer 
 LARGE, MOST_COMPRESSED = 2**28, 100
 COMPRESSED = 15  # type of a compressed element of a .mat file
 PIECE = 2**22  # bytes unpacked at once
+
+
+def require_file(field: str, path: Path) -> None:
+    """Raise ProblemError unless there is a regular file; a pipe or a device would never end."""
+    try:
+        got = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
+        if path.is_file():
+            return
+    except (OSError, ValueError) as error:
+        got = reason(error)
+    raise ProblemError(field, f"{got} ({path})", "an existing file")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file; the field of a ProblemError is the path."""
+    require_file(str(path), path)
+    try:
+        return path.read_bytes()
+    except (OSError, MemoryError) as error:
+        raise ProblemError(str(path), reason(error), "a file that can be read") from None
 
 
 def require_modest(field: str, entries: int, unpacked: int, packed: int) -> None:

@@ -6,7 +6,7 @@ import inspect
 import sys
 import warnings
 from collections.abc import Callable, Generator, Iterable
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter
@@ -289,11 +289,14 @@ def _with_answer(function: Callable[..., object]) -> Callable[..., object]:
 
 
 @contextmanager
-def located_at(location: str, own: str) -> Generator[None]:
-    """Let a ProblemError that names the field ``own``, or a field within it, name ``location`` instead."""
+def rename_field(rename: Callable[[str], str]) -> Generator[None]:
+    """Let a ProblemError name the field that ``rename`` returns for its own."""
     try:
         yield
     except ProblemError as error:
-        rest = error.field.removeprefix(own)
-        field = location + rest if rest != error.field else f"{location}: {error.field}"
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+        raise ProblemError(rename(error.field), error.got, error.expected, error.advice) from None
+
+
+def located_at(location: str, own: str) -> AbstractContextManager[None]:
+    """Let a ProblemError that names the field ``own``, or a field within it, name ``location`` instead."""
+    return rename_field(lambda field: location + field[len(own) :] if field.startswith(own) else f"{location}: {field}")

@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "grid": "fingerprint", "many": "PART solve_part tour", "sweep": "MEASURED", "tasks": "RESUBMISSIONS process_pool",
     "minimum_time": "Search Verdict obstacles problem_at_horizon search_horizons",
 })
-# fmt: on

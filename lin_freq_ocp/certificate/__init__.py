@@ -13,4 +13,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "sizes": "cost_scale trajectory_sizes", "conditions": "Condition",
     "tolerances": "CONDITION_TOLERANCE DATA_ROUNDING GAP_TOLERANCE RADIUS_MARGIN",
 })
-# fmt: on

@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "app": "COMMANDS cli main", "console": "BAD_INPUT NOT_PROVEN NO_SOLUTION fit_table out print_terms",
     "problems": "build", "show": "SCHEMAS as_toml",
 })
-# fmt: on

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
-from copy import deepcopy
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from lin_freq_ocp import library
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.errors import ProblemError, suggestion
 from lin_freq_ocp.batch.grid import require_parameters
-from lin_freq_ocp.files.reading import FileTable, FileValue, naming_file
+from lin_freq_ocp.files.reading import FileTable, FileValue, merge_tables, naming_file
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.transform.limits import CUTOFFS, NUMBER_WORDS, changed_fields
 
@@ -70,9 +69,9 @@ class ProblemFile:
     def __call__(self, **parameters: FileValue) -> OptimalControlProblem:
         """Return the problem with these values, which take precedence over the settings."""
         replaced = SPECTRA if any(key in SPECTRA for key in parameters) else ()
-        tables = deepcopy({key: value for key, value in self.settings.items() if key not in replaced})
+        tables = {key: value for key, value in self.settings.items() if key not in replaced}
         for key, value in parameters.items():
-            _merge(tables, _nested_tables(key, value))
+            tables = merge_tables(tables, _nested_tables(key, value))
         return read_with_settings(self.path, tables)
 
 
@@ -98,7 +97,7 @@ def require_keys_of_file(keys: Iterable[str], option: str = "") -> None:
 
 def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlProblem:
     """Return the problem of a file: settings replace its keys, a cut-off its spectrum, and then numbers its limits."""
-    from lin_freq_ocp.files.problem_file import read_problem  # slow to import
+    from lin_freq_ocp.files.problem_file import leaves, read_problem  # slow to import
     from lin_freq_ocp.uncertainty.protocol import RobustProblem, robust
 
     tables = {key: value for key, value in settings.items() if key not in (*CUTOFFS, *NUMBER_WORDS)}
@@ -107,20 +106,11 @@ def read_with_settings(path: str | Path, settings: FileTable) -> OptimalControlP
             low_pass = {"kind": "low_pass", key: settings[key]}
             tables["control_spectrum"] = None if settings[key] is None else [low_pass]
     problem = read_problem(path, tables)
-    values = dict(entry for word in NUMBER_WORDS for entry in _dotted_entries(word, settings.get(word, {})))
+    values = leaves({word: settings[word] for word in NUMBER_WORDS if word in settings})
     if values and isinstance(problem, RobustProblem):
         given = replace(problem.given, **changed_fields(problem.given, values))
         return robust(given, problem.uncertainty, problem.end)
     return replace(problem, **changed_fields(problem, values)) if values else problem
-
-
-def _dotted_entries(key: str, value: FileValue) -> Iterator[tuple[str, FileValue]]:
-    """Yield the entries of nested tables under dotted keys."""
-    if not isinstance(value, dict):
-        yield key, value
-        return
-    for inner, part in value.items():
-        yield from _dotted_entries(f"{key}.{inner}", part)
 
 
 def is_file(problem: str) -> bool:
@@ -135,7 +125,7 @@ def parse_settings(settings: Sequence[str]) -> FileTable:
     for setting in settings:
         try:
             table = _without_none(tomllib.loads(setting))
-            _merge(result, table)
+            result = merge_tables(result, table)
         except (ValueError, RecursionError) as error:  # also numbers of thousands of digits, and deep nesting
             advice = f"Text needs quotes within quotes: --set 'name=\"text\"'. ({error})"
             key, _, given = map(str.strip, setting.partition("="))
@@ -172,15 +162,6 @@ def require_folder(folder: Path) -> None:
             if not path.is_dir():
                 raise ProblemError(f"--out {folder}", f"{path}, a file", "a folder")
             return
-
-
-def _merge(into: FileTable, new: FileTable) -> None:
-    """Insert new entries into nested tables."""
-    for key, value in new.items():
-        if isinstance(value, dict) and isinstance(into.get(key), dict):
-            _merge(into[key], value)
-        else:
-            into[key] = value
 
 
 def _nested_tables(key: str, value: FileValue) -> FileTable:

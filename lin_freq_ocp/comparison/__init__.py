@@ -10,4 +10,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "shapers": "USUAL_SHAPERS INSENSITIVITY SHAPERS Impulses Modes bands_of eigenvalues_of known_shaper shorten",
     "trajectories": "NO_MODE ProblemSignal controls_of measured_solution mode_sequence",
 })
-# fmt: on

@@ -150,12 +150,6 @@ def eigenvalues_of(frequencies: Array, damping: Array) -> ComplexArray:
     return 2 * np.pi * frequencies * (-damping + 1j * np.sqrt(1 - damping**2))
 
 
-def clusters(samples: Array) -> list[Indices]:
-    """Return the positions of impulses among samples, neighbours together."""
-    at = np.flatnonzero(samples > NEGLIGIBLE)
-    return np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-
-
 def join_groups(samples: Array, groups: Sequence[Indices], step: float) -> Impulses:
     """Return one impulse for each group of samples, at its centre; times begin at zero."""
     amplitudes = np.array([samples[group].sum() for group in groups])
@@ -241,7 +235,7 @@ def few_impulses(samples: Array, modes: Modes, limit: float, most: int, steps: t
         If no impulses as few as that were found.
     """
     step, fine = steps
-    groups = clusters(samples)
+    groups = [np.arange(first, last + 1) for first, last in runs_of(np.flatnonzero(samples > NEGLIGIBLE))]
     found, keeps = _keep_limit(join_groups(samples, groups, step), modes, limit, fine)
     while not keeps and len(groups) < np.count_nonzero(samples > NEGLIGIBLE):  # an impulse cannot be what a cluster is
         groups = with_widest_split(samples, groups)

@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "data": "data_for data_of slopes with_data", "derivatives": "Derivative SolutionDerivatives Gradient Side",
     "sensitivities": "bin_prices sensitivities_of",
 })
-# fmt: on

@@ -23,23 +23,14 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.box import Box, box_of, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import map_constraints
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.families import Options, family_of
 from lin_freq_ocp.solving.outcome import Cure, Explanation, Outcome
 from lin_freq_ocp.solving.solve import solve_judged
-from lin_freq_ocp.transform.limits import (
-    BOXES,
-    SPECTRA,
-    Limit,
-    constraints,
-    drop_limits,
-    intersection,
-    map_sets,
-    replace_bounds,
-)
+from lin_freq_ocp.transform.limits import BOXES, SPECTRA, Limit, constraints, drop_limits, intersection, replace_bounds
 from lin_freq_ocp.transform.reformulations import AddedStates, add_states
 from lin_freq_ocp.transform.sizes import stated_sizes
 

@@ -16,8 +16,9 @@ from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import Generic, Self, TypeVar, get_type_hints
+from typing import ClassVar, Generic, Self, TypeVar, get_type_hints
 
+from lin_freq_ocp.base.archives import read_bytes, require_file
 from lin_freq_ocp.base.arrays import brief, to_shape
 from lin_freq_ocp.base.atomic import lock_file, report_write_errors
 from lin_freq_ocp.base.errors import ProblemError
@@ -25,35 +26,16 @@ from lin_freq_ocp.batch.grid import grid_points, point_key
 from lin_freq_ocp.batch.many import Item
 from lin_freq_ocp.batch.sweep import MEASURED, Row, SweepOutcome
 from lin_freq_ocp.batch.tasks import ERROR
-from lin_freq_ocp.files.reading import (
-    FileTable,
-    FileValue,
-    parsed_json,
-    read_bytes,
-    read_text,
-    require_file,
-    require_keys,
-)
+from lin_freq_ocp.files.reading import FileTable, FileValue, parsed_json, read_text, require_keys
 from lin_freq_ocp.files.solution_files import write_table
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 SCHEMA = 1  # version of the layout; a file with another version is refused
-KIND = "lin-freq-ocp sweep"
-BEGINNING = json.dumps({"kind": KIND, "schema": SCHEMA})[:-1]  # of every file, also of one cut off in its first line
-HEAD_KEYS = ("kind", "schema", "version", "problem", "fingerprint", "names", "options", "grid")
-HEAD_KINDS = {"problem": str, "fingerprint": str, "names": list, "options": dict}
-# Types of the values of a row.
-ROW_KINDS = {
+Kinds = Mapping[str, FileValue]  # types of values, by their keys
+ROW_KINDS: Kinds = {
     key: dict if key == "parameters" else int | float | None if kind == float | None else kind
     for key, kind in get_type_hints(Row).items()
 }
-
-DIFFERENCES = (("problem", "another problem"), ("names", "other parameters"), ("options", "other options of solve"))
-ANOTHER_PATH = "Give another path, or remove the file."
-
-MANY_KIND = "lin-freq-ocp solve_many"
-MANY_HEAD_KEYS = ("kind", "schema", "version", "fingerprint", "options")
-MANY_DIFFERENCES = (("schema", "another layout"), ("fingerprint", "another problem"), ("options", "other options"))
 ITEM_KINDS: dict[str, FileValue] = {"key": str, "status": str, "proven": bool, "message": str}
 ITEM_KINDS |= dict.fromkeys(("cost", "lower_bound", "gap", "seconds"), int | float | None)
 ITEM_KEYS = (*ITEM_KINDS, "x", "u")
@@ -68,7 +50,9 @@ class Log(ABC, Generic[Answer]):
     those of the file when it was opened, by their keys, without those that ended with an error.
     """
 
-    kind = ""
+    kind = ""  # the function of the library that writes it
+    head_kinds: ClassVar[Kinds] = {}  # types of values of the first line
+    differences: Mapping[str, str] = {}  # values of the first line by which runs differ, with words for it
 
     def __init__(self, path: str | PathLike[str], head: Mapping[str, object]):
         self._path = path = Path(path)
@@ -81,9 +65,14 @@ class Log(ABC, Generic[Answer]):
                 raise ProblemError(str(path), "a file that another run is writing", "one of its own", advice)
             self._open = stack.pop_all()
         try:
-            first = {"kind": self.kind, "schema": SCHEMA, "version": version("lin-freq-ocp"), **head}
-            answers, line = self._resume(first)
-            self.answers: Mapping[str, Answer] = answers
+            first = {"kind": f"lin-freq-ocp {self.kind}", "schema": SCHEMA, "version": version("lin-freq-ocp"), **head}
+            lines = self.lines(path)
+            for key, difference in self.differences.items() if lines else ():
+                if lines[0][key] != first[key]:
+                    got = f"a file of {difference.format(**first)} ({brief(lines[0][key])})"
+                    raise ProblemError(str(path), got, brief(first[key]), "Give another path, or remove the file.")
+            self.answers: Mapping[str, Answer] = self._answers(lines)
+            line = self._news(lines, first) if lines else first
             with report_write_errors(path):
                 self._stream.truncate(read_bytes(path).rfind(b"\n") + 1)  # an incomplete last line is dropped
             if line:
@@ -92,9 +81,29 @@ class Log(ABC, Generic[Answer]):
             self.close()
             raise
 
+    @classmethod
+    def lines(cls, path: Path) -> list[FileTable]:
+        """Return all whole lines of a file, which are tables; none, if not even the first is whole."""
+        beginning = json.dumps({"kind": f"lin-freq-ocp {cls.kind}", "schema": SCHEMA})[:-1]
+        *whole, rest = read_text(path).split("\n")
+        if not (whole[0].startswith(beginning) if whole else beginning.startswith(rest[: len(beginning)])):
+            expected = f"a file of {cls.kind}, or a new name"
+            raise ProblemError(str(path), brief((whole or [rest])[0]), expected, "It is left as it is.")
+        lines = [parsed_json(f"{path}, line {number}", text) for number, text in enumerate(whole, 1)]
+        for number, line in enumerate(lines, 1):
+            require_keys(f"{path.name}, line {number}", line, optional=() if not isinstance(line, dict) else line)
+        if lines:
+            require_keys(path.name, lines[0], ("kind", "schema", "version", *cls.head_kinds))
+            _require_kinds(path.name, lines[0], cls.head_kinds)
+        return lines
+
     @abstractmethod
-    def _resume(self, first: FileTable) -> tuple[dict[str, Answer], FileTable]:
-        """Return the answers of the file, and the line to append now, if any: in a new file ``first``."""
+    def _answers(self, lines: Sequence[FileTable]) -> dict[str, Answer]:
+        """Return the answers of the file by their keys, without errors."""
+
+    def _news(self, lines: Sequence[FileTable], first: FileTable) -> FileTable:
+        """Return the line that a file which is continued needs before any answer, if any."""
+        return {}
 
     @abstractmethod
     def append(self, key: str, answer: Answer) -> None:
@@ -123,57 +132,44 @@ class Log(ABC, Generic[Answer]):
 class SweepFile(Log[Row]):
     """A file that gets a line per point, and one with the grid whenever that is new."""
 
-    kind = KIND
+    kind = "sweep"
+    head_kinds: ClassVar[Kinds] = {"problem": str, "fingerprint": str, "names": list, "options": dict, "grid": dict}
+    differences: Mapping[str, str] = {
+        "problem": "another problem",
+        "names": "other parameters",
+        "options": "other options of solve",
+        "fingerprint": "another problem, also called {problem}, with other data or fixed arguments",
+    }
 
-    def _resume(self, first: FileTable) -> tuple[dict[str, Row], FileTable]:
-        lines, path, grid = _sweep_lines(self._path), str(self._path), first["grid"]
-        rows = {point_key(row["parameters"]): row for row in _rows_of(lines) if row["status"] != ERROR}
-        if not lines:
-            return rows, first
-        for key, difference in DIFFERENCES:
-            if lines[0][key] != first[key]:
-                got = f"a sweep of {difference} ({brief(lines[0][key])})"
-                raise ProblemError(path, got, brief(first[key]), ANOTHER_PATH)
-        if lines[0]["fingerprint"] != first["fingerprint"]:
-            got = f"a sweep of another problem, also called {first['problem']}"
-            raise ProblemError(path, got, f"{first['problem']}, with the same data and fixed arguments", ANOTHER_PATH)
-        return rows, {} if list(_last_grid(lines).items()) == list(grid.items()) else {"grid": grid}
+    @classmethod
+    def lines(cls, path: Path) -> list[FileTable]:
+        """Return all whole lines, checked: the first and later ones with a grid, and rows."""
+        lines = super().lines(path)
+        for number, line in enumerate(lines, 1):
+            location = f"{path.name}, line {number}"
+            if "grid" in line:
+                grid = line["grid"]
+                if not isinstance(grid, dict) or not grid or not all(isinstance(v, list) and v for v in grid.values()):
+                    raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
+            else:
+                line.setdefault("bound", None)  # rows of earlier versions have none
+                require_keys(location, line, ROW_KINDS)
+                _require_kinds(location, line, ROW_KINDS)
+        return lines
+
+    def _answers(self, lines: Sequence[FileTable]) -> dict[str, Row]:
+        return {point_key(row["parameters"]): row for row in _rows_of(lines) if row["status"] != ERROR}
+
+    def _news(self, lines: Sequence[FileTable], first: FileTable) -> FileTable:
+        grid = first["grid"]
+        return {} if list(_last_grid(lines).items()) == list(grid.items()) else {"grid": grid}
 
     def append(self, key: str, answer: Row) -> None:
         """Write the row of a point."""
         self._write(answer)
 
 
-def _sweep_lines(path: Path) -> list[FileTable]:
-    """Return all whole lines of a sweep's file; none, if not even the first is whole."""
-    head, *others = read_text(path).split("\n")
-    if not others and BEGINNING.startswith(head[: len(BEGINNING)]):
-        return []
-    if not head.startswith(BEGINNING):
-        raise _no_sweep_error(path)
-    lines = list[FileTable]()
-    for number, text in enumerate([head, *others[:-1]], 1):
-        line, location = parsed_json(f"{path}, line {number}", text), f"{path.name}, line {number}"
-        require_keys(location, line, optional=() if not isinstance(line, dict) else line)
-        if "grid" in line:
-            grid = line["grid"]
-            if not isinstance(grid, dict) or not grid or not all(isinstance(v, list) and v for v in grid.values()):
-                raise ProblemError(f"{location}.grid", brief(grid), "a list of values for each parameter")
-        elif number > 1:
-            line.setdefault("bound", None)  # rows of earlier versions have none
-            require_keys(location, line, ("parameters", *MEASURED))
-            _require_kinds(location, line, ROW_KINDS)
-        lines.append(line)
-    require_keys(path.name, lines[0], HEAD_KEYS)
-    _require_kinds(path.name, lines[0], HEAD_KINDS)
-    return lines
-
-
-def _no_sweep_error(path: Path) -> ProblemError:
-    return ProblemError(str(path), "something else", "a file of a sweep, or a new name", "It is left as it is.")
-
-
-def _require_kinds(location: str, line: Mapping[str, object], kinds: Mapping[str, FileValue]) -> None:
+def _require_kinds(location: str, line: Mapping[str, object], kinds: Kinds) -> None:
     """Raise ProblemError unless the values of a line have these types; True and False are no numbers."""
     for key, kind in kinds.items():
         value = line[key]
@@ -192,9 +188,9 @@ def _last_grid(lines: Sequence[FileTable]) -> FileTable:
 def read_sweep(path: str | PathLike[str]) -> SweepOutcome:
     """Read the file of a sweep, complete or not, with its last grid; ProblemError if it is no such file, or damaged."""
     path = Path(path)
-    lines = _sweep_lines(path)
+    lines = SweepFile.lines(path)
     if not lines:
-        raise _no_sweep_error(path)
+        raise ProblemError(str(path), "no whole line", "a file of sweep")
     grid = {name: tuple(values) for name, values in _last_grid(lines).items()}
     rows = {point_key(row["parameters"]): row for row in _rows_of(lines)}
     kept = tuple(rows[key] for key in grid_points(grid) if key in rows)
@@ -223,27 +219,16 @@ def sweep_summary(sweep: SweepOutcome) -> FileTable:
 class ManyFile(Log[Item]):
     """A file that gets a line per answer."""
 
-    kind = MANY_KIND
+    kind = "solve_many"
+    head_kinds: ClassVar[Kinds] = {"fingerprint": str, "options": dict}
+    differences: Mapping[str, str] = {"fingerprint": "another problem", "options": "other options"}
 
     def __init__(self, problem: OptimalControlProblem, path: str | PathLike[str], head: Mapping[str, object]):
         T, n, m = problem.horizon, problem.state_dim, problem.control_dim
         self._shapes = {"x": (T + 1, n), "u": (T, m)}
         super().__init__(path, head)
 
-    def _resume(self, first: FileTable) -> tuple[dict[str, Item], FileTable]:
-        text = read_text(self._path)
-        whole = text[: text.rfind("\n") + 1]
-        if not whole and not json.dumps(first)[:10].startswith(text[:10]):
-            raise self._another(text)
-        lines = [parsed_json(f"{self._path}, line {i}", line) for i, line in enumerate(whole.splitlines(), 1)]
-        if not lines:
-            return {}, first
-        if not isinstance(lines[0], dict) or lines[0].get("kind") != MANY_KIND:
-            raise self._another(lines[0])
-        require_keys(self._path.name, lines[0], MANY_HEAD_KEYS)
-        for key, difference in MANY_DIFFERENCES:
-            if lines[0][key] != first[key]:
-                raise ProblemError(str(self._path), f"a file of {difference}", brief(first[key]), ANOTHER_PATH)
+    def _answers(self, lines: Sequence[FileTable]) -> dict[str, Item]:
         items = dict[str, Item]()
         for number, line in enumerate(lines[1:], 2):
             location = f"{self._path.name}, line {number}"
@@ -252,15 +237,10 @@ class ManyFile(Log[Item]):
             for name, shape in self._shapes.items():
                 line[name] = None if line[name] is None else to_shape(f"{location}.{name}", line[name], shape)
             items |= {line.pop("key"): Item(**line)}
-        return {key: item for key, item in items.items() if item.status != ERROR}, {}
+        return {key: item for key, item in items.items() if item.status != ERROR}
 
     def append(self, key: str, answer: Item) -> None:
         """Write one answer."""
         values = {name: getattr(answer, name) for name in ITEM_KEYS if name != "key"}
         arrays = {name: None if values[name] is None else values[name].tolist() for name in "xu"}
         self._write({"key": key} | values | arrays)
-
-    def _another(self, content: object) -> ProblemError:
-        return ProblemError(
-            str(self._path), brief(content, 30), "a file of solve_many, or a new name", "It is left as it is."
-        )

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, brief, real_array
-from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.comparison.shapers import bands_of
-from lin_freq_ocp.files.reading import read_text
+from lin_freq_ocp.files.reading import naming_file, read_text
+from lin_freq_ocp.files.solution_files import parse_table, require_columns
 
 FREQUENCY, POWER = "freq", "psd_xyz"  # columns: Hz, and the power of all axes together
 
@@ -56,34 +56,20 @@ def read_calibration(
 
 def _columns(path: Path, column: str) -> tuple[Array, Array]:
     """Return frequencies in Hz, ascending, and a power, (k,) each."""
-    try:
-        lines = list(csv.reader(read_text(path).splitlines()))
-    except csv.Error as error:
-        raise ProblemError(str(path), f"{error}", "a readable CSV file") from None
-    names = [name.strip().lstrip("#") for name in lines[0]] if lines else []
-    if any(name.startswith("accel") for name in names):
-        expected = f"the power over frequency, with the columns {FREQUENCY} and {column}"
-        advice = "The firmware's script for calibration turns accelerations into it."
-        raise ProblemError(path.name, "accelerations over time", expected, advice)
-    for name in (FREQUENCY, column):
-        if name not in names:
-            advice = suggestion(name, names)
-            raise ProblemError(f"{path.name}: header", brief(", ".join(names)), f"a column {name}", advice)
-    at, rows = [names.index(FREQUENCY), names.index(column)], list[list[float]]()
-    for i, line in enumerate(lines[1:], 1):
-        if not line:
-            continue
-        try:
-            rows.append([float(line[k]) for k in at])
-        except (ValueError, IndexError):
-            got, expected = brief(",".join(line)), f"numbers in the columns {FREQUENCY} and {column}"
-            raise ProblemError(f"{path.name}: row {i}", got, expected) from None
-    values = np.array(rows).reshape(-1, 2)
-    frequencies, power = values.T
-    if len(rows) < 2 or not np.isfinite(values).all() or (np.diff(frequencies) <= 0).any() or frequencies[0] < 0:
-        raise ProblemError(f"{path.name}: {FREQUENCY}", brief(frequencies.tolist()), "ascending frequencies in Hz")
-    if (power < 0).any() or not power.any():
-        got = "negative values" if (power < 0).any() else "zeros alone"
-        raise ProblemError(f"{path.name}: {column}", got, "a power, which is not negative, above zero somewhere")
+    text = read_text(path).lstrip("#")
+    with naming_file(path):
+        table = parse_table(text)
+        if any(name.startswith("accel") for name in table.head):
+            expected = f"the power over frequency, with the columns {FREQUENCY} and {column}"
+            advice = "The firmware's script for calibration turns accelerations into it."
+            raise ProblemError("columns", "accelerations over time", expected, advice)
+        at = [table.find(name) for name in (FREQUENCY, column)]
+        require_columns(table, (FREQUENCY, column), at)
+        frequencies, power = np.array(table.numbers(at, len(table.rows))).reshape(-1, 2).T
+        if len(frequencies) < 2 or (np.diff(frequencies) <= 0).any() or frequencies[0] < 0:
+            raise ProblemError(FREQUENCY, brief(frequencies.tolist()), "ascending frequencies in Hz")
+        if (power < 0).any() or not power.any():
+            got = "negative values" if (power < 0).any() else "zeros alone"
+            raise ProblemError(column, got, "a power, which is not negative, above zero somewhere")
     at_zero = frequencies == 0  # no vibration
     return frequencies[~at_zero], power[~at_zero]

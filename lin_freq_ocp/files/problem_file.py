@@ -20,6 +20,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
+from lin_freq_ocp.base.archives import require_file
 from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.atomic import report_write_errors, write_bytes
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -85,7 +86,7 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
     tables = read_tables(path)
     with reading.naming_file(path):
         try:
-            return problem_from_tables(_resolve(_merge(tables, overrides or {}), path.parent))
+            return problem_from_tables(_resolve(reading.merge_tables(tables, overrides or {}), path.parent))
         except ProblemError:
             raise
         except RecursionError:
@@ -95,8 +96,9 @@ def read_problem(path: str | PathLike[str], overrides: Mapping[str, FileValue] |
 
 
 def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
-    """Return the tables with every reference replaced by its array; only files inside ``folder`` are read."""
+    """Return the tables without None, each reference replaced by its array; only files inside ``folder`` are read."""
     if isinstance(value, Mapping):
+        value = {key: entry for key, entry in value.items() if entry is not None}
         if "npz" in value:
             reading.require_keys(field, value, required=("npz", "key"))
             path, key = _path_inside(f"{field}.npz", value["npz"], folder), value["key"]
@@ -110,7 +112,7 @@ def _resolve(value: FileValue, folder: Path, field: str = "") -> FileValue:
             return array
         if set(value) == {"csv"}:
             path = _path_inside(f"{field}.csv", value["csv"], folder)
-            reading.require_file(f"{field}.csv", path)
+            require_file(f"{field}.csv", path)
             return read_response(path)
         return {key: _resolve(entry, folder, f"{field}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list) and any(isinstance(entry, Mapping) for entry in value):
@@ -135,21 +137,9 @@ def _path_inside(field: str, name: FileValue, folder: Path) -> Path:
     return target
 
 
-def _merge(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
-    """Return the table with the overrides; None removes a key."""
-    merged = dict(table)
-    for key, value in overrides.items():
-        if isinstance(value, Mapping):
-            old = merged.get(key)
-            merged[key] = _merge(old if isinstance(old, Mapping) else {}, value)
-        else:
-            merged[key] = value
-    return {key: value for key, value in merged.items() if value is not None}
-
-
 def read_tables(path: Path) -> FileTable:
     """Return the tables of a TOML file; ProblemError if it is no such file."""
-    reading.require_file(str(path), path)
+    require_file(str(path), path)
     if (size := path.stat().st_size) > MOST_BYTES:
         advice = 'Put large arrays into an .npz next to it, as {npz = "data.npz", key = "A"}; write_problem does so.'
         raise ProblemError(str(path), f"{size} bytes", f"a TOML file of at most {MOST_BYTES} bytes", advice)
@@ -377,20 +367,20 @@ def about_function(function: Callable[..., object]) -> str:
 
 def parameters_of_file(path: Path, settings: Mapping[str, FileValue]) -> list[Parameter]:
     """Return the keys of a problem file with their values, and those that it could have without a value."""
-    tables, given = read_tables(path), _leaves(settings)
-    defaults = {key: value for key, value in _leaves(tables).items() if key != "schema"}
+    tables, given = read_tables(path), leaves(settings)
+    defaults = {key: value for key, value in leaves(tables).items() if key != "schema"}
     known = (*PROBLEM.optional, *CUTOFFS)
     absent = [key for key in known if key not in tables and not isinstance(settings.get(key), dict)]
     keys = dict.fromkeys([*defaults, *absent, *given])
     return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]
 
 
-def _leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
+def leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
     """Return every value of nested tables under its key with dots; a list of tables is one value."""
-    leaves: FileTable = {}
+    found: FileTable = {}
     for key, value in tables.items():
         if isinstance(value, Mapping) and set(value) != ARRAY_REFERENCE and value:
-            leaves |= _leaves(value, f"{within}{key}.")
+            found |= leaves(value, f"{within}{key}.")
         else:
-            leaves[within + key] = value
-    return leaves
+            found[within + key] = value
+    return found

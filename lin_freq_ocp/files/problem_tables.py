@@ -165,14 +165,13 @@ def _labels(sampling_time: object = None, state_names: object = None, control_na
 
 def _smooth_values(dynamics: PiecewiseSmoothDynamics) -> FileTable:
     """Return the keys of dynamics by formulas, with ``let`` if formulas are long or share subexpressions."""
-    formulas: list[Formula] = []
-    for i, mode in enumerate(dynamics.modes):
-        for key in FORMULA_KEYS:
-            for j, formula in enumerate(getattr(mode, key)):
-                for node in nodes_in_order([formula]):
-                    require_formula(node, f"dynamics.modes[{i}].{key}[{j}]")
-                formulas.append(formula)
-    texts, definitions = with_definitions(formulas)
+    formulas = {
+        f"dynamics.modes[{i}].{key}[{j}]": formula
+        for i, mode in enumerate(dynamics.modes)
+        for key in FORMULA_KEYS
+        for j, formula in enumerate(getattr(mode, key))
+    }
+    texts, definitions = _texts(formulas)
     left = iter(texts)
     modes = [
         replace(mode, **{key: [next(left) for _ in getattr(mode, key)] for key in FORMULA_KEYS})
@@ -470,11 +469,8 @@ def _problem(
 ) -> OptimalControlProblem:
     problem = OptimalControlProblem(**fields)
     if rate_limit is not None:
-        try:
+        with at_location("rate_limit"):
             problem = rate_limited(problem, **rate_limit)
-        except ProblemError as error:
-            field = error.field if error.field == "rate_limit" else f"rate_limit.{error.field}"
-            raise ProblemError(field, error.got, error.expected, error.advice) from None
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
     if disturbance is not None and discs is not None:

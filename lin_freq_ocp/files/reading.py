@@ -11,7 +11,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Generator, Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import BinaryIO, NoReturn
@@ -20,10 +20,10 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.archives import FileValue, decode_text, require_modest
+from lin_freq_ocp.base.archives import FileValue, decode_text, read_bytes, require_file, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import reason
-from lin_freq_ocp.base.errors import ProblemError, suggestion
+from lin_freq_ocp.base.errors import ProblemError, rename_field, suggestion
 
 FileTable = dict[str, FileValue]
 FileArray = NDArray[FileValue]  # of any type of entries
@@ -47,15 +47,6 @@ def read_text(path: Path) -> str:
         raise ProblemError(str(path), got, "a text file", "Save it with the encoding UTF-8.") from None
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file; the field of a ProblemError is the path."""
-    require_file(str(path), path)
-    try:
-        return path.read_bytes()
-    except (OSError, MemoryError) as error:
-        raise ProblemError(str(path), reason(error), "a file that can be read") from None
-
-
 def parsed_json(field: str, text: str | bytes, infinite: bool = False) -> FileValue:
     """Return the value of a JSON text; ``infinite`` allows Infinity and NaN, which Python also writes.
 
@@ -75,17 +66,6 @@ def _parse_integer(digits: str) -> int:
     if not math.isfinite(float(digits)):
         raise ValueError(f"a number of {len(digits)} digits")
     return int(digits)
-
-
-def require_file(field: str, path: Path) -> None:
-    """Raise ProblemError unless there is a regular file; a pipe or a device would never end."""
-    try:
-        got = "no such file" if not path.exists() else "a directory" if path.is_dir() else "not a regular file"
-        if path.is_file():
-            return
-    except (OSError, ValueError) as error:
-        got = reason(error)
-    raise ProblemError(field, f"{got} ({path})", "an existing file")
 
 
 @contextmanager
@@ -138,6 +118,15 @@ def npz_bytes(arrays: Mapping[str, ArrayLike]) -> bytes:
     return stream.getvalue()
 
 
+def merge_tables(table: Mapping[str, FileValue], overrides: Mapping[str, FileValue]) -> FileTable:
+    """Return nested tables with the overrides in place of their entries."""
+    merged = dict(table)
+    for key, value in overrides.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = merge_tables(merged[key], value) if both else value
+    return merged
+
+
 def require_keys(location: str, table: object, required: Iterable[str] = (), optional: Iterable[str] = ()) -> None:
     """Raise ProblemError unless ``table``, at this location of the file ("" at the top), is a table with these keys."""
     if not isinstance(table, Mapping):
@@ -174,22 +163,17 @@ def join_location(location: str, key: str) -> str:
     return f"{location}.{key}" if location else key
 
 
-@contextmanager
-def naming_file(path: Path) -> Generator[None]:
+def naming_file(path: Path) -> AbstractContextManager[None]:
     """Put the file's name in front of the field of every ProblemError."""
-    try:
-        yield
-    except ProblemError as error:
-        raise ProblemError(f"{path.name}: {error.field}", error.got, error.expected, error.advice) from None
+    return rename_field(lambda field: f"{path.name}: {field}")
 
 
-@contextmanager
-def at_location(location: str, *own: str) -> Generator[None]:
+def at_location(location: str, *own: str) -> AbstractContextManager[None]:
     """Replace the names ``own`` ("Box.lower") at the beginning of a ProblemError's field ("state_set.lower")."""
-    try:
-        yield
-    except ProblemError as error:
-        rests = [error.field.removeprefix(name) for name in (location, *own)]
-        replaced = (location + rest for rest in rests if rest != error.field and rest[:1] in ("", ".", "["))
-        field = next(replaced, f"{location}.{error.field}") if location else error.field
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+
+    def rename(field: str) -> str:
+        rests = [field.removeprefix(name) for name in (location, *own)]
+        replaced = (location + rest for rest in rests if rest != field and rest[:1] in ("", ".", "["))
+        return next(replaced, f"{location}.{field}") if location else field
+
+    return rename_field(rename)

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 from threadpoolctl import threadpool_info
 
-from lin_freq_ocp.base.archives import LARGE, require_modest
+from lin_freq_ocp.base.archives import LARGE, require_file, require_modest
 from lin_freq_ocp.base.arrays import brief
 from lin_freq_ocp.base.atomic import write_bytes
 from lin_freq_ocp.base.errors import ProblemError, warn_user
@@ -167,7 +167,7 @@ DUMPED = "a file that lin-freq-ocp solve --dump wrote"
 
 def _unpack(path: Path, folder: Path) -> None:
     """Write the files that belong to a run to the folder; others are ignored."""
-    reading.require_file(str(path), path)
+    require_file(str(path), path)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lin_freq_ocp.base.archives import mat_variables
+from lin_freq_ocp.base.archives import mat_variables, read_bytes
 from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.atomic import write_bytes, write_text
 from lin_freq_ocp.base.errors import ProblemError, suggestion
@@ -217,14 +217,14 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     path = Path(path)
     text = reading.read_text(path)
     with reading.naming_file(path):
-        table = _parse_table(text)
+        table = parse_table(text)
         states = [table.find(name, problem.state_names) for name in problem.state_names]
         controls = [table.find(name, problem.control_names) for name in problem.control_names]
         known = {*states, *controls, table.find(STEP), table.find(SECONDS)}
-        _require_columns(table, problem.control_names, controls)
+        require_columns(table, problem.control_names, controls)
         replay = all(column is None for column in states)
         if not replay:
-            _require_columns(table, problem.state_names, states)
+            require_columns(table, problem.state_names, states)
         elif others := [brief(name) for i, name in enumerate(table.head) if i not in known]:
             expected = f"columns for the states, {', '.join(map(repr, problem.state_names))}, or none but controls"
             raise ProblemError("columns", ", ".join(others), expected, suggestion(table.head[0], problem.state_names))
@@ -241,7 +241,8 @@ def read_csv(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
         return trajectory_from_signals(problem, x, table.numbers(controls, T))
 
 
-def _parse_table(text: str) -> _Table:
+def parse_table(text: str) -> Table:
+    """Read a CSV text: separated by commas; or by semicolons or tabs, and numbers may then have decimal commas."""
     first = text.lstrip().partition("\n")[0]
     separator = next((mark for mark in ";\t" if mark in first and "," not in first), ",")
     decimal = "." if separator == "," else ","
@@ -260,11 +261,11 @@ def _parse_table(text: str) -> _Table:
     for line, cells in zip(lines, rows, strict=True):
         if len(cells) != len(rows[0]):
             raise ProblemError(f"line {line}", f"{len(cells)} cells", f"{len(rows[0])}, as many as the header has")
-    return _Table(rows[0], lines[1:], rows[1:])
+    return Table(rows[0], lines[1:], rows[1:])
 
 
 @dataclass(frozen=True)
-class _Table:
+class Table:
     """A header, and rows of cells with their lines in the file."""
 
     head: list[str]
@@ -300,7 +301,8 @@ class _Table:
         return [[number_at(row, column) for column in present] for row in range(count)]
 
 
-def _require_columns(table: _Table, names: Sequence[str], columns: Sequence[int | None]) -> None:
+def require_columns(table: Table, names: Sequence[str], columns: Sequence[int | None]) -> None:
+    """Raise ProblemError for a column that was not found."""
     for name, column in zip(names, columns, strict=True):
         if column is None:
             got = f"none (there is {', '.join(map(brief, table.head))})"
@@ -369,7 +371,7 @@ def read_mat(path: str | PathLike[str], problem: OptimalControlProblem) -> Traje
     True
     """
     path = Path(path)
-    variables = mat_variables(str(path), reading.read_bytes(path), "save(name, 'x', 'u', 't', '-v7')")
+    variables = mat_variables(str(path), read_bytes(path), "save(name, 'x', 'u', 't', '-v7')")
     with reading.naming_file(path):
         if "u" not in variables:
             got = f"nothing (there is {', '.join(variables) or 'no variable'})"

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from lin_freq_ocp.base.arrays import brief
-from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line, suggestion
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError, first_line, rename_field, suggestion
 from lin_freq_ocp.base.names import argument_order
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.formulas import nodes
@@ -110,12 +110,9 @@ def formula_from_text(
         raise ProblemError(field, brief(text), _expected_text()) from None
     except (RecursionError, MemoryError):  # also of the parser
         raise ProblemError(field, f"{brief(text)}, nested too deeply", "fewer terms, factors and brackets") from None
-    try:
-        with np.errstate(all="ignore"):
-            zero = Formula(dimensions, SUM, (), (0.0,))
-            formula = nodes.as_formula(zero, "formula", reader.evaluate(root, reader.apply_operation))
-    except ProblemError as error:
-        raise ProblemError(field, error.got, error.expected, error.advice) from None
+    with np.errstate(all="ignore"), rename_field(lambda _: field):
+        zero = Formula(dimensions, SUM, (), (0.0,))
+        formula = nodes.as_formula(zero, "formula", reader.evaluate(root, reader.apply_operation))
     if not all(np.isfinite(node.data).all() for node in nodes.nodes_in_order([formula])):
         raise ProblemError(field, brief(text), "coefficients that are finite numbers")
     return formula

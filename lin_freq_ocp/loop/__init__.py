@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "embedded": "markdown", "step_problem": "ControlLimits checked_penalties depends_on_past excess free_first_state "
     "known_states soften with_past", "windows": "control_windows without_windows",
 })
-# fmt: on

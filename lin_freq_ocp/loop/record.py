@@ -18,8 +18,8 @@ from lin_freq_ocp.loop.windows import WindowedPlan
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import limited_signals
-from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, WindowSpectra, named_entries
+from lin_freq_ocp.problem.problem_data import frequency_constraints
+from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, WindowSpectra
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, ProvenPlan
@@ -194,17 +194,9 @@ class LoopRecord:
         """
         problem, x, u = self.problem, self.states, self.controls if self.acted is None else self.acted
         given = {"state_spectrum": state_spectrum, "control_spectrum": control_spectrum}
-        own = output_spectrum is None and not any(one is not None for one in given.values())
-        if own:
-            given, output_spectrum = {name: getattr(problem, name) for name in given}, problem.output_spectrum
-        n, m, samples = problem.state_dim, problem.control_dim, (len(x), len(u))
-        signals = limited_signals(problem, *samples)
-        entries = [(where, one, signals[name]) for name in given for where, one in named_entries(name, given[name])]
-        for where, outputs in named_entries("output_spectrum", output_spectrum):
-            signal = outputs.signal(n, m, samples, problem.sampling_time, where)
-            entries += [(where, one, signal) for one in outputs.constraints]
-        found = list[WindowSpectra]()
-        for where, one, signal in entries:
+        given |= {"output_spectrum": output_spectrum}
+        own, found = not any(one is not None for one in given.values()), list[WindowSpectra]()
+        for _, where, one, signal in frequency_constraints(problem, None if own else given, (len(x), len(u))):
             if not (own or one.remembers):
                 raise ProblemError(where, brief(one), "a Spectrogram", "Such as lfo.spectrum.closed_loop(...).")
             found += one.measure(signal, where, x, u, problem.horizon + (signal.D is None))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -22,12 +22,12 @@ from lin_freq_ocp.problem.costs.quadratic import PREVIEWED
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
-from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
+from lin_freq_ocp.problem.sets.box import Box, Everything, box_of, map_sets
 from lin_freq_ocp.problem.sets.convex import softened_set
 from lin_freq_ocp.problem.spectrum.base import entries_of, map_constraints
 from lin_freq_ocp.problem.spectrum.bounds import softened_constraint
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.limits import SPECTRA, intersection, map_sets
+from lin_freq_ocp.transform.limits import SPECTRA, intersection
 from lin_freq_ocp.transform.reformulations import Translation
 
 ROUNDING = 1e-7  # an excess below this fraction of a constraint's terms is that of a solver's accuracy
@@ -193,14 +193,9 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             changes[field] = [rows.softened(penalty) for rows in given]
         else:
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
-            sets, known = _sets_at(given) if per_time else given, dict[int, ConvexSet]()
-            changes[field] = map_sets(sets, partial(_softened_once, known, penalty))
+            soften_once = cache(partial(softened_set, penalty))  # the terms of a set that repeats are then made once
+            changes[field] = map_sets(_sets_at(given) if per_time else given, soften_once)
     return replace(problem, **changes)
-
-
-def _softened_once(known: dict[int, ConvexSet], penalty: float, given: ConvexSet) -> ConvexSet:
-    """Return a soft set, the same object each time for the same set: its terms are then made once."""
-    return known.setdefault(id(given), softened_set(penalty, given))
 
 
 def _sets_at(given: ConvexSet) -> list[ConvexSet]:

@@ -14,4 +14,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "fitted_multipliers": "MOST_GRADIENTS Uniqueness abnormal_multipliers fit_multipliers uniqueness",
     "native_code": "DAY compiled_library compiler",
 })
-# fmt: on

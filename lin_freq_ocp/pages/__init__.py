@@ -19,4 +19,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "sweep_table worst_location",
     "units": "align frequency_scale quantity rough time_scale",
 })
-# fmt: on

@@ -17,4 +17,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "limits_on peaks_above",
     "trajectory": "Extremals",
 })
-# fmt: on

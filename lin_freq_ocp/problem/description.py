@@ -10,9 +10,9 @@ from textwrap import shorten
 import numpy as np
 
 from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.problem_data import ProblemData
+from lin_freq_ocp.problem.problem_data import ProblemData, frequency_constraints
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.base import entries_of, named_entries
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.term import Term
 
 LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
@@ -60,13 +60,9 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
 
 def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
     """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
-    T, step, quadratic = problem.horizon, problem.sampling_time, problem.quadratic
-    limits = [(T, "control_spectrum", problem.control_spectrum)]
-    limits += [(problem.state_samples, "state_spectrum", problem.state_spectrum)]
-    for where, one in named_entries("output_spectrum", problem.output_spectrum):
-        limits.append((T + (one.D is None), f"{where}.constraints", one.constraints))
-    entries = [(count, *entry) for count, field, given in limits for entry in named_entries(field, given)]
-    remarks = [one.remark(count, step, where).removesuffix(".") for count, where, one in entries]
+    step, quadratic = problem.sampling_time, problem.quadratic
+    limits = frequency_constraints(problem)
+    remarks = [one.remark(signal.length, step, where).removesuffix(".") for _, where, one, signal in limits]
     references = quadratic.x_ref, quadratic.u_ref
     weighed = [np.where(weighs, reference, 0.0) for weighs, reference in zip(quadratic.weighs, references, strict=True)]
     boxes, names = (problem.state_boxes, problem.control_tube), (problem.state_names, problem.control_names)

@@ -6,7 +6,7 @@ Terms are made of sets, rows, costs and frequency constraints.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar, cast
@@ -24,7 +24,14 @@ from lin_freq_ocp.problem.sets.box import END_TOLERANCE, Box, SetOrSets, bounds_
 from lin_freq_ocp.problem.sets.path_constraint import path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import stopped_bins, time_signal
-from lin_freq_ocp.problem.spectrum.base import Constraints, OutputSpectrum, Signal, entries_of, named_entries
+from lin_freq_ocp.problem.spectrum.base import (
+    Constraints,
+    FrequencyConstraint,
+    OutputSpectrum,
+    Signal,
+    entries_of,
+    named_entries,
+)
 from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import HARD
@@ -237,9 +244,31 @@ def limited_signals(problem: ProblemData, states: int, controls: int) -> dict[st
     }
 
 
+def frequency_constraints(
+    problem: ProblemData, given: Mapping[str, object] | None = None, samples: tuple[int, int] | None = None
+) -> Iterator[tuple[tuple[str, int], str, FrequencyConstraint, Signal]]:
+    """Yield each frequency constraint: the field and the index of its entry, its name in messages, and its signal.
+
+    The fields are those of the problem, or ``given``; the signals have the samples of a plan, or so many of the states
+    and of the controls.
+    """
+    T, of_outputs = problem.horizon, "output_spectrum"
+    fields = vars(problem) if given is None else given
+    for field, signal in limited_signals(problem, *(samples or (problem.state_samples, T))).items():
+        for i, (where, one) in enumerate(named_entries(field, fields[field])):
+            yield (field, i), where, cast("FrequencyConstraint", one), signal
+    for i, (where, outputs) in enumerate(named_entries(of_outputs, fields[of_outputs])):
+        if not isinstance(outputs, OutputSpectrum):
+            raise ProblemError(of_outputs, brief(outputs), "OutputSpectrum, a list of them, or None")
+        dimensions = problem.state_dim, problem.control_dim
+        signal = outputs.signal(*dimensions, samples or (T + 1, T), problem.sampling_time, where)
+        for name, one in named_entries(f"{where}.constraints", outputs.constraints):
+            yield (of_outputs, i), name, one, signal
+
+
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     """Return everything beyond the quadratic cost, boxes and stop bands; see ``OptimalControlProblem.terms``."""
-    n, m, T, step = problem.state_dim, problem.control_dim, problem.horizon, problem.sampling_time
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     fixed = problem.fixed_ends
     boxes, identity = problem.state_boxes, np.eye(n)
     unmet_bounds = [  # bounds of the state set that no point of an end satisfies, a term for each end and component
@@ -267,16 +296,11 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
         *set_terms("control_set", problem.control_set, m, np.arange(T), {}),
         *(
             term
-            for field, signal in limited_signals(problem, problem.state_samples, T).items()
-            for i, (where, one) in enumerate(named_entries(field, getattr(problem, field)))
-            for term in one.terms(signal, where, (field, i))
+            for entry, where, one, signal in frequency_constraints(problem)
+            for term in one.terms(signal, where, entry)
         ),
+        *problem.cost.terms(n, m, T),
     ]
-    for i, (where, outputs) in enumerate(named_entries("output_spectrum", problem.output_spectrum)):
-        if not isinstance(outputs, OutputSpectrum):
-            raise ProblemError("output_spectrum", brief(outputs), "OutputSpectrum, a list of them, or None")
-        found += outputs.terms(n, m, T, step, where, i)
-    found += problem.cost.terms(n, m, T)
     counts, seen = Counter(term.name for term in found), Counter[str]()
     for k, term in enumerate(found):  # a name that occurs again gets its band, or a number
         if term.band and counts[term.name] > 1:

@@ -9,4 +9,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "program": "Block Program Scaling", "program_rows": "bin_multipliers real_rows stop_band_rows",
     "units": "is_revision natural_scaling point_units revised_scaling scaled_program stated_scaling",
 })
-# fmt: on

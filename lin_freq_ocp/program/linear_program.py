@@ -85,8 +85,7 @@ class LinearProgram:
         rows = [
             box_rows(Block.STATE_SET, problem.state_tube, origin, layout.mu),
             box_rows(Block.CONTROL_SET, problem.control_tube, origin, layout.nu),
-            *stop_band_rows(Block.STATE_SPECTRUM, problem.state_stop, origin, problem.state_samples, layout.rho_x),
-            *stop_band_rows(Block.CONTROL_SPECTRUM, problem.control_stop, origin, problem.horizon, layout.rho_u),
+            *(stop_band_rows(map, origin, (layout.rho_x, layout.rho_u)) for map in problem.stop_band_maps),
         ]
         for term, target in zip(problem.terms, layout.terms, strict=True):
             rows.append(map_rows(term.name, term.map, term.penalty, origin, target))

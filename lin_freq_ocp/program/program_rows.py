@@ -9,7 +9,6 @@ that make the rows orthonormal.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -136,18 +135,18 @@ def box_rows(block: Block, tube: Box, origin: Trajectory, target: int) -> Progra
     return ProgramRows(block, block.value, shape, *at, lower, upper, *_no_slacks(len(bounded)))
 
 
-def stop_band_rows(block: Block, stop: Mask, origin: Trajectory, length: int, target: int) -> Iterator[ProgramRows]:
-    """Yield the rows of the stopped bins (bins, components) of each component of a signal with ``length`` samples.
+def stop_band_rows(map: SpectrumMap, origin: Trajectory, targets: tuple[int, int]) -> ProgramRows:
+    """Return the orthonormal rows of the stopped bins of a state or control, one of a problem's ``stop_band_maps``.
 
-    ``target`` is the position of the first multiplier; those of (Re, Im) of every bin follow, component by component.
+    ``targets`` are the positions of the first multipliers of states and of controls; those of (Re, Im) of every bin
+    follow, component by component.
     """
-    of_states, shape = block is Block.STATE_SPECTRUM, (len(origin.u), origin.x.shape[1], origin.u.shape[1])
-    for j in np.flatnonzero(stop.any(axis=0)).tolist():
-        row = np.eye(1, stop.shape[1], j)[0]
-        map, weights = orthonormal_spectrum(length, stop[:, j], row if of_states else None, None if of_states else row)
-        pairs, right = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept], -weights * map.values(origin.x, origin.u)[0]
-        at = map, np.arange(len(pairs)), target + j * 2 * len(stop) + pairs, weights
-        yield ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
+    weights, shape = orthonormal_weights(map), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
+    block = Block.CONTROL_SPECTRUM if map.C is None else Block.STATE_SPECTRUM
+    first = targets[map.C is None] + map.component * 2 * (map.points // 2 + 1)
+    pairs, right = (2 * map.bins[:, None] + [0, 1]).ravel()[map.kept], -weights * map.values(origin.x, origin.u)[0]
+    at = map, np.arange(len(pairs)), first + pairs, weights
+    return ProgramRows(block, block.value, shape, *at, right, right, *_no_slacks(len(pairs)))
 
 
 @lru_cache(maxsize=64)  # a sparse matrix takes as long to make as the other arrays of a stop band
@@ -175,25 +174,28 @@ def map_rows(name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, ta
     return rows.selected(np.setdiff1d(np.arange(len(targets)), satisfied))
 
 
-def orthonormal_spectrum(length: int, stopped: Mask, C: Array | None, D: Array | None) -> tuple[SpectrumMap, Array]:
-    """Return (Re, Im) of the stopped bins of y = C x + D u, and the weights that make its rows orthonormal.
+def orthonormal_weights(map: SpectrumMap) -> Array:
+    """Return the weights, (rows,), that make the rows of a joint map of N samples orthonormal.
 
-    Bins 0 and length/2 have one row, cos(2 pi k t/N)/sqrt(N); every other bin k has two, sqrt(2/N) cos(2 pi k t/N)
-    and -sqrt(2/N) sin(2 pi k t/N), one after the other. ``length`` is N, ``stopped`` (N//2 + 1,) says which bins.
+    Bins 0 and N/2 have one row, cos(2 pi k t/N)/sqrt(N); every other bin k has two, sqrt(2/N) cos(2 pi k t/N)
+    and -sqrt(2/N) sin(2 pi k t/N), one after the other.
     """
-    map = SpectrumMap(C, D, np.ones(length), length, np.flatnonzero(stopped), joint=True)
-    return map, np.repeat(np.sqrt(np.where(map.real, 1, 2) / length), 2)[map.kept]
+    return np.repeat(np.sqrt(np.where(map.real, 1, 2) / map.points), 2)[map.kept]
+
+
+def stopped_bins_of_one(length: int, stopped: Mask) -> SpectrumMap:
+    """Return the map from one control of so many samples to (Re, Im) of its stopped bins, (N//2 + 1,)."""
+    return SpectrumMap(None, np.ones(1), np.ones(length), length, np.flatnonzero(stopped), joint=True)
 
 
 def real_rows(length: int, stopped: Mask) -> Array:
     """Return R, shape (rows, length), with R v = 0 iff the stopped DFT bins of v are zero, and R R' = I."""
-    map, weights = orthonormal_spectrum(length, stopped, None, np.ones(1))
-    return weights[:, None] * map.waves()
+    map = stopped_bins_of_one(length, stopped)
+    return orthonormal_weights(map)[:, None] * map.waves()
 
 
 def bin_multipliers(length: int, stopped: Mask, rho: Array) -> ComplexArray:
     """Return the multipliers per bin in the units of the DFT, shape (N//2 + 1,), from one real dual per row of R."""
-    map, weights = orthonormal_spectrum(length, stopped, None, np.ones(1))
-    result = np.zeros(len(stopped), dtype=np.complex128)
-    result[map.bins] = map.pairs((weights * rho)[None]) @ [1, 1j]
+    map, result = stopped_bins_of_one(length, stopped), np.zeros(len(stopped), dtype=np.complex128)
+    result[map.bins] = map.pairs((orthonormal_weights(map) * rho)[None]) @ [1, 1j]
     return result

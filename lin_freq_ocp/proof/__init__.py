@@ -9,4 +9,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "point": "add_feedback interior_trajectory interpolate least_distance needs_feedback share_of_way tighten",
     "statement": "exact problem_lines vector",
 })
-# fmt: on

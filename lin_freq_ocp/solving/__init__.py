@@ -10,4 +10,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "resolver": "PlannedStart Resolver proven_in_batch", "solve": "ROUNDS solve_judged",
     "solver_cache": "SolverCache solve_spectral",
 })
-# fmt: on

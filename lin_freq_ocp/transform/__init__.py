@@ -10,4 +10,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "reformulations": "RATE_LIMIT far_origin rate_limit sampled_masks semi_infinite_terms translated_by translation_of",
     "response_curvature": "BinCurvature bin_curvature", "sizes": "stated_sizes", "starts": "start_of",
 })
-# fmt: on

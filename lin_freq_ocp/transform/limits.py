@@ -26,7 +26,7 @@ from lin_freq_ocp.base.phrases import AT_LEAST, AT_MOST, split_unit
 from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
-from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets, box_of, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import Band, bands_of, bins_far_from_passed, low_pass
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_words, entries_of
@@ -501,11 +501,6 @@ def _cutoff(problem: OptimalControlProblem) -> Number | None:
 def cutoff_band(name: str, value: float | None, component: int | str | None = None) -> Band | None:
     """Return the low pass of a cut-off in rad/sample or in Hz, one of ``CUTOFFS``; None for none."""
     return None if value is None else low_pass(**{name: value}, component=component)
-
-
-def map_sets(given: SetOrSets, change: Callable[[ConvexSet], ConvexSet]) -> SetOrSets:
-    """Return a changed set, or one for each time; None stays."""
-    return [one and change(one) for one in given] if isinstance(given, Sequence) else given and change(given)
 
 
 def replace_bounds(given: SetOrSets, bounds: Box) -> SetOrSets:

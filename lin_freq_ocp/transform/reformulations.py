@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -25,9 +26,9 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
-from lin_freq_ocp.problem.sets.box import Box, SetOrSets
+from lin_freq_ocp.problem.sets.box import Box, SetOrSets, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_indices, entries_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, component_indices, entries_of, map_constraints
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -73,7 +74,7 @@ class Translation(Reduced):
         if references is not None and "x_ref" in references:
             references = {**references, "x_ref": changed.quadratic.translated(self.origin).x_ref}
         if bounds and "state_set" in bounds:
-            bounds = {**bounds, "state_set": translated_set(bounds["state_set"], self.origin)}
+            bounds = {**bounds, "state_set": map_sets(bounds["state_set"], lambda one: one.translated(self.origin))}
         terminal = None if change.terminal_state is None else changed.terminal_state.translated(self.origin)
         return Change(changed.initial_state.translated(self.origin), terminal, references, bounds, change.disturbance)
 
@@ -106,7 +107,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         problem,
         dynamics=dynamics,
         cost=cost.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon),
-        state_set=translated_set(problem.state_set, origin),
+        state_set=map_sets(problem.state_set, lambda one: one.translated(origin)),
         initial_state=problem.initial_state.translated(origin),
         terminal_state=problem.terminal_state.translated(origin),
         stage_rows=tuple(rows.translated(origin) for rows in problem.stage_rows),
@@ -117,13 +118,6 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         warnings.simplefilter("ignore", BandWarning)  # the given problem has warned
         _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
-
-
-def translated_set(given: SetOrSets, origin: Array) -> SetOrSets:
-    """Return one set for all times, or one per time, of x - origin."""
-    if isinstance(given, Sequence):
-        return [one.translated(origin) for one in given]
-    return given and given.translated(origin)
 
 
 def far_origin(problem: OptimalControlProblem) -> Array:
@@ -450,26 +444,20 @@ def at_frequencies(
         return problem
     pending = iter([frequencies.get(term.name, term.map.locations) for term in semi_infinite])
 
-    def set_points(entries: object, names: Sequence[str]) -> list[FrequencyConstraint]:
-        """Return the entries of a field; those at every frequency take the next points, one array a component."""
-        constraints: list[FrequencyConstraint] = []
-        for constraint in entries_of(entries):
-            if constraint.every_frequency:
-                count = len(component_indices("spectrum", constraint.component, names))
-                constraint = constraint.at_frequencies([next(pending) for _ in range(count)], points_only)
-                if share != 1.0 and constraint.levels is not None:
-                    constraint = constraint.at_levels(share * constraint.levels)
-            constraints.append(constraint)
-        return constraints
+    def with_points(names: Sequence[str], one: FrequencyConstraint) -> FrequencyConstraint:
+        """Return a constraint; one at every frequency takes the next points, an array for each component."""
+        if not one.every_frequency:
+            return one
+        count = len(component_indices("spectrum", one.component, names))
+        one = one.at_frequencies([next(pending) for _ in range(count)], points_only)
+        return one if share == 1.0 or one.levels is None else one.at_levels(share * one.levels)
 
+    of_outputs = [(one, partial(with_points, one.output_names)) for one in entries_of(problem.output_spectrum)]
     return replace(
         problem,
-        state_spectrum=set_points(problem.state_spectrum, problem.state_names),
-        control_spectrum=set_points(problem.control_spectrum, problem.control_names),
-        output_spectrum=[
-            outputs.with_constraints(set_points(outputs.constraints, outputs.output_names))
-            for outputs in entries_of(problem.output_spectrum)
-        ],
+        state_spectrum=map_constraints(problem.state_spectrum, partial(with_points, problem.state_names)),
+        control_spectrum=map_constraints(problem.control_spectrum, partial(with_points, problem.control_names)),
+        output_spectrum=[changed for one in of_outputs for changed in map_constraints(*one) or ()],
     )
 
 

@@ -8,4 +8,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "discs": "Discs radius_of_coherence", "disturbance": "Disturbance", "loads": "Gaussian Records", "plants": "Plants",
     "protocol": "RobustProblem robust worst_case", "worst_loads": "Worst WorstCase",
 }, answering_misspelt)
-# fmt: on

@@ -43,7 +43,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
-from lin_freq_ocp.uncertainty.protocol import Uncertainty
+from lin_freq_ocp.uncertainty.protocol import Uncertainty, trajectory_of
 from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
 
 WORST_POWER = "worst case of the cost"
@@ -104,11 +104,7 @@ class Discs(Uncertainty):
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the fields with the limits of all plants; see ``robust``."""
         radius = self.radii(problem)
-        if end is not None:
-            raise UnsupportedError("end: got 'invariant' with Discs; expected None, or a Disturbance.")
-        if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
-            got = "cost, stage_rows: got norms or formulas"
-            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
+        self.require_plain(problem, end)
         n, wide = problem.state_dim, problem
         if self.cost == "worst":
             wide, radius = _with_worst_cost(problem, radius), np.pad(radius, ((0, 0), (0, 1), (0, 0)))
@@ -129,12 +125,8 @@ class Discs(Uncertainty):
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
-        radius, T = self.radii(problem), problem.horizon
-        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-        assert trajectory is not None  # worst_case checks it
-        u, limits, leaks = trajectory.u, list[Worst](), list[Worst]()
-        if u.shape != (T, problem.control_dim):
-            raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
+        radius, u = self.radii(problem), trajectory_of(problem, plan).u
+        limits, leaks = list[Worst](), list[Worst]()
         translation = translation_of(problem)
         problem = translation.problem
         response, nominal = _response(problem), simulate(problem, u)

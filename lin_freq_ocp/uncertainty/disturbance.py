@@ -7,16 +7,19 @@ margins are limits of an ordinary problem: its plans are those whose limits hold
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import solve_discrete_are
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, real_array, require_bool, to_shape
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.phrases import join_words, number, short_name
+from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
@@ -33,7 +36,6 @@ from lin_freq_ocp.uncertainty.worst_loads import WorstCase, worst_loads
 
 WEIGHTS = np.geomspace(1e-3, 1e3, 25)  # of the controls in the costs of the regulators of which "auto" takes one
 SMALL_PART = 1e-6  # of the mean weight, in place of none
-DOUBLINGS = 24  # horizons of up to 2^24 steps
 CHOSEN_OVER = 500  # steps over which their margins are compared
 
 
@@ -233,9 +235,12 @@ def best_regulator(problem: OptimalControlProblem, loads: Loads, E: Array) -> Ar
     of_x, of_u = (float(np.trace(part)) / len(part) for part in (Q, R))
     Q, of_x = (Q, of_x) if of_x else (np.eye(n) * (of_u or 1.0), of_u or 1.0)  # all states alike if none counts
     Q, R = Q + SMALL_PART * of_x * np.eye(n), R + SMALL_PART * max(of_u, of_x) * np.eye(len(u))
-    weights = sorted(WEIGHTS, key=lambda weight: abs(np.log(weight)))  # the first of equals is nearest to 1
-    K = regulators(A * x / x[:, None], B * u / x[:, None], Q, R, np.array(weights)) * u[:, None] / x
-    K = K[np.isfinite(K).all(axis=(1, 2))]
+    A_s, B_s, gains = A * x / x[:, None], B * u / x[:, None], list[Array]()
+    for weight in sorted(WEIGHTS, key=lambda weight: abs(np.log(weight))):  # the first of equals is nearest to 1
+        with one_blas_thread, suppress(np.linalg.LinAlgError):  # no finite cost: an unstable state is out of reach
+            H = solve_discrete_are(A_s, B_s, Q, weight * R)
+            gains.append(-np.linalg.solve(weight * R + B_s.T @ H @ B_s, B_s.T @ H @ A_s))
+    K = np.array(gains).reshape(-1, len(u), n) * u[:, None] / x
     K = K[np.abs(np.linalg.eigvals(A + B @ K)).max(axis=1, initial=0.0) < 1]
     if not len(K):
         got = "'auto', but no regulator stabilises the dynamics"
@@ -254,22 +259,3 @@ def best_regulator(problem: OptimalControlProblem, loads: Loads, E: Array) -> Ar
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = np.where(margins > 0, margins / ranges, 0.0).max(axis=1, initial=0.0)
     return K[int(np.argmin(shares))]
-
-
-def regulators(A: Array, B: Array, Q: Array, R: Array, weights: Array) -> Array:
-    """Return K (weights, m, n) of u = K x for the costs x'Q x + weight u'R u, by structure-preserving doubling.
-
-    Source: Chu, Fan, Lin and Wang, International Journal of Control 77, 2004. Steps double the horizon of the costs.
-    """
-    A_k, G = np.broadcast_to(A, (len(weights), *A.shape)), B @ np.linalg.inv(weights[:, None, None] * R) @ B.T
-    H = np.broadcast_to(Q, A_k.shape)
-    with np.errstate(all="ignore"):
-        for _ in range(DOUBLINGS):
-            W = np.eye(len(A)) + G @ H
-            if not np.isfinite(W).all():
-                break
-            through, spread = np.linalg.solve(W, A_k), np.linalg.solve(W, G)
-            A_t = A_k.swapaxes(1, 2)
-            A_k, G, H = A_k @ through, G + A_k @ spread @ A_t, H + A_t @ H @ through
-        gains = -np.linalg.solve(weights[:, None, None] * R + B.T @ H @ B, B.T @ H @ A)
-    return np.asarray(gains, dtype=np.float64)

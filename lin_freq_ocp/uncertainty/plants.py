@@ -19,15 +19,15 @@ from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
-from lin_freq_ocp.problem.sets.box import Box, box_of
+from lin_freq_ocp.problem.sets.box import Box, box_of, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, component_indices, entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
-from lin_freq_ocp.transform.limits import intersection, map_sets
+from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
-from lin_freq_ocp.uncertainty.protocol import Uncertainty
+from lin_freq_ocp.uncertainty.protocol import Uncertainty, trajectory_of
 from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
 
 
@@ -79,11 +79,7 @@ class Plants(Uncertainty):
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the fields of a problem in the states of all plants; see ``robust``."""
         self._require(problem)
-        if end is not None:
-            raise UnsupportedError("end: got 'invariant' with Plants; expected None, or a Disturbance.")
-        if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
-            got = "cost, stage_rows: got norms or formulas"
-            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
+        self.require_plain(problem, end)
         n, K, T = problem.state_dim, len(self.plants), problem.horizon
         periodic = problem.terminal_state.links(n, T)
         if any(not link.repeats for link in periodic):
@@ -122,11 +118,8 @@ class Plants(Uncertainty):
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         self._require(problem)
-        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-        assert trajectory is not None  # worst_case checks it
+        trajectory = trajectory_of(problem, plan)
         n, u, found = problem.state_dim, trajectory.u, dict[str, list[Worst]]()
-        if u.shape != (problem.horizon, problem.control_dim):
-            raise ProblemError("plan", f"controls {u.shape}", f"shape {(problem.horizon, problem.control_dim)}")
         starts = trajectory.x[0].reshape(-1, n)
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)

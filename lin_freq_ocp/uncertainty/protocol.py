@@ -10,7 +10,7 @@ from typing import Literal
 from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.archives import FileValue
 from lin_freq_ocp.base.arrays import assign, brief
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Trajectory
@@ -28,6 +28,25 @@ class Uncertainty(ABC):
     @abstractmethod
     def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
         """Return what the worst case does to a plan, by the given limits."""
+
+    def require_plain(self, problem: OptimalControlProblem, end: object) -> None:
+        """Raise UnsupportedError unless cost and rows are quadratic and linear, and no invariant end is asked for."""
+        if end is not None:
+            name = type(self).__name__
+            raise UnsupportedError(f"end: got 'invariant' with {name}; expected None, or a Disturbance.")
+        if problem.cost.norms or problem.cost.has_formulas or problem.path_constraints:
+            got = "cost, stage_rows: got norms or formulas"
+            raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
+
+
+def trajectory_of(problem: OptimalControlProblem, plan: Trajectory | Outcome) -> Trajectory:
+    """Return the trajectory of a plan, which ``worst_case`` has checked, with controls of the problem's shape."""
+    trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
+    assert trajectory is not None
+    expected = problem.horizon, problem.control_dim
+    if trajectory.u.shape != expected:
+        raise ProblemError("plan", f"controls {trajectory.u.shape}", f"shape {expected}")
+    return trajectory
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

@@ -301,19 +301,13 @@ def worst_loads(
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:
     """Yield name, map and limits, (groups,), of each spectrum with hard limits at bins; NaN for stop bands."""
-    T, N = problem.horizon, problem.state_samples
     for term in problem.terms:
         spectrum = term.map.spectrum
         if term.hard and term.semi_infinite is None and spectrum is not None:
-            one, radius = cast(SpectrumMap, spectrum), term.penalty.bounds(term.shape)[1][:, 0]
-            yield term.name, one, radius
-    stops = (problem.state_names, problem.state_stop, N, True), (problem.control_names, problem.control_stop, T, False)
-    for names, stop, samples, of_state in stops:
-        for i in np.flatnonzero(stop.any(axis=0)):
-            row, bins = np.eye(len(names))[i], np.flatnonzero(stop[:, i])
-            parts = (row, None) if of_state else (None, row)
-            one = SpectrumMap(*parts, np.ones(samples), samples, bins)
-            yield f"stop band on {short_name(names[i])}", one, np.full(len(bins), np.nan)
+            yield term.name, cast(SpectrumMap, spectrum), term.penalty.bounds(term.shape)[1][:, 0]
+    for map in problem.stop_band_maps:
+        name = (problem.control_names if map.C is None else problem.state_names)[map.component]
+        yield f"stop band on {short_name(name)}", replace(map, joint=False), np.full(len(map.bins), np.nan)
 
 
 def simulate_loop(

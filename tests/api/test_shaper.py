@@ -202,16 +202,18 @@ def test_bands_are_where_the_power_is(tmp_path, power, share, bands):
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "calibration.csv").write_text(table(power), encoding=encoding)
         assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
+    (tmp_path / "calibration.csv").write_text(f"#{table(power)}")  # the header as a comment
+    assert lfo.io.read_calibration(tmp_path / "calibration.csv", share) == bands
     assert bands_of(HZ, power, share) == bands
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "header: got .*; expected a column freq"),
+        ("", "header: got an empty file; expected the names of the columns"),
         ("#time,accel_x,accel_y,accel_z\n0,1,2,3\n", "got accelerations over time; expected the power over frequency"),
-        ("freq,psd_x\n1,2\n2,3\n", "expected a column psd_xyz. Did you mean 'psd_x'"),
-        ("freq,psd_xyz\n1,2\n2,x\n", "row 2: got '2,x'; expected numbers in the columns freq and psd_xyz"),
+        ("freq,psd_x\n1,2\n2,3\n", "column 'psd_xyz': got none .*; expected .*. Did you mean 'psd_x'"),
+        ("freq,psd_xyz\n1,2\n2,x\n", "line 3, column 'psd_xyz': got 'x'; expected a finite number"),
         ("freq,psd_xyz\n2,2\n1,3\n", "freq: got .*; expected ascending frequencies in Hz"),
         ("freq,psd_xyz\n1,0\n2,0\n", "psd_xyz: got zeros alone; expected a power"),
         ("freq,psd_xyz\n1,-1\n2,0\n", "psd_xyz: got negative values; expected a power"),

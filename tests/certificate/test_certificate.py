@@ -187,9 +187,9 @@ class TestEachConditionFails:
         problem = solved(name).problem
         honest = stop_band_rows
 
-        def shifted(block, stop, *others):
-            for rows in honest(block, np.roll(stop, -1, axis=0), *others):
-                yield replace(rows, targets=np.full(len(rows.targets), -1))
+        def shifted(map, *others):
+            rows = honest(replace(map, bins=map.bins - 1), *others)
+            return replace(rows, targets=np.full(len(rows.targets), -1))
 
         substitute(monkeypatch, "program.stop_band_rows", shifted)
         candidate = solve_convex(problem, "clarabel")

@@ -147,8 +147,8 @@ def test_a_file_with_a_plant_of_yours_is_solved(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (("--plant", "none.mat"), "expected a readable .mat file"),
-        (("--response", "none.csv"), "expected a readable CSV file"),
+        (("--plant", "none.mat"), "none.mat: got no such file"),
+        (("--response", "none.csv"), "none.csv: got no such file"),
         (("--plant", "a.mat", "--response", "b.csv"), "plant, response: got both; expected one of them"),
         (("--sampling-time", "0.1"), "sampling_time: got 0.1; expected none without a plant or a response"),
         (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
 from functools import partial
 from pathlib import Path
@@ -99,6 +100,25 @@ def test_a_damaged_line_is_named(written):
     lines = written.read_text().splitlines()
     written.write_text("\n".join([*lines[:3], "}{", *lines[3:]]) + "\n")
     with pytest.raises(lfo.errors.ProblemError, match="line 4"):
+        lfo.load_sweep(written)
+
+
+@pytest.mark.parametrize(
+    ("line", "change", "place"),
+    [
+        (0, lambda head: head.pop("fingerprint"), "fingerprint: got nothing"),
+        (0, lambda head: head.update(options=[]), "options: got"),
+        (0, lambda head: head.update(more=1), "more: got an unknown key"),
+        (1, lambda row: row.pop("message"), "line 2.message: got nothing"),
+        (1, lambda row: row.update(seconds="1"), "line 2.seconds: got '1'"),
+    ],
+    ids=["no fingerprint", "options of another type", "an unknown key", "no message", "a text for a number"],
+)
+def test_what_is_wrong_in_a_line_is_named(written, line, change, place):
+    tables = [json.loads(text) for text in written.read_text().splitlines()]
+    change(tables[line])
+    written.write_text("".join(json.dumps(table) + "\n" for table in tables))
+    with pytest.raises(lfo.errors.ProblemError, match=place):
         lfo.load_sweep(written)
 
 

@@ -57,6 +57,7 @@ def test_bounds_per_time_become_soft_at_their_times():
     soft = soften(problem(state_set=lfo.Box(None, upper)), {"state_set": 2.0})
     x, u = np.ones((11, 2)), np.zeros((10, 1))
     assert soft.value(x, u) == pytest.approx(problem().value(x, u) + 2 * 2 * 0.9)
+    assert len({id(one) for one in soft.state_set}) == 3  # bounds that repeat stay one set, whose terms are made once
 
 
 @pytest.mark.parametrize(

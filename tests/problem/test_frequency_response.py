@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import control
 import numpy as np
@@ -184,5 +185,7 @@ def test_bad_files_are_named(tmp_path, text, message):
     (tmp_path / "plant.csv").write_text(text)
     with pytest.raises(ProblemError, match=re.escape(message)):
         lfo.FrequencyResponse.from_csv(tmp_path / "plant.csv", 8, 1.0)
-    with pytest.raises(ProblemError, match="a readable CSV file"):
+    with pytest.raises(ProblemError, match="got no such file"):
         lfo.FrequencyResponse.from_csv(tmp_path / "none.csv", 8, 1.0)
+    with pytest.raises(ProblemError, match="got not a regular file"):  # which would never end
+        lfo.FrequencyResponse.from_csv(Path("/dev/zero"), 8, 1.0)

@@ -153,7 +153,7 @@ def test_what_is_no_plant_is_named(tmp_path, variables, message):
 
 
 def test_a_file_that_is_no_mat_file_is_named(tmp_path):
-    with pytest.raises(ProblemError, match=r"expected a readable \.mat file"):
+    with pytest.raises(ProblemError, match=r"got no such file"):
         lfo.LinearDynamics.from_mat(tmp_path / "none.mat")
     (tmp_path / "plant.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
     with pytest.raises(ProblemError, match=r"got a \.mat file of version 7\.3; expected a \.mat file of ver"):

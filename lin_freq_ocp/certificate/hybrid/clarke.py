@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, to_long_double
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, first_largest, stack_signals, to_long_double
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.base.polyhedra import hull_weights
@@ -42,7 +42,7 @@ from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import fix_values
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.hybrid.forms import active_normals, piecewise_affine
 
 SHOWN_FLIPS = 4  # flips in the text; all are in the data
 
@@ -252,29 +252,6 @@ class SwitchingStage:
         return self.required - self.multipliers[chosen] @ self.normals[chosen]
 
 
-def active_normals(extremal: Extremal, least: Floors, t: int) -> tuple[Array, Array]:
-    """Return the normals (count, n + m) to the active bounds and hard rows of (x_t, u_t), and their multipliers."""
-    problem, multipliers = extremal.problem, extremal.multipliers
-    (x, u), (n, m) = (extremal.trajectory.x, extremal.trajectory.u), (problem.state_dim, problem.control_dim)
-    y, unit = np.append(x[t], u[t]), np.eye(n + m)
-    tubes, box_multipliers = (problem.state_tube, problem.control_tube), np.append(multipliers.mu[t], multipliers.nu[t])
-    near = CONDITION_TOLERANCE * (least.z / SCALE_FLOOR + np.abs(y))
-    upper = y >= np.append(tubes[0].upper[t], tubes[1].upper[t]) - near
-    lower = y <= np.append(tubes[0].lower[t], tubes[1].lower[t]) + near
-    normals, multipliers_of_normals = [unit[upper], -unit[lower]], [box_multipliers[upper], -box_multipliers[lower]]
-    for priced in extremal.terms:
-        rows = priced.term.polyhedron(n, m)
-        if rows is None:
-            continue
-        sizes = priced.sizes.max(axis=0)
-        near = CONDITION_TOLERANCE * np.where(sizes > 0, sizes, 1.0)
-        active = priced.values >= priced.term.penalty.bounds(priced.term.shape)[1] - near
-        for group in np.flatnonzero(np.asarray(rows.times) == t):
-            normals.append(rows.matrix(int(group))[active[group]])
-            multipliers_of_normals.append(priced.multipliers[group, active[group]])
-    return np.vstack(normals), np.maximum(np.concatenate(multipliers_of_normals), 0.0)
-
-
 def switching_stages(
     extremal: Extremal, least: Floors, arrays: ModeArrays, active: Mask, gaps: Indices
 ) -> list[SwitchingStage]:
@@ -285,9 +262,13 @@ def switching_stages(
     slopes = np.einsum("tkij,ti->tkj", arrays.maps, multipliers.eta)
     terms = np.einsum("tkij,ti->tkj", np.abs(arrays.maps), np.abs(multipliers.eta))
     scale = np.maximum(stationarity_scale(extremal, least), np.where(active[..., None], terms, 0.0).max(axis=(0, 1)))
+    sizes = least.z / SCALE_FLOOR + np.abs(stack_signals(trajectory.x, trajectory.u))
+    of_stages = active_normals(extremal.problem, trajectory, sizes, CONDITION_TOLERANCE)
     stages = list[SwitchingStage]()
     for t in np.union1d(np.flatnonzero(active.sum(axis=1) > 1), gaps):
-        modes, (normals, weights) = np.flatnonzero(active[t]), active_normals(extremal, least, int(t))
+        modes, found = np.flatnonzero(active[t]), of_stages[t]
+        normals = np.array([one.column for one in found]).reshape(-1, len(scale[t]))
+        weights = np.array([one.value(multipliers) for one in found])
         facets = tuple(arrays.rows[t, i, active_facets[t, i]].T for i in modes)
         own = slopes[t, modes], required[t], normals, weights, facets, scale[t], n
         stages.append(SwitchingStage(int(t), modes, *own))
@@ -309,7 +290,6 @@ def stationarity_scale(extremal: Extremal, least: Floors) -> Array:
 
 def switching_facts(
     problem: OptimalControlProblem,
-    trajectory: Trajectory,
     stages: Sequence[SwitchingStage],
     weights: Array,
     gaps: Indices,
@@ -478,7 +458,7 @@ def judge_modes(
     elsewhere = others and residual <= CONDITION_TOLERANCE
     conditions = (*linear, active_mode, of_weights)
     joint = all(condition.passed for condition in conditions)
-    facts = switching_facts(problem, trajectory, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
+    facts = switching_facts(problem, stages, weights, gaps, joint, elsewhere, np.concatenate(sizes))
     facts = replace(facts, rim_modes=tuple(sequence[gaps].tolist()) if linearised else ())
     return Judgement(conditions, facts, float(extremal.cost_of_residuals), slopes=scale)
 

@@ -12,8 +12,6 @@ the sizes of the states and controls, so that neither their units nor a factor o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask
@@ -21,8 +19,8 @@ from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.terms.term import LinearRows
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.hybrid.forms import active_normals
 
 # Distance, in sizes, within which a gradient vanishes, and length of a sum of unit gradients that counts as zero: a
 # quadratic constraint that holds within the judge's tolerance may be as far from a zero of its gradient
@@ -47,12 +45,12 @@ def dependent_gradients(problem: OptimalControlProblem, trajectory: Trajectory) 
                 scale = np.where(free, units, 0.0)
                 gradient, bend = at.slopes[t, i] * scale, at.curvatures[t, i] * scale * scale[:, None]
                 active.append((int(t), one.name, gradient, _vanishes_nearby(gradient, bend)))
-    terms = [(term.polyhedron(problem.state_dim, problem.control_dim), term) for term in problem.terms]
-    rows = [(one, term.map.values(trajectory.x, trajectory.u)) for one, term in terms if one is not None]
+    of_stages = active_normals(problem, trajectory, units, CONDITION_TOLERANCE)
     for t in sorted({t for t, *_ in active}):
         here = [(name, gradient, vanishes) for time, name, gradient, vanishes in active if time == t]
         zero = [name for name, _, vanishes in here if vanishes]
-        normals = list(_active_normals(problem, trajectory, t, units, rows))
+        free = _free_components(problem, t)
+        normals = [np.where(free, one.column * units, 0.0) for one in of_stages[t]]
         if zero or _dependent([gradient for _, gradient, _ in here], normals):
             found += [(name, t) for name in dict.fromkeys(zero or [name for name, *_ in here])]
     return tuple(found)
@@ -77,25 +75,3 @@ def _free_components(problem: OptimalControlProblem, t: int) -> Mask:
     controls, m = problem.control_tube, problem.control_dim
     free = controls.lower[t] < controls.upper[t] if t < problem.horizon else np.zeros(m, dtype=bool)
     return np.append(problem.state_tube.lower[t] < problem.state_tube.upper[t], free)
-
-
-def _active_normals(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    t: int,
-    units: Array,
-    rows: Sequence[tuple[LinearRows, Array]],
-) -> Iterator[Array]:
-    """Yield the normals to the active bounds and rows, with their values, of a time, without fixed components."""
-    n, m, free = problem.state_dim, problem.control_dim, _free_components(problem, t)
-    identity, near = np.eye(n + m), CONDITION_TOLERANCE * units
-    for first, signal, tube in ((0, trajectory.x, problem.state_tube), (n, trajectory.u, problem.control_tube)):
-        for i in np.flatnonzero(free[first : first + signal.shape[1]]):
-            for sign, distance in ((1.0, tube.upper[t, i] - signal[t, i]), (-1.0, signal[t, i] - tube.lower[t, i])):
-                if distance <= near[first + i]:
-                    yield sign * identity[first + i]
-    for one, values in rows:
-        for k in np.flatnonzero(one.times == t):
-            matrix = one.matrix(int(k)) * units
-            holds = values[k] >= one.e[k] - CONDITION_TOLERANCE * np.abs(matrix).sum(axis=1)
-            yield from (np.where(free, normal, 0.0) for normal in matrix[holds])

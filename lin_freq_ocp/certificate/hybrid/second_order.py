@@ -28,7 +28,7 @@ from lin_freq_ocp.formulas.operations import EXTERNAL
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
+from lin_freq_ocp.transform.hybrid.forms import active_normals, piecewise_smooth
 
 CURVATURE = 1e-7  # part of the terms of the Hessian that errors of multipliers make: these are right to 1e-6 at most
 CURVATURE_FLOOR = 1e-12  # the same, relative to the largest component
@@ -72,10 +72,16 @@ def second_order_test(
         return SecondOrder(True, "")
     error = (CURVATURE * weighted + CURVATURE_FLOOR * largest)[:, None] * np.eye(len(units))
     AB, linear = gains * units / units[:n, None], replace_fields(problem, stage_rows=problem.rows_along(at))
-    rows = _active_rows(linear, at, multipliers, units, slopes)
+    # a multiplier is zero if stationarity holds without it: its slopes are within the tolerance of the judge
+    least, rows = CONDITION_TOLERANCE * np.vstack([slopes, slopes[-1:]]), list[tuple[int, Array, bool]]()
     strong = np.zeros((T + 1, len(units), len(units)))
-    for t, row, sign, is_strong in rows:
-        strong[t] += np.outer(row, row) if is_strong or sign == 0 else 0.0
+    for t, active in enumerate(active_normals(linear, at, units, CONDITION_TOLERANCE)):
+        for one in active:
+            length, slopes_of_it = float(np.linalg.norm(one.column * units)), one.value(multipliers) * one.column
+            if length > 0:
+                row, held = one.column * units / length, one.fixed or bool((np.abs(slopes_of_it) > least[t]).any())
+                rows.append((t, row, held))
+                strong[t] += np.outer(row, row) if held else 0.0
     d, first = np.zeros((T + 1, len(units))), problem.initial_box.fixed
     for weight in CONSTRAINT_WEIGHTS if strong.any() else (0.0,):
         held = weight * largest * strong
@@ -84,9 +90,8 @@ def second_order_test(
             return SecondOrder(True, "")
         d = found / np.abs(found).max()
     curvature = float(np.einsum("ti,tij,tj->", d[:-1], H, d[:-1]) + d[-1, :n] @ P @ d[-1, :n])
-    moved = [(float(row @ d[t]), sign, is_strong) for t, row, sign, is_strong in rows]
-    keeps = all(abs(change) <= ALLOWED_VIOLATION for change, sign, is_strong in moved if is_strong or sign == 0)
-    weak = [change * sign for change, sign, is_strong in moved if sign and not is_strong]
+    keeps = all(abs(row @ d[t]) <= ALLOWED_VIOLATION for t, row, held in rows if held)
+    weak = [float(row @ d[t]) for t, row, held in rows if not held]
     others = [term.name for term in linear.terms if term.polyhedron(n, problem.control_dim) is None]
     reason = "constraints couple all times" if problem.control_stop.any() or problem.state_stop.any() else ""
     reason = reason or (f"{others[0]} is curved or couples times" if others else "")
@@ -96,45 +101,6 @@ def second_order_test(
     if max(weak, default=0.0) > ALLOWED_VIOLATION < -min(weak, default=0.0):
         return SecondOrder(None, "bounds that are active without a multiplier leave it open")
     return SecondOrder(False, "", curvature, Trajectory(d[:, :n] * units[:n], d[:-1, n:] * units[n:]))
-
-
-def _active_rows(
-    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, units: Array, slopes: Array
-) -> list[tuple[int, Array, float, bool]]:
-    """Return (time, row of length 1 in units, sign, whether it has a multiplier) of active bounds and rows.
-
-    A direction d keeps a row if sign times row'd <= 0, of fixed components (sign 0) if row'd = 0. A multiplier is zero
-    if stationarity holds without it: its slopes are within the tolerance of the judge in every component.
-    """
-    n, found = problem.state_dim, list[tuple[int, Array, float, bool]]()
-    least = CONDITION_TOLERANCE * np.vstack([slopes, slopes[-1:]])
-    identity = np.eye(len(units))
-    for first, signal, normals, tube in (
-        (0, trajectory.x, multipliers.mu, problem.state_tube),
-        (n, trajectory.u, multipliers.nu, problem.control_tube),
-    ):
-        near = CONDITION_TOLERANCE * units[first : first + signal.shape[1]]
-        upper, lower = tube.upper - signal <= near, signal - tube.lower <= near
-        of_signal = least[: len(signal), first : first + signal.shape[1]]
-        strong, fixed = np.abs(normals) > of_signal, tube.lower == tube.upper
-        for t, k in np.argwhere(upper | lower):
-            sign = 0.0 if fixed[t, k] else 1.0 if upper[t, k] else -1.0
-            found.append((int(t), identity[first + k], sign, bool(strong[t, k])))
-    for term in problem.terms:
-        rows = term.polyhedron(n, problem.control_dim)
-        if rows is None:
-            continue
-        values = term.map.values(trajectory.x, trajectory.u)
-        given = multipliers.stage.get(term.name, np.zeros(term.shape))
-        near = CONDITION_TOLERANCE * np.maximum(term.map.sizes(trajectory.x, trajectory.u).max(0), 0.0)
-        for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
-            t, slope = int(rows.times[group]), rows.matrix(int(group))[row]
-            normal = slope * units
-            length = float(np.linalg.norm(normal))
-            if length > 0:
-                is_strong = bool((np.abs(given[group, row] * slope) > least[t]).any())
-                found.append((t, normal / length, 1.0, is_strong))
-    return found
 
 
 def _negative_direction(AB: Array, H: Array, P: Array, free: Mask) -> Array | None:

@@ -16,4 +16,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "angles": "bound_near local_angles local_prices nearest_train", "angle_lattice": "AngleLattice AngleRange",
     "quarter": "Quarter",
 })
-# fmt: on

@@ -24,4 +24,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "rows": "MOST_VALUES NEIGHBOURHOOD_HORIZON Rows Violations WholeHorizon WorkingSet",
     "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Structure data_of verified_ray",
 })
-# fmt: on

@@ -15,4 +15,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "solver": "solve_from_warm_start solve_structured",
     "stages": "Balls Coupling Equations Inequalities SparseRows SpectrumRows Stages",
 })
-# fmt: on

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lin_freq_ocp.base.archives import FileValue, decode_text, mat_variables
+from lin_freq_ocp.base.archives import FileValue, decode_text, mat_variables, read_bytes
 from lin_freq_ocp.base.arrays import Array, brief, real_array
-from lin_freq_ocp.base.atomic import reason
 from lin_freq_ocp.base.errors import ProblemError
 
 # What a column may hold, by the words of its name; a word may have its unit attached: magnitude_db
@@ -42,7 +41,7 @@ def read_response(path: Path) -> Array:
     and imaginary part, or magnitude, in dB or not, and phase in degrees or radians. A coherence is left out. Without a
     header, the columns are frequency in Hz, real and imaginary part, unless they look like dB or degrees.
     """
-    content = _content(path, "a readable CSV file")
+    content = read_bytes(path)
     try:
         text = decode_text(content)
     except UnicodeDecodeError:
@@ -153,7 +152,7 @@ SAVE = "s = struct('A', sys.A, 'B', sys.B, 'Ts', sys.Ts); save plant.mat s -v7"
 
 def plant_in_mat(path: Path) -> tuple[Array, Array, float, tuple[str, ...], tuple[str, ...]]:
     """Return A, B, the sampling time (0: continuous), and names of states and controls, if given, of a .mat file."""
-    variables = mat_variables(str(path), _content(path, "a readable .mat file"), SAVE)
+    variables = mat_variables(str(path), read_bytes(path), SAVE)
     tables = {"": variables} | {f"{name}.": _structure(value) for name, value in variables.items()}
     found = {
         name: known for name, known in ((name, _plant_fields(table)) for name, table in tables.items()) if "b" in known
@@ -183,14 +182,6 @@ def plant_in_mat(path: Path) -> tuple[Array, Array, float, tuple[str, ...], tupl
         raise ProblemError(f"{path.name}: {name}{NUMBERS[key]}", "a delay", "a plant without delays", advice)
     labels = [_labels(known.get(f"{of}name"), known.get(f"{of}unit")) for of in ("state", "input")]
     return A, numbers["b"], step.item(), labels[0], labels[1]
-
-
-def _content(path: Path, expected: str) -> bytes:
-    """Return what is in a file; ProblemError if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ProblemError(str(path), reason(error), expected) from None
 
 
 def _structure(value: FileValue) -> dict[str, FileValue]:

@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "affine_mode": "ModeArrays", "formula_modes": "MOST_PIECES SMALLEST_PIECE", "levels": "cost_unit",
     "mode_tree": "ModeNode ModeTree", "piecewise_affine": "REGION", "regions": "CONTINUITY_TOLERANCE",
 })
-# fmt: on

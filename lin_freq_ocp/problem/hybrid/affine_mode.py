@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, Mask, assign, brief, real_array, upper_limits
-from lin_freq_ocp.base.errors import ProblemError, located_at
+from lin_freq_ocp.base.errors import ProblemError, located_at, rename_field
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.dynamics.linearisation import ControlSystem
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -270,7 +270,7 @@ def linearised_modes(
         location = f"pieces[{i}]"
         if not isinstance(piece, SmoothPiece):
             raise ProblemError(location, brief(piece), "a SmoothPiece")
-        try:
+        with rename_field(lambda field, at=location: field if field.endswith("sampling_time") else f"{at}.{field}"):
             linear = LinearDynamics.linearised(
                 piece.system,
                 piece.x,
@@ -281,9 +281,6 @@ def linearised_modes(
                 control_scale=piece.control_scale,
                 integrator=piece.integrator,
             )
-        except ProblemError as error:
-            field = error.field if error.field.endswith("sampling_time") else f"{location}.{error.field}"
-            raise ProblemError(field, error.got, error.expected, error.advice) from None
         steps = [model.sampling_time or 0.0 for model in (linear, *maps[:1])]
         if not np.isclose(steps[0], steps[-1], rtol=1e-12, atol=0.0):
             expected = f"{maps[0].sampling_time}, as in the first piece"

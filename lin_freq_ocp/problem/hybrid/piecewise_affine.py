@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, real_array, with_columns
-from lin_freq_ocp.base.errors import NumericalError, ProblemError, located_at
+from lin_freq_ocp.base.errors import NumericalError, ProblemError, located_at, rename_field
 from lin_freq_ocp.base.phrases import AT_MOST
 from lin_freq_ocp.base.polyhedra import THICKNESS, has_interior
 from lin_freq_ocp.formulas.text import Formulas
@@ -44,6 +44,7 @@ from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets
 
 SIGNS = {"+": -1.0, "-": 1.0}  # factors that make a row <= 0 of G x + H u - d
 ANY = "*"
+GIVEN_AS = {"dynamics.C": "dynamics.G", "dynamics.D": "dynamics.H", "dynamics.e": "dynamics.h"}  # the rows of a region
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,13 +361,9 @@ class PiecewiseAffineDynamics(StandardDynamics):
     def require_horizon(self, horizon: int) -> None:
         """Raise ProblemError unless data per time have ``horizon`` steps."""
         for i, mode in enumerate(self.modes):
-            try:
+            with located_at(f"dynamics.modes[{i}]", "dynamics"), rename_field(lambda field: GIVEN_AS.get(field, field)):
                 mode.linear.require_horizon(horizon)
                 mode.region.at_dimensions(self.state_dim, self.control_dim, horizon, "dynamics")
-            except ProblemError as error:
-                field = error.field.removeprefix("dynamics.")
-                field = {"C": "G", "D": "H", "e": "h"}.get(field, field)
-                raise ProblemError(f"dynamics.modes[{i}].{field}", error.got, error.expected, error.advice) from None
 
     def require_sets(self, sets: StageSets) -> None:
         """Raise ProblemError unless the regions overlap on switching boundaries only within the sets."""

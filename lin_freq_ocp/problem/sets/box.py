@@ -374,3 +374,8 @@ def _without_none(value: object, absent: float) -> object:
     if isinstance(value, (list, tuple)):
         return [_without_none(entry, absent) for entry in value]
     return absent if value is None else value
+
+
+def map_sets(given: SetOrSets, change: Callable[[ConvexSet], ConvexSet]) -> SetOrSets:
+    """Return a changed set, or one for each time; None stays."""
+    return [one and change(one) for one in given] if isinstance(given, Sequence) else given and change(given)

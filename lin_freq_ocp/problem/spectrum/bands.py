@@ -493,9 +493,6 @@ class LinearConstraint(FrequencyConstraint):
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
 
-    def softened(self, penalty: float) -> LinearConstraint:
-        return self if self.penalty is not None else LinearConstraint(self.coefficients, self.constant, penalty)
-
     def describe(self, names: Sequence[str]) -> str:
         rows = self.coefficients.shape[1]
         signals = [short_name(name) for i, name in enumerate(names) if self.coefficients[:, :, i].any()]

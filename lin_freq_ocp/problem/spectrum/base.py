@@ -28,7 +28,7 @@ from lin_freq_ocp.base.arrays import (
 )
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.names import component_names, index_of_name
-from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, short_name
+from lin_freq_ocp.base.phrases import MOST_TEXT, combination, number, plural, runs_of, short_name
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -192,9 +192,9 @@ class FrequencyConstraint(ABC):
             name, semi_infinite = f"{label} {signal.names[i]}", None if self.points_only else constraint
             yield Term(name, signal.kind, values, balls, source, semi_infinite=semi_infinite)
 
-    def softened(self, penalty: float) -> FrequencyConstraint:
+    def softened(self, penalty: float) -> Self:
         """Return a copy with a price per unit of violation, if it is hard and can be soft."""
-        return self
+        return self.changed(penalty=penalty) if getattr(self, "penalty", penalty) is None else self
 
 
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # a field of a problem, as users state it
@@ -273,8 +273,7 @@ class WindowSpectra:
     @property
     def bands(self) -> list[tuple[int, int]]:
         """Return the first and the last point of each run of neighbouring bounded points."""
-        runs = np.split(self.bins, np.flatnonzero(np.diff(self.bins) > 1) + 1)
-        return [(int(run[0]), int(run[-1])) for run in runs]
+        return runs_of(self.bins)
 
     @property
     def exceeded(self) -> Mask:
@@ -392,14 +391,6 @@ class OutputSpectrum:
                 raise ProblemError(f"{field}.{name}", f"shape {matrix.shape}", f"{columns} columns")
         length = samples[0] if self.D is None else samples[1]
         return Signal(TermKind.OUTPUT_SPECTRUM, self.C, self.D, self.output_names, length, sampling_time)
-
-    def terms(
-        self, n: int, m: int, horizon: int, sampling_time: float | None, field: str, index: int
-    ) -> Iterator[Term]:
-        """Yield the terms of the constraints; ``index`` is the index in the problem's field, ``field`` names errors."""
-        signal = self.signal(n, m, (horizon + 1, horizon), sampling_time, field)
-        for i, constraint in enumerate(self.constraints):
-            yield from constraint.terms(signal, f"{field}.constraints[{i}]", ("output_spectrum", index))
 
 
 def entries_of(content: object) -> Sequence[Any]:

@@ -190,8 +190,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
         return self.on_components(n)
 
     def softened(self, penalty: float) -> Self:
-        fixed = self.penalty is not None or self.quantity.of_fundamental
-        return self if fixed else self.changed(penalty=penalty)
+        return self if self.quantity.of_fundamental else super().softened(penalty)
 
     def shown(self, level: float, names: Sequence[str]) -> str:
         unit = "" if self.quantity.keyword in ("limit", "energy") else self.limit_unit(names)

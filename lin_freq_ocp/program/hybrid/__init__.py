@@ -7,4 +7,3 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "mixed_integer": "big_m_bounds big_m_program", "path_relaxation": "PathRelaxation", "relaxation": "ModeRelaxation",
     "rows": "Quadratic",
 })
-# fmt: on

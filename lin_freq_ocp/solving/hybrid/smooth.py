@@ -39,7 +39,7 @@ from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.methods.hybrid.smooth.polish import newton_points, quadratic_model
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import box_of
+from lin_freq_ocp.problem.sets.box import box_of, map_sets
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
 from lin_freq_ocp.solving.linear import LinearAuto
@@ -48,7 +48,7 @@ from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from lin_freq_ocp.transform.hybrid.priced import CostState
-from lin_freq_ocp.transform.limits import BOXES, SPECTRA, map_sets
+from lin_freq_ocp.transform.limits import BOXES, SPECTRA
 from lin_freq_ocp.transform.sizes import search_scale
 from lin_freq_ocp.transform.starts import Start
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, stack_signals
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
-from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
+STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
 
 
@@ -82,3 +85,63 @@ def linear_along(problem: OptimalControlProblem, trajectory: Trajectory) -> Opti
     if not problem.mode_names:
         return problem
     return problem.with_modes(measured_modes(problem).sequence(trajectory.x, trajectory.u))
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """An active bound or row of a stage.
+
+    Attributes
+    ----------
+    family : str
+        STATE, CONTROL, or the name of a term.
+    location : (int, int)
+        Index of its multiplier in the array of the family.
+    sign : float
+        1, or -1 for a lower bound, whose multiplier is negative.
+    column : (n + m,)
+        The contribution of a multiplier of ``sign`` to the normal (in x, in u).
+    fixed : bool
+        Whether it belongs to a fixed component, which has normals of both signs.
+    """
+
+    family: str
+    location: tuple[int, int]
+    sign: float
+    column: Array
+    fixed: bool = False
+
+    def value(self, multipliers: Multipliers) -> float:
+        """Return the multiplier of the column, >= 0; that of a fixed component counts for both signs."""
+        families = {STATE: multipliers.mu, CONTROL: multipliers.nu}
+        array = families.get(self.family, multipliers.stage.get(self.family))
+        return 0.0 if array is None else max(self.sign * float(array[self.location]), 0.0)
+
+
+def active_normals(
+    problem: OptimalControlProblem, trajectory: Trajectory, sizes: Array, share: float
+) -> list[list[Normal]]:
+    """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T.
+
+    Active is what is nearer than a share of its size: of bounds, of ``sizes``, (n + m,) or (T+1, n + m), of rows, of
+    their largest terms. Balls, cones and soft sets are left out.
+    """
+    n, z = problem.state_dim, stack_signals(trajectory.x, trajectory.u)
+    near, unit, found = share * np.broadcast_to(sizes, z.shape), np.eye(z.shape[1]), [list[Normal]() for _ in z]
+    signals, tubes = (trajectory.x, trajectory.u), (problem.state_tube, problem.control_tube)
+    for family, first, signal, tube in zip((STATE, CONTROL), (0, n), signals, tubes, strict=True):
+        within = near[: len(signal), first : first + signal.shape[1]]
+        for sign, active in ((1.0, tube.upper - signal <= within), (-1.0, signal - tube.lower <= within)):
+            for t, k in np.argwhere(active):
+                column, fixed = sign * unit[first + k], bool(tube.fixed[t, k])
+                found[t].append(Normal(family, (int(t), int(k)), sign, column, fixed))
+    for term in problem.terms:
+        rows = term.polyhedron(n, problem.control_dim)
+        if rows is None:
+            continue
+        largest = term.map.sizes(trajectory.x, trajectory.u).max(axis=0)
+        distance = term.penalty.bounds(term.shape)[1] - term.map.values(trajectory.x, trajectory.u)
+        for group, row in np.argwhere(distance <= share * np.where(largest > 0, largest, 1.0)):
+            column = rows.matrix(int(group))[row]
+            found[rows.times[group]].append(Normal(term.name, (int(group), int(row)), 1.0, column))
+    return found

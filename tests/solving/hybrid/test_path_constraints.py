@@ -204,6 +204,9 @@ def test_dependent_gradients_are_named_with_their_place():
     rest = {"initial_state": [0, 0, 0, 0], "terminal_state": [0, 0, 0, 0]}
     assert lfo.certify(mass(both, **rest), crossed).borders.unqualified[0] == ("path", 1)
     assert lfo.certify(mass(lambda x, u: both(x, u)[:1], **rest), crossed).borders.unqualified == ()
+    floor = lfo.Box([-9.0, 0.0, -9.0, -9.0], 9.0)  # whose normal is opposite to the gradient
+    under = lfo.certify(replace(mass(lambda x, u: both(x, u)[:1], **rest), state_set=floor), crossed)
+    assert under.borders.unqualified[0] == ("path", 1)
 
 
 @expensive

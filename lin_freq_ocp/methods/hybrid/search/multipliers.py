@@ -39,7 +39,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.methods.fitted_multipliers import fitted_duals, rounded_point, uniqueness
@@ -49,72 +49,10 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Program, Scaling
 from lin_freq_ocp.program.units import scaled_program
-from lin_freq_ocp.transform.hybrid.forms import linear_along, measured_modes
+from lin_freq_ocp.transform.hybrid.forms import CONTROL, STATE, Normal, active_normals, linear_along, measured_modes
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 ACTIVE_DISTANCE = 1e-6  # distance, relative to its size, at which a bound or row is active: the tolerance of the judge
-STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
-
-
-@dataclass(frozen=True, eq=False)
-class Normal:
-    """An active bound or row of a stage.
-
-    Attributes
-    ----------
-    family : str
-        STATE, CONTROL, or the name of a term.
-    location : (int, int)
-        Index of its multiplier in the array of the family.
-    sign : float
-        1, or -1 for a lower bound, whose multiplier is negative.
-    column : (n + m,)
-        The contribution of a multiplier of ``sign`` to the normal (in x, in u).
-    """
-
-    family: str
-    location: tuple[int, int]
-    sign: float
-    column: Array
-
-    def value(self, multipliers: Multipliers) -> float:
-        """Return the multiplier of the column, >= 0; that of a fixed component counts for both signs."""
-        families = {STATE: multipliers.mu, CONTROL: multipliers.nu}
-        array = families.get(self.family, multipliers.stage.get(self.family))
-        return 0.0 if array is None else max(self.sign * float(array[self.location]), 0.0)
-
-
-def stage_normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
-    """Return the active bounds of x_t and u_t and the active hard rows of t alone, for t = 0 .. T-1.
-
-    Balls, cones and soft sets are left out: their multipliers do not change.
-    """
-    normals: list[list[Normal]] = [[] for _ in range(problem.horizon)]
-    natural, signals = stated_sizes(problem), (trajectory.x[:-1], trajectory.u)
-    tubes, first = (problem.state_tube, problem.control_tube), 0
-    for family, signal, tube, size in zip((STATE, CONTROL), signals, tubes, natural, strict=True):
-        near = ACTIVE_DISTANCE * (size + np.abs(signal))
-        lower, upper = tube.lower[: len(signal)], tube.upper[: len(signal)]
-        for sign, active in ((1.0, signal >= upper - near), (-1.0, signal <= lower + near)):
-            for t, k in np.argwhere(active):
-                column = np.zeros(problem.state_dim + problem.control_dim)
-                column[first + k] = sign
-                normals[t].append(Normal(family, (int(t), int(k)), sign, column))
-        first = problem.state_dim
-    for term in problem.terms:
-        rows = term.polyhedron(problem.state_dim, problem.control_dim)
-        if rows is None:
-            continue
-        values = term.map.values(trajectory.x, trajectory.u)
-        sizes = term.map.sizes(trajectory.x, trajectory.u).max(0)
-        near = ACTIVE_DISTANCE * np.where(sizes > 0, sizes, 1.0)
-        for group, row in np.argwhere(values >= term.penalty.bounds(term.shape)[1] - near):
-            if rows.times[group] < problem.horizon:
-                location = int(group), int(row)
-                normals[rows.times[group]].append(Normal(term.name, location, 1.0, rows.matrix(int(group))[row]))
-    return normals
-
-
 GOOD_FIT = 1e-8  # relative residual up to which normals do not change: solvers leave 1e-9, the judge allows 1e-6
 
 
@@ -139,7 +77,7 @@ def multipliers_with_weights(
     region = multipliers.stage.get(REGION, np.zeros((problem.horizon, 0)))
     across = np.einsum("tr,trj->tj", region, arrays.rows[times, sequence, : region.shape[1]])
     across += 0.0 if pushed is None else pushed
-    weights, normals = np.zeros(active.shape), stage_normals(problem, trajectory)
+    weights, normals = np.zeros(active.shape), _normals(problem, trajectory)
     weights[times, sequence] = 1.0
     if problem.form.choices is not None:  # every u is normal to a point
         nu, stage = multipliers.nu + across[:, x.shape[1] :], dict(multipliers.stage)
@@ -170,6 +108,11 @@ def multipliers_with_weights(
                 parts[normal.family][normal.location] += normal.sign * value
     mu, nu = parts.pop(STATE), parts.pop(CONTROL)
     return replace(multipliers, mu=mu, nu=nu, stage=parts, weights=weights)
+
+
+def _normals(problem: OptimalControlProblem, trajectory: Trajectory) -> list[list[Normal]]:
+    z = np.abs(stack_signals(trajectory.x, trajectory.u))
+    return active_normals(problem, trajectory, np.concatenate(stated_sizes(problem)) + z, ACTIVE_DISTANCE)
 
 
 def _nearest_combination(points: Array, rays: Array) -> tuple[Array, Array, float]:
@@ -257,7 +200,7 @@ class _FitPoint:
             sequence=sequence,
             active=active,
             facets=arrays.active_facets(x, u),
-            normals=stage_normals(problem, trajectory),
+            normals=_normals(problem, trajectory),
             linear=linear,
             scaling=scaling,
             program=program,

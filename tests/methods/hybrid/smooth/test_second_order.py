@@ -85,6 +85,11 @@ def test_a_bound_that_is_active_with_a_multiplier_takes_the_direction_away():
     np.testing.assert_allclose(result.control, 1.0, atol=1e-6)
 
 
+def test_a_fixed_control_takes_its_direction_away_without_a_multiplier():
+    problem = double_well(control_set=lfo.Box(0.0, 0.0))
+    assert judge(problem, *at_rest(problem)).second_order.passed is True
+
+
 @expensive
 def test_the_buckled_beam_is_found_behind_the_straight_one():
     result = lfo.solve(clnlbeam(10), global_bound=False)
