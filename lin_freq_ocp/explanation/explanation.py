@@ -23,6 +23,7 @@ from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box, box_of
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import map_constraints
@@ -94,7 +95,7 @@ def explain(
     """
     require_problem(problem)
     if problem.cost.has_formulas:  # no cost decides whether there is a trajectory
-        problem = replace(problem, cost=QuadraticCost())
+        problem = derive(problem, cost=QuadraticCost())
     if problem.form.affine and problem.mode_names:
         raise UnsupportedError(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
@@ -130,16 +131,16 @@ class _VariantSolver:
 
     def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
-        self.problem, self.ends, self.sure, self.interrupted = replace(problem, cost=cost), ends, True, False
+        self.problem, self.ends, self.sure, self.interrupted = derive(problem, cost=cost), ends, True, False
         self.blocks = constraints(problem)
 
     def solve_variant(self, problem: OptimalControlProblem) -> Outcome:
         """Solve a variant with a simple cost, or with none: only feasibility matters."""
-        result = solve_judged(replace(problem, cost=self.problem.quadratic), Options(time_limit=self._seconds_left()))
+        result = solve_judged(derive(problem, cost=self.problem.quadratic), Options(time_limit=self._seconds_left()))
         self.interrupted |= result.interrupted
         if result.interrupted or _is_feasible(result) is not None or "convex" not in family_of(problem).shorthands:
             return result
-        return solve_judged(replace(problem, cost=QuadraticCost()), Options("convex", time_limit=self._seconds_left()))
+        return solve_judged(derive(problem, cost=QuadraticCost()), Options("convex", time_limit=self._seconds_left()))
 
     def _seconds_left(self) -> float | None:
         left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
@@ -241,7 +242,7 @@ def _try_relaxation(
         else:  # a component that needs no change gets none
             box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * of_x
             end = Box(box.lower - by, box.upper + by)
-            relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
+            relaxed = derive(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
             reached = end.project(found.x[limit.end, :n])
             reached = np.where(np.abs(reached) < UNMOVED * least * of_x, 0.0, reached)
         if feasible(relaxed):
@@ -296,4 +297,4 @@ def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
     }
     spectra = {field: map_constraints(getattr(problem, field), lambda part: part.hard_part) for field in SPECTRA}
     rows = [part for family in problem.stage_rows if (part := family.hard_part) is not None]
-    return replace(problem, **sets, **spectra, stage_rows=rows)
+    return derive(problem, **sets, **spectra, stage_rows=rows)

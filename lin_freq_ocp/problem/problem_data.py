@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from dataclasses import fields as of_class
 from functools import cached_property
 from typing import TypeVar, cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, stack_signals, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, brief, seal, stack_signals, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -48,6 +49,7 @@ class ProblemData:
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
     uncertainty = cast("object", None)  # against which ``robust`` has tightened the limits
+    derived = False  # from another problem, which has warned of its bands
 
     @property
     def origin(self) -> Array | None:
@@ -225,6 +227,14 @@ def replace_fields(problem: Data, **fields: object) -> Data:
     copy = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
         copy.__dict__.pop(name, None)
+    return copy
+
+
+def derive(problem: Data, **fields: object) -> Data:
+    """Return a problem with other fields, checked, without warnings: those on bands are for problems of the user."""
+    copy, given = object.__new__(type(problem)), {one.name: getattr(problem, one.name) for one in of_class(problem)}
+    assign(copy, derived=True)
+    copy.__init__(**given | fields)
     return copy
 
 

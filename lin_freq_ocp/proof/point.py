@@ -13,7 +13,7 @@ earlier ones: K_t is that of the linear-quadratic regulator whose weights are 1 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -23,6 +23,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -159,9 +160,9 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
         ("terminal_state", problem.terminal_box, amounts[0]),
     ):
         if np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any():
-            problem = replace(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
+            problem = derive(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
     rows = [_tighten_rows(family, share, sizes) for family in problem.stage_rows]
-    problem = replace(problem, stage_rows=rows) if rows else problem
+    problem = derive(problem, stage_rows=rows) if rows else problem
     for limit, amount in _term_limits(problem, share, sizes):
         problem = limit.relaxed(problem, -amount)
     return problem

@@ -19,6 +19,7 @@ from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judge_candidate, verified_direction
 from lin_freq_ocp.solving.method import Method, Request, take_best
@@ -101,7 +102,7 @@ class _Trial:
 
     def _contradiction(self) -> Candidate | None:
         """Return the prover's claim that the problem has no trajectory, by the problem without its cost."""
-        return self.diagnose(replace(self.problem, cost=QuadraticCost()))
+        return self.diagnose(derive(self.problem, cost=QuadraticCost()))
 
     def reject_ends(self) -> Iterator[Outcome]:
         """Yield the proof that an end lies outside its set, if it does."""

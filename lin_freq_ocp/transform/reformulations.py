@@ -7,7 +7,6 @@ points, which ``at_frequencies`` chooses.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
-from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.names import ByName, values_by_name
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.problem_data import derive, replace_fields
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -113,9 +112,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         output_spectrum=[outputs.translated(origin) for outputs in entries_of(problem.output_spectrum)] or None,
         _origin=origin if problem.origin is None else problem.origin + origin,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BandWarning)  # the given problem has warned
-        _ = moved.ends, moved.terms
+    _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
 
 
@@ -232,7 +229,7 @@ def augment_states(
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
-    augmented = replace(
+    augmented = derive(
         problem,
         dynamics=dynamics,
         cost=CostSum([quadratic.augmented(k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
@@ -390,7 +387,7 @@ def rate_limit(
     remembering = add_states(problem, added)
     if prices.any():
         cost = _with_price_of_changes(remembering.quadratic, prices, chosen, problem.horizon)
-        remembering = replace(remembering, cost=CostSum([cost, *remembering.cost.norms]))
+        remembering = derive(remembering, cost=CostSum([cost, *remembering.cost.norms]))
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -400,7 +397,7 @@ def rate_limit(
     )
     if not np.isfinite(limits).any():
         return OwnStates(problem, remembering)
-    return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
+    return OwnStates(problem, derive(remembering, stage_rows=[*remembering.stage_rows, rows]))
 
 
 def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, horizon: int) -> QuadraticCost:
@@ -462,7 +459,7 @@ def at_frequencies(
             constraints.append(constraint)
         return constraints
 
-    return replace(
+    return derive(
         problem,
         state_spectrum=set_points(problem.state_spectrum, problem.state_names),
         control_spectrum=set_points(problem.control_spectrum, problem.control_names),

@@ -24,7 +24,7 @@ from a small motion, that box is the region to search. J* is at least the least 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.hybrid.forms import boxes_of_steps, piecewise_affine
@@ -223,7 +224,7 @@ def within_level(problem: OptimalControlProblem, level: float) -> OptimalControl
     if boxes is None:
         return problem
     state_set, control_set = map(replace_bounds, (problem.state_set, problem.control_set), boxes)
-    return replace(problem, state_set=state_set, control_set=control_set)
+    return derive(problem, state_set=state_set, control_set=control_set)
 
 
 def level_boxes(problem: OptimalControlProblem, level: float) -> tuple[Box, Box] | None:

@@ -39,6 +39,7 @@ from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.methods.hybrid.smooth.polish import newton_points, quadratic_model
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import box_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.hybrid.certify_modes import best_multipliers
@@ -404,7 +405,7 @@ def _bound_without_obstacles(problem: OptimalControlProblem, judged: Judged, dea
     ]
     if problem.dynamics.mode_names or not obstacles:
         return None
-    relaxed = replace(problem, stage_rows=[row for row in problem.stage_rows if row.name not in obstacles])
+    relaxed = derive(problem, stage_rows=[row for row in problem.stage_rows if row.name not in obstacles])
     linear = not relaxed.path_constraints and not relaxed.cost.has_formulas
     method = LinearAuto() if linear else Nonsmooth(global_bound=False)
     found = method.solve(relaxed, Request(deadline - now()))
@@ -427,7 +428,7 @@ def _proof_of_infeasibility(
         rows, given = problem.stage_rows if at is None else problem.rows_along(at), problem.path_constraints
         left_out = {one.name for one in given if at is None or not is_proven_convex(problem, one, at)}
         hard = [row for row in rows if row.hard_part is not None and row.name not in left_out]
-        relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
+        relaxed = derive(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))
         if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
             if not problem.path_constraints:
@@ -464,7 +465,7 @@ def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> 
     if len(problem.terms) == len(constraints) and not stops:
         return False
     sets = {field: map_sets(getattr(problem, field), box_of) for field in BOXES}
-    bounded = replace(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=constraints)
+    bounded = derive(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=constraints)
     search = LocalSearch(bounded, seconds, is_proven=lambda _: True).run()
     if search.interrupted:
         raise KeyboardInterrupt
