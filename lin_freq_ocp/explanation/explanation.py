@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -280,13 +279,13 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
     m, T, k = problem.control_dim, problem.horizon, rows.C.shape[-1] - problem.state_dim
     names, zero = [f"relaxation {i}" for i in range(k)], np.zeros(k)
     delta = AddedStates(np.eye(k), np.zeros((k, m)), Box(zero, zero + np.inf), zero, names)
-    base = replace(
+    base = derive(
         hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
     )
     elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
     p = np.append(np.zeros_like(x), zero + 1 / limit.size)
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(DELTA_CURVATURE * p**2), p=p)
-    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
+    return derive(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 
 def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:

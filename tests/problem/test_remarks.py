@@ -140,6 +140,13 @@ def test_a_band_warns_once_where_the_problem_is_stated(band, way):
     lfo.certify(problem, result.trajectory)
 
 
+def test_neither_explanations_nor_loops_repeat_the_warning_of_a_band():
+    with pytest.warns(lfo.errors.BandWarning):
+        problem = replace(CART, control_set=lfo.Box(-1, 1), control_spectrum=NYQUIST)
+    lfo.RecedingHorizon(problem).step([0.1, 0.0])
+    assert lfo.explain(problem.with_ends([0, 0], [1, 0])).family
+
+
 def test_a_warning_names_the_line_of_the_user_whatever_lies_between():
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
