@@ -83,6 +83,24 @@ def test_formulas_that_are_read_otherwise_are_found_out(monkeypatch):
     assert any("violated" in one for one in formulas_together.faults(tight, []))
 
 
+TOUCHING = (
+    "ellipsoid",
+    "second-order cone",
+    "soft box",
+    "soft terminal ball",
+    "soft mask",
+    "spectrogram",
+    "residual vibration",
+)
+
+
+@pytest.mark.parametrize("name", TOUCHING)
+def test_ends_that_touch_in_a_point_have_a_proven_optimum(name):
+    """The linked end is on the edge of the terminal ball: a change of 1e-7 along the edge violates it by 1e-14."""
+    names = sorted(["terminal ball", "linked ends", name], key=list(pairs.FEATURES).index)
+    assert pairs.solved_wrongly(names) == ""
+
+
 def test_the_page_has_every_pair():
     every = pairs.pairs()
     assert SAID.keys() == set(every)
