@@ -21,7 +21,6 @@ from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import PREVIEWED
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, Everything, box_of
 from lin_freq_ocp.problem.sets.convex import softened_set
@@ -47,7 +46,7 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
         lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
         lower[0], upper[0] = -np.inf, np.inf
         changes["state_set"] = Box(lower, upper)
-    return derive(problem, **changes) if given is not None or problem.stage_rows else problem
+    return problem.derived(**changes) if given is not None or problem.stage_rows else problem
 
 
 def with_past(problem: OptimalControlProblem, x: Array, u: Array, rest: Array | None = None) -> OptimalControlProblem:
@@ -196,7 +195,7 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
             sets, known = _sets_at(given) if per_time else given, dict[int, ConvexSet]()
             changes[field] = map_sets(sets, partial(_softened_once, known, penalty))
-    return derive(problem, **changes)
+    return problem.derived(**changes)
 
 
 def _softened_once(known: dict[int, ConvexSet], penalty: float, given: ConvexSet) -> ConvexSet:

@@ -25,7 +25,7 @@ from lin_freq_ocp.methods.spectral.model import LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive, limited_signals
+from lin_freq_ocp.problem.problem_data import limited_signals
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, entries_of, named_entries
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -46,7 +46,7 @@ def has_windows(problem: OptimalControlProblem) -> bool:
 def without_windows(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without the windows of its controls."""
     rest = [one for one in entries_of(problem.control_spectrum) if not one.remembers]
-    return derive(problem, control_spectrum=rest or None)
+    return problem.derived(control_spectrum=rest or None)
 
 
 def maps_of_windows(

@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.costs.quadratic import PREVIEWED, Cost, CostSum
 from lin_freq_ocp.problem.description import problem_facts, warn_of_bands
 from lin_freq_ocp.problem.dynamics.base import Dynamics, Form, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
-from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, derive, replace_fields, terms_of
+from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
 from lin_freq_ocp.problem.sets.box import End, SetOrSets, at_names, end_set
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint, path_constraints
 from lin_freq_ocp.problem.sets.stage_rows import StageRows, StageSets, row_families, stage_sets
@@ -133,7 +133,7 @@ class OptimalControlProblem(ProblemData):
         _ = self.form, self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked, cached
         if self.mode_names:
             self.form.require_sets(self.stage_sets)
-        if not self.derived:
+        if not self.warned:
             warn_of_bands(self)
 
     def with_ends(self, initial_state: End = None, terminal_state: End = None) -> OptimalControlProblem:
@@ -252,11 +252,11 @@ class OptimalControlProblem(ProblemData):
             If the dynamics have no modes.
         """
         dynamics, rows = self.form.with_modes(sequence, self.horizon)
-        return derive(self, dynamics=dynamics, control_set=self.control_hull, stage_rows=(*self.stage_rows, rows))
+        return self.derived(dynamics=dynamics, control_set=self.control_hull, stage_rows=(*self.stage_rows, rows))
 
     def with_dynamics(self, dynamics: Dynamics) -> OptimalControlProblem:
         """Return the problem with other dynamics, and controls in the convex hull of its levels."""
-        return derive(self, dynamics=dynamics, control_set=self.control_hull)
+        return self.derived(dynamics=dynamics, control_set=self.control_hull)
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the linear dynamics along a trajectory: those of its modes, linearised if smooth."""

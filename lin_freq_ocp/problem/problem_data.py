@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as of_class
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import Self, TypeVar, cast
 
 import numpy as np
 
@@ -49,7 +49,14 @@ class ProblemData:
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
     uncertainty = cast("object", None)  # against which ``robust`` has tightened the limits
-    derived = False  # from another problem, which has warned of its bands
+    warned = False  # of bands, by the problem from which this one is derived
+
+    def derived(self, **fields: object) -> Self:
+        """Return a problem with other fields, checked, without warnings of bands: those are for the user's problem."""
+        copy, given = object.__new__(type(self)), {one.name: getattr(self, one.name) for one in of_class(self)}
+        assign(copy, warned=True)
+        copy.__init__(**given | fields)
+        return copy
 
     @property
     def origin(self) -> Array | None:
@@ -227,14 +234,6 @@ def replace_fields(problem: Data, **fields: object) -> Data:
     copy = with_fields(problem, **fields)
     for name in (name for field in fields for name in DEPENDENT.get(field, ())):
         copy.__dict__.pop(name, None)
-    return copy
-
-
-def derive(problem: Data, **fields: object) -> Data:
-    """Return a problem with other fields, checked, without warnings: those on bands are for problems of the user."""
-    copy, given = object.__new__(type(problem)), {one.name: getattr(problem, one.name) for one in of_class(problem)}
-    assign(copy, derived=True)
-    copy.__init__(**given | fields)
     return copy
 
 

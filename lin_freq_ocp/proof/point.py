@@ -23,7 +23,6 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.certificate.peaks import proven_peak
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.terms.term import TermKind
@@ -160,9 +159,9 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
         ("terminal_state", problem.terminal_box, amounts[0]),
     ):
         if np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any():
-            problem = derive(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
+            problem = problem.derived(**{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
     rows = [_tighten_rows(family, share, sizes) for family in problem.stage_rows]
-    problem = derive(problem, stage_rows=rows) if rows else problem
+    problem = problem.derived(stage_rows=rows) if rows else problem
     for limit, amount in _term_limits(problem, share, sizes):
         problem = limit.relaxed(problem, -amount)
     return problem

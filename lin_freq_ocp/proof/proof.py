@@ -33,7 +33,6 @@ from lin_freq_ocp.certificate.tolerances import FINITE, GAP_TOLERANCE, RADIUS_MA
 from lin_freq_ocp.problem.costs.quadratic import CONVEXITY_TOLERANCE, CostSum
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.proof.dual import Dual, dual_of, precision
 from lin_freq_ocp.proof.enclosure import Enclosure
@@ -63,7 +62,7 @@ def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> Optima
         return problem
     stage = hessians[0] if len(hessians) == 1 else hessians
     parts = {"Q": stage[..., :n, :n], "R": stage[..., n:, n:], "S": stage[..., :n, n:]}
-    return derive(problem, cost=CostSum([replace(cost, **parts, P=P), *problem.cost.norms]))
+    return problem.derived(cost=CostSum([replace(cost, **parts, P=P), *problem.cost.norms]))
 
 
 def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, region: Region) -> float:

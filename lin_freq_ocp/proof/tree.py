@@ -17,7 +17,6 @@ from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.certificate.hybrid.tree import LeafJudge, ReachedSets, reached_nodes
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.bands import time_signal
@@ -82,7 +81,7 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
                 lower[t, j] = max(lower[t, j], bound)
         remaining.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
     controls = replace_bounds(alone.control_set, Box(lower, upper))
-    return derive(alone, stage_rows=remaining, control_set=controls) if remaining else alone
+    return alone.derived(stage_rows=remaining, control_set=controls) if remaining else alone
 
 
 def _over_time(part: Array, T: int, ndim: int) -> Array:

@@ -22,7 +22,6 @@ from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.families import Options, family_of
@@ -126,8 +125,8 @@ def _trajectory_of(problem: OptimalControlProblem, u: Array) -> Trajectory:
     if problem.response is not None or problem.initial_box.fixed.all() or u.shape != (T, m):
         return simulate(problem, u)
     # the spectra of controls say nothing of x_0, and rounding would contradict them
-    given = derive(problem, control_set=[Box(now, now) for now in u], control_spectrum=None)
-    for one in (given, derive(given, state_set=None, state_spectrum=None, output_spectrum=None, stage_rows=None)):
+    given = problem.derived(control_set=[Box(now, now) for now in u], control_spectrum=None)
+    for one in (given, given.derived(state_set=None, state_spectrum=None, output_spectrum=None, stage_rows=None)):
         found = solve_judged(one, Options(family_of(one).in_loop)).trajectory
         if found is not None:
             return Trajectory(found.x, u)

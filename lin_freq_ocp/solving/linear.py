@@ -19,7 +19,6 @@ from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.solving.judging import judge_candidate, verified_direction
 from lin_freq_ocp.solving.method import Method, Request, take_best
@@ -101,11 +100,8 @@ class _Trial:
 
     def _judge_unbounded(self, candidate: Candidate) -> Outcome:
         """Judge a direction of descent, which proves something if the problem without its cost has a trajectory."""
-        options, without_cost = (
-            SolveOptions(time_limit=seconds_left(self.end)),
-            derive(self.problem, cost=QuadraticCost()),
-        )
-        found = solve_convex(without_cost, PROVER, options)
+        without_cost = self.problem.derived(cost=QuadraticCost())
+        found = solve_convex(without_cost, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
         outcome = self.judge(replace(found if found.status in CLAIMS else candidate, seconds=candidate.seconds))
         return replace(outcome, has_trajectory=judge_candidate(without_cost, found, PROVER, None, None).primal)
 

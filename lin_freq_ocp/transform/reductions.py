@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from lin_freq_ocp.base.arrays import known_entries, real_array
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive, replace_fields
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -60,7 +60,7 @@ class Change:
             bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
             if problem.form.choices is not None:  # the levels stay, within the new bounds
                 bounds = {"dynamics": problem.form, "control_set": problem.control_hull} | bounds
-            problem = derive(problem, **bounds)
+            problem = problem.derived(**bounds)
         if self.references is not None:
             problem = problem.with_references(self.references)
         if self.disturbance is not None:

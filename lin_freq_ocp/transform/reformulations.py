@@ -22,7 +22,7 @@ from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
-from lin_freq_ocp.problem.problem_data import derive, replace_fields
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection
 from lin_freq_ocp.problem.sets.box import Box, SetOrSets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
@@ -229,8 +229,7 @@ def augment_states(
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
-    augmented = derive(
-        problem,
+    augmented = problem.derived(
         dynamics=dynamics,
         cost=CostSum([quadratic.augmented(k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
@@ -387,7 +386,7 @@ def rate_limit(
     remembering = add_states(problem, added)
     if prices.any():
         cost = _with_price_of_changes(remembering.quadratic, prices, chosen, problem.horizon)
-        remembering = derive(remembering, cost=CostSum([cost, *remembering.cost.norms]))
+        remembering = remembering.derived(cost=CostSum([cost, *remembering.cost.norms]))
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -397,7 +396,7 @@ def rate_limit(
     )
     if not np.isfinite(limits).any():
         return OwnStates(problem, remembering)
-    return OwnStates(problem, derive(remembering, stage_rows=[*remembering.stage_rows, rows]))
+    return OwnStates(problem, remembering.derived(stage_rows=[*remembering.stage_rows, rows]))
 
 
 def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, horizon: int) -> QuadraticCost:
@@ -459,8 +458,7 @@ def at_frequencies(
             constraints.append(constraint)
         return constraints
 
-    return derive(
-        problem,
+    return problem.derived(
         state_spectrum=set_points(problem.state_spectrum, problem.state_names),
         control_spectrum=set_points(problem.control_spectrum, problem.control_names),
         output_spectrum=[

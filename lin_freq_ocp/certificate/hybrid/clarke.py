@@ -40,7 +40,6 @@ from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.hybrid.regions import SwitchingFacet, meets_gap
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import fix_values
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
@@ -503,4 +502,4 @@ def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: 
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, choices = piecewise_affine(problem).averaged(weights), problem.form.choices
     fixed = None if choices is None else choices[sequence]
-    return derive(problem, dynamics=dynamics, control_set=fix_values(problem.control_hull, fixed))
+    return problem.derived(dynamics=dynamics, control_set=fix_values(problem.control_hull, fixed))

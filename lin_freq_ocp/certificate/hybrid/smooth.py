@@ -38,7 +38,7 @@ from lin_freq_ocp.formulas.nodes import Formula, text_of
 from lin_freq_ocp.problem.costs.quadratic import CostSum
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive, replace_fields
+from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine, piecewise_smooth
@@ -190,7 +190,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         p=cost.p + slopes[T, :n],
     )
     costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
-    below, plain = derive(problem, dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
+    below, plain = problem.derived(dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
     extremal, lost = with_errors_of_tangents(extremal_at(below, trajectory, plain), problem.cost.formulas, proven)
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)

@@ -46,7 +46,6 @@ from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.levels import cost_unit
 from lin_freq_ocp.problem.hybrid.mode_tree import ModeMultipliers, ModeTree, PathMultipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import derive
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.hybrid.forms import boxes_of_steps, piecewise_affine
@@ -224,7 +223,7 @@ def within_level(problem: OptimalControlProblem, level: float) -> OptimalControl
     if boxes is None:
         return problem
     state_set, control_set = map(replace_bounds, (problem.state_set, problem.control_set), boxes)
-    return derive(problem, state_set=state_set, control_set=control_set)
+    return problem.derived(state_set=state_set, control_set=control_set)
 
 
 def level_boxes(problem: OptimalControlProblem, level: float) -> tuple[Box, Box] | None:
