@@ -158,7 +158,7 @@ class _Repair:
         lower, info = lapack.dpotrf(gram * scale * scale[:, None] + np.diag(shift), lower=1)
         if info:
             return None
-        weights, left = np.zeros(len(missed)), missed
+        weights, left, du = np.zeros(len(missed)), missed, removed
         for _ in range(REFINEMENTS):
             weights += scale * lapack.dpotrs(lower, scale * left, lower=1)[0]
             along = responses @ weights[: self.on_x]

@@ -427,9 +427,9 @@ def _proof_of_infeasibility(
     """
     deadline, stated = now() + seconds, problem.dynamics
     if stated.mode_names:
-        n, labels = problem.state_dim, {"sampling_time": problem.sampling_time, "state_names": problem.state_names}
+        n, names, step = problem.state_dim, problem.state_names, problem.sampling_time
         fields = {"control_set": None, "control_spectrum": None, "output_spectrum": None, "stage_rows": ()}
-        anywhere = LinearDynamics(np.zeros((n, n)), np.eye(n), **labels)
+        anywhere = LinearDynamics(np.zeros((n, n)), np.eye(n), sampling_time=step, state_names=names)
         of_states = problem.derived(dynamics=anywhere, cost=QuadraticCost(), **fields)
         found = LinearAuto().solve(of_states, Request(seconds))
         if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
