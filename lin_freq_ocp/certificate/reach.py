@@ -256,7 +256,7 @@ def _propagate_radii(
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _rows_of_steps(problem, trajectory, level)
     left = np.zeros(problem.horizon, dtype=int)
-    _propagate_one_step(problem, residual, rows, 0, radii, left)
+    _propagate_one_step(problem, residual, rows, 0, radii, left, radii)
     if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
@@ -267,8 +267,10 @@ def _propagate_radii(
     if problem.horizon > MAX_STEPS:
         return
     steps = range(problem.horizon)
-    for t in (*steps, *reversed(steps), *steps):
-        _propagate_one_step(problem, residual, rows, t, radii, left)
+    # each step alone comes first: radii grow with every step that they pass
+    for known, order in (((x.copy(), u.copy()), steps), (radii, (*steps, *reversed(steps), *steps))):
+        for t in order:
+            _propagate_one_step(problem, residual, rows, t, radii, left, known)
     _solve_all_steps(problem, trajectory, residual, radii)
 
 
@@ -287,13 +289,13 @@ def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level
 
 
 def _propagate_one_step(
-    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Pair, left: Indices
+    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Pair, left: Indices, known: Pair
 ) -> None:
-    """Fill in the components of x_t, u_t, x_{t+1} that the equation and the rows of this step imply.
+    """Fill in the components of x_t, u_t, x_{t+1} that ``known`` radii, the equation and rows of this step imply.
 
     ``left`` (T,) says how many sides stay unknown: with so many, the step implies no more.
     """
-    n, m, (x, u) = problem.state_dim, problem.control_dim, radii
+    n, m, (x, u) = problem.state_dim, problem.control_dim, known
     values = np.concatenate([x[:, :, t], u[:, :, t], x[:, :, t + 1]], axis=2)
     if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
         return
@@ -303,7 +305,9 @@ def _propagate_one_step(
         A, B, _ = problem.linear.at(t)
         columns, limits = [np.hstack([A, B, -np.eye(n)]), *columns], [np.stack([residual[t]] * 2), *limits]
     if columns and _determine_radii(np.vstack(columns), np.hstack(limits), values):
-        x[:, :, t], u[:, :, t], x[:, :, t + 1] = np.split(values, [n, n + m], axis=2)
+        own = radii[0][:, :, t], radii[1][:, :, t], radii[0][:, :, t + 1]
+        for part, new in zip(own, np.split(values, [n, n + m], axis=2), strict=True):
+            part[:] = np.where(np.isinf(part[0]), new, part)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
 

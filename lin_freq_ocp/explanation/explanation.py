@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -85,7 +84,7 @@ def explain(
     """
     require_problem(problem)
     if problem.cost.has_formulas:  # no cost decides whether there is a trajectory
-        problem = replace(problem, cost=QuadraticCost())
+        problem = problem.derived(cost=QuadraticCost())
     if problem.form.affine and problem.mode_names:
         raise UnsupportedError(
             "explain: got piecewise-affine dynamics, where every mode sequence has its own reasons; "
@@ -121,16 +120,16 @@ class _VariantSolver:
 
     def __init__(self, problem: OptimalControlProblem, ends: list[tuple[Callable[[], float], float]]):
         cost = QuadraticCost(R=np.diag(1 / stated_sizes(problem)[1] ** 2))
-        self.problem, self.ends, self.sure, self.interrupted = replace(problem, cost=cost), ends, True, False
+        self.problem, self.ends, self.sure, self.interrupted = problem.derived(cost=cost), ends, True, False
         self.blocks = constraints(problem)
 
     def solve_variant(self, problem: OptimalControlProblem) -> Outcome:
         """Solve a variant with a simple cost, or with none: only feasibility matters."""
-        result = solve_judged(replace(problem, cost=self.problem.quadratic), Options(time_limit=self._seconds_left()))
+        result = solve_judged(problem.derived(cost=self.problem.quadratic), Options(time_limit=self._seconds_left()))
         self.interrupted |= result.interrupted
         if result.interrupted or _is_feasible(result) is not None or "convex" not in family_of(problem).shorthands:
             return result
-        return solve_judged(replace(problem, cost=QuadraticCost()), Options("convex", time_limit=self._seconds_left()))
+        return solve_judged(problem.derived(cost=QuadraticCost()), Options("convex", time_limit=self._seconds_left()))
 
     def _seconds_left(self) -> float | None:
         left = [(end - clock()) * (BUSY if clock is processor_now else 1.0) for clock, end in self.ends]
@@ -232,7 +231,7 @@ def _try_relaxation(
         else:  # a component that needs no change gets none
             box, by = (problem.initial_box, problem.terminal_box)[limit.end], least * (1 + margin) * of_x
             end = Box(box.lower - by, box.upper + by)
-            relaxed = replace(problem, **{limit.field: replace_bounds(getattr(problem, limit.field), end)})
+            relaxed = problem.derived(**{limit.field: replace_bounds(getattr(problem, limit.field), end)})
             reached = end.project(found.x[limit.end, :n])
             reached = np.where(np.abs(reached) < UNMOVED * least * of_x, 0.0, reached)
         if feasible(relaxed):
@@ -270,13 +269,12 @@ def _elastic_problem(problem: OptimalControlProblem, limit: Limit, rows: StageRo
     m, T, k = problem.control_dim, problem.horizon, rows.C.shape[-1] - problem.state_dim
     names, zero = [f"relaxation {i}" for i in range(k)], np.zeros(k)
     delta = AddedStates(np.eye(k), np.zeros((k, m)), Box(zero, zero + np.inf), zero, names)
-    base = replace(
-        hard_part(limit.relaxed(problem, np.inf)), cost=QuadraticCost(), name=f"least change of the {limit.name}"
-    )
+    base, name = hard_part(limit.relaxed(problem, np.inf)), f"least change of the {limit.name}"
+    base = base.derived(cost=QuadraticCost(), name=name)
     elastic, (x, u) = add_states(base, delta), stated_sizes(problem)
     p = np.append(np.zeros_like(x), zero + 1 / limit.size)
     cost = QuadraticCost(R=np.diag(CONTROL_PRICE / T / u**2), P=np.diag(DELTA_CURVATURE * p**2), p=p)
-    return replace(elastic, cost=cost, stage_rows=[*elastic.stage_rows, rows])
+    return elastic.derived(cost=cost, stage_rows=[*elastic.stage_rows, rows])
 
 
 def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
@@ -287,4 +285,4 @@ def hard_part(problem: OptimalControlProblem) -> OptimalControlProblem:
     }
     spectra = {field: map_constraints(getattr(problem, field), lambda part: part.hard_part) for field in SPECTRA}
     rows = [part for family in problem.stage_rows if (part := family.hard_part) is not None]
-    return replace(problem, **sets, **spectra, stage_rows=rows)
+    return problem.derived(**sets, **spectra, stage_rows=rows)

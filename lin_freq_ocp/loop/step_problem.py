@@ -46,7 +46,7 @@ def free_first_state(problem: OptimalControlProblem) -> OptimalControlProblem:
         lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()
         lower[0], upper[0] = -np.inf, np.inf
         changes["state_set"] = Box(lower, upper)
-    return replace(problem, **changes) if given is not None or problem.stage_rows else problem
+    return problem.derived(**changes) if given is not None or problem.stage_rows else problem
 
 
 def with_past(problem: OptimalControlProblem, x: Array, u: Array, rest: Array | None = None) -> OptimalControlProblem:
@@ -195,7 +195,7 @@ def soften(problem: OptimalControlProblem, penalties: Mapping[str, float]) -> Op
             per_time = isinstance(given, ConvexSet) and given.bounds[0].ndim > 1
             soften_once = cache(partial(softened_set, penalty))  # the terms of a set that repeats are then made once
             changes[field] = map_sets(_sets_at(given) if per_time else given, soften_once)
-    return replace(problem, **changes)
+    return problem.derived(**changes)
 
 
 def _sets_at(given: ConvexSet) -> list[ConvexSet]:

@@ -46,7 +46,7 @@ def has_windows(problem: OptimalControlProblem) -> bool:
 def without_windows(problem: OptimalControlProblem) -> OptimalControlProblem:
     """Return the problem without the windows of its controls."""
     rest = [one for one in entries_of(problem.control_spectrum) if not one.remembers]
-    return replace(problem, control_spectrum=rest or None)
+    return problem.derived(control_spectrum=rest or None)
 
 
 def maps_of_windows(

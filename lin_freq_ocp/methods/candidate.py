@@ -90,7 +90,7 @@ class Reason(IntEnum):
     LOCALLY_OPTIMAL
         No bound proves the local optimum.
     UNBOUNDED
-        The cost decreases without bound, if there is a trajectory.
+        The cost decreases without bound, if there is a trajectory; none is known.
     NEARLY_FEASIBLE
         Rounding of the data may explain the proof that there is no trajectory.
     MULTIPLIERS

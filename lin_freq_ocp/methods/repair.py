@@ -28,6 +28,9 @@ from lin_freq_ocp.program.active_rows import EPSILON
 from lin_freq_ocp.program.program_rows import real_rows
 
 HELD_DISTANCE = 1e-6  # of the largest value of a component: distance to a bound from which a value is held
+# A change is refined until its rows leave this part of what they ask for: where two limits touch in a point, their rows
+# are nearly parallel, and the shift of the factors hides what tells them apart
+RESIDUAL_LEFT, REFINEMENTS = 1e-3, 30
 PIECE_GROWTH = 1e6  # of states between breaks; the square of the digits that it costs must be left
 SURPLUSES = 0.0, 1.0, 1.0  # of the excess of terms that a change corrects: norms near zero are not linear in it
 MOST_ROW_ENTRIES = 1e7  # of the rows as signals, and of the slopes of a term
@@ -155,12 +158,16 @@ class _Repair:
         lower, info = lapack.dpotrf(gram * scale * scale[:, None] + np.diag(shift), lower=1)
         if info:
             return None
-        weights = scale * lapack.dpotrs(lower, scale * missed, lower=1)[0]
-        along = responses @ weights[: self.on_x]
-        along[held] += weights[self.on_x :]
-        du = removed + of_u * self._project_bins(along[..., None])[..., 0]
-        dx, values = self._simulate(du, starts @ weights[: self.on_x])
-        left = np.append(self.wanted - values, -du[held])
+        weights, left, du = np.zeros(len(missed)), missed, removed
+        for _ in range(REFINEMENTS):
+            weights += scale * lapack.dpotrs(lower, scale * left, lower=1)[0]
+            along = responses @ weights[: self.on_x]
+            along[held] += weights[self.on_x :]
+            du = removed + of_u * self._project_bins(along[..., None])[..., 0]
+            dx, values = self._simulate(du, starts @ weights[: self.on_x])
+            left = np.append(self.wanted - values, -du[held])
+            if np.linalg.norm(left) <= RESIDUAL_LEFT * np.linalg.norm(missed):
+                break
         return (dx, du) if np.linalg.norm(left) <= CONTRACTION * np.linalg.norm(missed) else None
 
     def _simulate(self, du: Array, starts: Array) -> tuple[Array, Array]:

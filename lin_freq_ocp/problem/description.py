@@ -9,10 +9,12 @@ from textwrap import shorten
 
 import numpy as np
 
+from lin_freq_ocp.base.errors import BandWarning, warn_user
 from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.problem_data import ProblemData, frequency_constraints
+from lin_freq_ocp.problem.problem_data import ProblemData
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.spectrum.base import entries_of
+from lin_freq_ocp.problem.spectrum.bands import band_remarks
+from lin_freq_ocp.problem.spectrum.base import Constraints, entries_of, named_entries
 from lin_freq_ocp.problem.terms.term import Term
 
 LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
@@ -60,9 +62,11 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
 
 def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
     """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
-    step, quadratic = problem.sampling_time, problem.quadratic
-    limits = frequency_constraints(problem)
-    remarks = [one.remark(signal.length, step, where).removesuffix(".") for _, where, one, signal in limits]
+    quadratic, spectra = problem.quadratic, list(_limited_spectra(problem))
+    remarks = [text.removesuffix(".") for one in spectra for text in band_remarks(*one, problem.sampling_time)]
+    entries = [entry for field, given, *_ in spectra for entry in named_entries(field, given)]
+    levels = [(where, one.levels) for where, one in entries]
+    remarks += [f"{where}: its limit is infinite" for where, at in levels if at is not None and np.isposinf(at).all()]
     references = quadratic.x_ref, quadratic.u_ref
     weighed = [np.where(weighs, reference, 0.0) for weighs, reference in zip(quadratic.weighs, references, strict=True)]
     boxes, names = (problem.state_boxes, problem.control_tube), (problem.state_names, problem.control_names)
@@ -71,6 +75,21 @@ def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
         parts = [f"{short_name(signals[i])} at {plural(outside[i], 'time')}" for i in np.flatnonzero(outside)]
         remarks += [f"cost.{field} lies outside the bounds: {', '.join(parts)}"] if parts else []
     return [remark for remark in (*remarks, *_limits_never_reached(problem, terms)) if remark]
+
+
+def warn_of_bands(problem: ProblemData) -> None:
+    """Warn of bands that remove or bound no bin, or remove every bin."""
+    for one in _limited_spectra(problem):
+        for text in band_remarks(*one, problem.sampling_time):
+            warn_user(text, BandWarning)
+
+
+def _limited_spectra(problem: ProblemData) -> Iterator[tuple[str, Constraints, int, Sequence[str]]]:
+    """Yield the frequency constraints of each signal with their field, its samples and its components."""
+    yield "control_spectrum", problem.control_spectrum, problem.horizon, problem.control_names
+    yield "state_spectrum", problem.state_spectrum, problem.state_samples, problem.state_names
+    for where, one in named_entries("output_spectrum", problem.output_spectrum):
+        yield f"{where}.constraints", one.constraints, problem.horizon + (one.D is None), one.output_names
 
 
 def _limits_never_reached(problem: ProblemData, terms: Sequence[Term]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.base.resources import require_horizon
 from lin_freq_ocp.formulas.nodes import Formula
 from lin_freq_ocp.problem.costs.quadratic import PREVIEWED, Cost, CostSum
-from lin_freq_ocp.problem.description import problem_facts
+from lin_freq_ocp.problem.description import problem_facts, warn_of_bands
 from lin_freq_ocp.problem.dynamics.base import Dynamics, Form, StateEquations, SwitchingBoundary, require_form
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.problem_data import ProblemData, bounded_bins, replace_fields, terms_of
@@ -133,6 +133,8 @@ class OptimalControlProblem(ProblemData):
         _ = self.form, self.ends, self.control_tube, self.control_stop, self.state_stop, self.terms  # checked, cached
         if self.mode_names:
             self.form.require_sets(self.stage_sets)
+        if not self.warned:
+            warn_of_bands(self)
 
     def with_ends(self, initial_state: End = None, terminal_state: End = None) -> OptimalControlProblem:
         """Return the same problem with other ends; only these are checked.
@@ -250,11 +252,11 @@ class OptimalControlProblem(ProblemData):
             If the dynamics have no modes.
         """
         dynamics, rows = self.form.with_modes(sequence, self.horizon)
-        return replace(self, dynamics=dynamics, control_set=self.control_hull, stage_rows=(*self.stage_rows, rows))
+        return self.derived(dynamics=dynamics, control_set=self.control_hull, stage_rows=(*self.stage_rows, rows))
 
     def with_dynamics(self, dynamics: Dynamics) -> OptimalControlProblem:
         """Return the problem with other dynamics, and controls in the convex hull of its levels."""
-        return replace(self, dynamics=dynamics, control_set=self.control_hull)
+        return self.derived(dynamics=dynamics, control_set=self.control_hull)
 
     def dynamics_along(self, trajectory: Trajectory) -> LinearDynamics:
         """Return the linear dynamics along a trajectory: those of its modes, linearised if smooth."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from dataclasses import fields as of_class
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import Self, TypeVar, cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, brief, seal, stack_signals, with_fields
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, brief, seal, stack_signals, with_fields
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.problem.costs.quadratic import Cost, QuadraticCost
 from lin_freq_ocp.problem.dynamics.base import Dynamics
@@ -55,6 +56,14 @@ class ProblemData:
     output_spectrum: OutputSpectrum | Sequence[OutputSpectrum] | None
     name: str
     uncertainty = cast("object", None)  # against which ``robust`` has tightened the limits
+    warned = False  # of bands, by the problem from which this one is derived
+
+    def derived(self, **fields: object) -> Self:
+        """Return a problem with other fields, checked, without warnings of bands: those are for the user's problem."""
+        copy, given = object.__new__(type(self)), {one.name: getattr(self, one.name) for one in of_class(self)}
+        assign(copy, warned=True)
+        copy.__init__(**given | fields)
+        return copy
 
     @property
     def origin(self) -> Array | None:
@@ -269,7 +278,7 @@ def frequency_constraints(
 def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     """Return everything beyond the quadratic cost, boxes and stop bands; see ``OptimalControlProblem.terms``."""
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    fixed = problem.fixed_ends
+    ends = dict(zip((0, T), problem.ends, strict=True))
     boxes, identity = problem.state_boxes, np.eye(n)
     unmet_bounds = [  # bounds of the state set that no point of an end satisfies, a term for each end and component
         Term(
@@ -286,9 +295,9 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     found = [
         *(rows.term(T) for rows in problem.stage_rows),
         *unmet_bounds,
-        *set_terms("state_set", problem.state_set, n, np.arange(T + 1), fixed),
-        *set_terms("initial_state", problem.initial_state, n, np.array([0]), fixed),
-        *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), fixed),
+        *set_terms("state_set", problem.state_set, n, np.arange(T + 1), ends),
+        *set_terms("initial_state", problem.initial_state, n, np.array([0]), ends),
+        *set_terms("terminal_state", problem.terminal_state, n, np.array([T]), ends),
         *(
             Term(link.name, TermKind.LINKED_ENDS, link.values, link.penalty, source)
             for link, source in zip(problem.links, sources, strict=True)
@@ -311,10 +320,10 @@ def terms_of(problem: ProblemData) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixed: dict[int, Array]) -> list[Term]:
+def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, ends: dict[int, Box]) -> list[Term]:
     """Return the terms of the sets of one signal, of one field of the problem, beyond their boxes.
 
-    Where the signal is ``fixed`` (time to value), a hard part that the value satisfies, up to rounding, has no term.
+    At the ``ends`` (time to bounds), a hard part that their fixed components satisfy, up to rounding, has no term.
     """
     per_time = isinstance(given, Sequence)
     sets = zip(given, times[:, None].tolist(), strict=False) if per_time else [(given, times.tolist())] if given else ()
@@ -333,7 +342,7 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
                 raise ProblemError(field, links[0].name, "a set of one state or control", advice)
             parts_of[id(one)] = one.parts(dimension)
         for k, part in enumerate(parts_of[id(one)]):
-            timed = [(t, part) for t in held if t not in fixed or not _is_met(part, fixed[t])]
+            timed = [(t, part) for t in held if t not in ends or not _is_met(part, ends[t])]
             if timed:
                 parts.setdefault((k, part.F.shape, part.penalty.signature), []).extend(timed)
     of_state, name, terms = field != "control_set", field.replace("_", " "), list[Term]()
@@ -347,10 +356,11 @@ def set_terms(field: str, given: SetOrSets, dimension: int, times: Indices, fixe
     return terms
 
 
-def _is_met(part: Part, value: Array) -> bool:
-    """Whether a value satisfies a hard part, up to rounding; a soft part has a price at every value."""
-    if not part.penalty.hard:
+def _is_met(part: Part, end: Box) -> bool:
+    """Whether all values of an end satisfy a hard part, up to rounding; a soft part has a price at every value."""
+    if not part.penalty.hard or not end.fixed[part.F.any(axis=0)].all():
         return False
+    value = np.where(end.fixed, end.lower, 0.0)
     violation = float(part.penalty.violation(part.values(value[None])).max())
     return violation <= END_TOLERANCE * float((np.abs(part.F) @ np.abs(value) + np.abs(part.c)).max())
 

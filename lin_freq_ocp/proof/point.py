@@ -13,7 +13,7 @@ earlier ones: K_t is that of the linear-quadratic regulator whose weights are 1 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -159,9 +159,9 @@ def tighten(problem: OptimalControlProblem, share: float, sizes: tuple[Array, Ar
         ("terminal_state", problem.terminal_box, amounts[0]),
     ):
         if np.isfinite(bounds.lower).any() or np.isfinite(bounds.upper).any():
-            problem = replace(problem, **{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
+            problem = problem.derived(**{field: replace_bounds(getattr(problem, field), _tighten_box(bounds, amount))})
     rows = [_tighten_rows(family, share, sizes) for family in problem.stage_rows]
-    problem = replace(problem, stage_rows=rows) if rows else problem
+    problem = problem.derived(stage_rows=rows) if rows else problem
     for limit, amount in _term_limits(problem, share, sizes):
         problem = limit.relaxed(problem, -amount)
     return problem

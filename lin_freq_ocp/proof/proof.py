@@ -62,7 +62,7 @@ def convex_problem(problem: OptimalControlProblem, least: float = 0.0) -> Optima
         return problem
     stage = hessians[0] if len(hessians) == 1 else hessians
     parts = {"Q": stage[..., :n, :n], "R": stage[..., n:, n:], "S": stage[..., :n, n:]}
-    return replace(problem, cost=CostSum([replace(cost, **parts, P=P), *problem.cost.norms]))
+    return problem.derived(cost=CostSum([replace(cost, **parts, P=P), *problem.cost.norms]))
 
 
 def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, region: Region) -> float:

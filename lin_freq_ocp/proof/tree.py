@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def sequence_problem(problem: OptimalControlProblem, sequence: Indices) -> Optim
                 lower[t, j] = max(lower[t, j], bound)
         remaining.append(StageRows(rows.C, rows.D, np.where(single, np.inf, limits), rows.name, rows.penalty))
     controls = replace_bounds(alone.control_set, Box(lower, upper))
-    return replace(alone, stage_rows=remaining, control_set=controls) if remaining else alone
+    return alone.derived(stage_rows=remaining, control_set=controls) if remaining else alone
 
 
 def _over_time(part: Array, T: int, ndim: int) -> Array:

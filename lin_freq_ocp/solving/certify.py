@@ -125,8 +125,8 @@ def _trajectory_of(problem: OptimalControlProblem, u: Array) -> Trajectory:
     if problem.response is not None or problem.initial_box.fixed.all() or u.shape != (T, m):
         return simulate(problem, u)
     # the spectra of controls say nothing of x_0, and rounding would contradict them
-    given = replace(problem, control_set=[Box(now, now) for now in u], control_spectrum=None)
-    for one in (given, replace(given, state_set=None, state_spectrum=None, output_spectrum=None, stage_rows=None)):
+    given = problem.derived(control_set=[Box(now, now) for now in u], control_spectrum=None)
+    for one in (given, given.derived(state_set=None, state_spectrum=None, output_spectrum=None, stage_rows=None)):
         found = solve_judged(one, Options(family_of(one).in_loop)).trajectory
         if found is not None:
             return Trajectory(found.x, u)

@@ -30,6 +30,7 @@ CHOSEN_FIRST = "time-invariant dynamics, with constraints that the Fourier-domai
 PROVER = "clarabel"  # the backend that proves infeasibility and unboundedness that any backend reports
 
 ANSWERS = (Reason.LOCALLY_OPTIMAL, Reason.UNBOUNDED, Reason.NEARLY_FEASIBLE)  # other units do not prove more
+CLAIMS = (Status.INFEASIBLE, Status.UNBOUNDED)
 UNPROVEN_POINTS = (Reason.FAILED, Reason.FEASIBLE, Reason.LOCALLY_OPTIMAL)  # perhaps on the way along a direction
 
 
@@ -77,9 +78,7 @@ class _Trial:
 
         Without a finite optimum, a point where the solver stopped may satisfy the conditions relative to its own size.
         """
-        if candidate.status == Status.UNBOUNDED:
-            candidate = self._contradiction() or candidate
-        outcome = self.judge(candidate)
+        outcome = self._judge_unbounded(candidate) if candidate.status == Status.UNBOUNDED else self.judge(candidate)
         out_of_steps = outcome.status == Status.LIMIT and not outcome.interrupted and now() <= self.end
         if outcome.attempt.reason not in UNPROVEN_POINTS and not out_of_steps:
             return outcome
@@ -88,20 +87,23 @@ class _Trial:
             direction = None if along is None else verified_direction(self.problem, along)
             if direction is None:
                 return outcome
-            claim = self._contradiction() or Candidate(Status.UNBOUNDED, descent=Trajectory(direction.x, direction.u))
+            along = Trajectory(direction.x, direction.u)
+            proof = self._judge_unbounded(Candidate(Status.UNBOUNDED, descent=along, seconds=candidate.seconds))
         except UnsupportedError:  # the program does not fit into memory
             return outcome
-        proof = self.judge(replace(claim, seconds=candidate.seconds))
         return take_best([proof, outcome] if out_of_steps else [outcome, proof])
 
     def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
         """Return the prover's claim that a problem is infeasible or unbounded, or None, at the default tolerance."""
         claim = solve_convex(problem, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
-        return claim if claim.status in (Status.INFEASIBLE, Status.UNBOUNDED) else None
+        return claim if claim.status in CLAIMS else None
 
-    def _contradiction(self) -> Candidate | None:
-        """Return the prover's claim that the problem has no trajectory, by the problem without its cost."""
-        return self.diagnose(replace(self.problem, cost=QuadraticCost()))
+    def _judge_unbounded(self, candidate: Candidate) -> Outcome:
+        """Judge a direction of descent, which proves something if the problem without its cost has a trajectory."""
+        without_cost = self.problem.derived(cost=QuadraticCost())
+        found = solve_convex(without_cost, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
+        outcome = self.judge(replace(found if found.status in CLAIMS else candidate, seconds=candidate.seconds))
+        return replace(outcome, has_trajectory=judge_candidate(without_cost, found, PROVER, None, None).primal)
 
     def reject_ends(self) -> Iterator[Outcome]:
         """Yield the proof that an end lies outside its set, if it does."""

@@ -165,6 +165,8 @@ class Outcome:
         What was tried, in this order: how each answer ended, and why another one was asked for.
     any_point : bool
         Whether the solve ended at the first trajectory that satisfies every constraint, as ``minimum_time`` asks for.
+    has_trajectory : bool
+        If unbounded: whether a trajectory is known that satisfies every constraint. With it, the claim is proven.
     """
 
     problem: OptimalControlProblem
@@ -186,6 +188,7 @@ class Outcome:
     reason: str = ""
     attempts: tuple[Attempt, ...] = ()
     any_point: bool = False
+    has_trajectory: bool = False
 
     @cached_property
     def attempt(self) -> Attempt:
@@ -201,7 +204,8 @@ class Outcome:
         elif self.infeasibility is not None:
             reason = Reason.CLAIMED
         else:
-            solved = {Status.LOCALLY_OPTIMAL: Reason.LOCALLY_OPTIMAL, Status.UNBOUNDED: Reason.UNBOUNDED}
+            unbounded = Reason.PROVEN if self.has_trajectory else Reason.UNBOUNDED
+            solved = {Status.LOCALLY_OPTIMAL: Reason.LOCALLY_OPTIMAL, Status.UNBOUNDED: unbounded}
             reason = solved.get(self.status, Reason.FEASIBLE if self.primal else Reason.FAILED)
         return Attempt(self.method, self.status, reason, self.message)
 

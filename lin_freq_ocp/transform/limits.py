@@ -136,7 +136,7 @@ class BoundLimit(Limit):
         by = np.zeros(box.lower.shape[-1])
         by[list(sizes)] = amount * np.array(list(sizes.values()))
         moved = replace_bounds(getattr(problem, self.field), Box(box.lower - by, box.upper + by))
-        return replace(problem, **{self.field: moved})
+        return problem.derived(**{self.field: moved})
 
     def rows(self) -> StageRows:
         problem, tube, found = self.problem, self.tube, list[tuple[Array, Array, Array]]()
@@ -265,7 +265,7 @@ class RowLimit(Limit):
         limits = rows[self.index].e.copy()
         limits[..., self.chosen] += amount
         rows[self.index] = rows[self.index].with_limits(limits)
-        return replace(problem, stage_rows=rows)
+        return problem.derived(stage_rows=rows)
 
     def rows(self) -> StageRows:
         T, matrices, limits = self.problem.horizon, (self.family.C, self.family.D), self.family.e
@@ -316,7 +316,7 @@ class BandLimit(Limit):
         stop = np.array(self._removed_bins(problem))
         stop[:, self.index] = bins_far_from_passed(stop[:, self.index], amount)
         others = [one for one in entries_of(getattr(problem, self.field)) if not one.removes_bins]
-        return replace(problem, **{self.field: [*bands_of(stop), *others]})
+        return problem.derived(**{self.field: [*bands_of(stop), *others]})
 
     def shown(self, relaxed: OptimalControlProblem, amount: float) -> tuple[str, str]:
         stopped, later = (self._removed_bins(problem)[:, self.index] for problem in (self.problem, relaxed))
@@ -367,7 +367,7 @@ class SetLimit(TermLimit):
                 return intersection(box_of(given), [member for member in given.members if member.soft])
             return intersection(box_of(given), [member.relaxed(amount, dimension) for member in given.members])
 
-        return replace(problem, **{self.field: map_sets(getattr(problem, self.field), relax)})
+        return problem.derived(**{self.field: map_sets(getattr(problem, self.field), relax)})
 
 
 class EntryLimit(TermLimit):
@@ -395,7 +395,7 @@ class EntryLimit(TermLimit):
         entry = entries.pop(self.index)
         if np.isfinite(amount):
             entries.insert(self.index, entry.with_constraints([one.relaxed(amount) for one in entry.constraints]))
-        return replace(problem, **{self.field: entries or None})
+        return problem.derived(**{self.field: entries or None})
 
     def numbers(self) -> Iterator[Number]:
         """Yield the edges of its bands, and its levels in dB relative to those of the problem."""

@@ -60,7 +60,7 @@ class Change:
             bounds = known_entries("bounds", self.bounds, ("state_set", "control_set"))
             if problem.form.choices is not None:  # the levels stay, within the new bounds
                 bounds = {"dynamics": problem.form, "control_set": problem.control_hull} | bounds
-            problem = replace(problem, **bounds)
+            problem = problem.derived(**bounds)
         if self.references is not None:
             problem = problem.with_references(self.references)
         if self.disturbance is not None:

@@ -7,7 +7,6 @@ points, which ``at_frequencies`` chooses.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Bound, Mask, brief, real_array
-from lin_freq_ocp.base.errors import BandWarning, LinFreqOCPError, ProblemError
+from lin_freq_ocp.base.errors import LinFreqOCPError, ProblemError
 from lin_freq_ocp.base.names import ByName, values_by_name
 from lin_freq_ocp.base.phrases import split_unit
 from lin_freq_ocp.problem.costs.quadratic import CostSum, QuadraticCost
@@ -114,9 +113,7 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
         output_spectrum=[outputs.translated(origin) for outputs in entries_of(problem.output_spectrum)] or None,
         _origin=origin if problem.origin is None else problem.origin + origin,
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", BandWarning)  # the given problem has warned
-        _ = moved.ends, moved.terms
+    _ = moved.ends, moved.terms
     return Translation(problem, moved, origin)
 
 
@@ -226,8 +223,7 @@ def augment_states(
     else:
         shape = problem.horizon + 1, k
         augmented_set = _with_box(state_set, boxes, Box(np.broadcast_to(lower, shape), np.broadcast_to(free, shape)))
-    augmented = replace(
-        problem,
+    augmented = problem.derived(
         dynamics=dynamics,
         cost=CostSum([quadratic.augmented(k, weight), *(one.augmented(n, k) for one in problem.cost.norms)]),
         state_set=augmented_set,
@@ -384,7 +380,7 @@ def rate_limit(
     remembering = add_states(problem, added)
     if prices.any():
         cost = _with_price_of_changes(remembering.quadratic, prices, chosen, problem.horizon)
-        remembering = replace(remembering, cost=CostSum([cost, *remembering.cost.norms]))
+        remembering = remembering.derived(cost=CostSum([cost, *remembering.cost.norms]))
     of_x = np.zeros((k, problem.state_dim))
     rows = StageRows(
         np.vstack([np.hstack([of_x, -np.eye(k)]), np.hstack([of_x, np.eye(k)])]),
@@ -394,7 +390,7 @@ def rate_limit(
     )
     if not np.isfinite(limits).any():
         return OwnStates(problem, remembering)
-    return OwnStates(problem, replace(remembering, stage_rows=[*remembering.stage_rows, rows]))
+    return OwnStates(problem, remembering.derived(stage_rows=[*remembering.stage_rows, rows]))
 
 
 def _with_price_of_changes(cost: QuadraticCost, prices: Array, chosen: Array, horizon: int) -> QuadraticCost:
@@ -453,8 +449,7 @@ def at_frequencies(
         return one if share == 1.0 or one.levels is None else one.at_levels(share * one.levels)
 
     of_outputs = [(one, partial(with_points, one.output_names)) for one in entries_of(problem.output_spectrum)]
-    return replace(
-        problem,
+    return problem.derived(
         state_spectrum=map_constraints(problem.state_spectrum, partial(with_points, problem.state_names)),
         control_spectrum=map_constraints(problem.control_spectrum, partial(with_points, problem.control_names)),
         output_spectrum=[changed for one in of_outputs for changed in map_constraints(*one) or ()],

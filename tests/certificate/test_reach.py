@@ -344,6 +344,24 @@ def test_states_that_dynamics_determine_are_bounded_in_any_units(unit):
     assert (result.status, result.certificate.bound.kind) == ("optimal", "rigorous")
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+def test_bounds_that_a_step_implies_alone_do_not_grow_from_step_to_step(unit):
+    """Two bounded states determine the third and the control; from step to step, their radii grow eight times."""
+    A = np.array([[-0.3, -1.25, 0.0], [0.5, 0.57, -0.3], [1.22, 1.07, -0.13]])
+    units, far = np.array([1.0, unit, 1.0]), [2.0, np.inf, 2.0]
+    task = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(units[:, None] * A / units, units[:, None] * np.array([[-0.16], [0.96], [-0.25]])),
+        100,
+        lfo.QuadraticCost(R=1.0),
+        lfo.Box(None, 2.7),
+        [lfo.sets.Everything(), *[lfo.Box(-np.array(far), far)] * 99, lfo.sets.Everything()],
+        initial_state=np.array([-1.2, -0.4, 1.2]) * units,
+        terminal_state=np.array([-16.0, -6.0, -33.0]) * units,
+    )
+    result = lfo.solve(task, throw=False)
+    assert (result.status, result.bound) == ("infeasible", "rigorous")
+
+
 def one_sided(seed, x=1.0, u=1.0, cost=1.0):
     """States within bounds, controls without a price of their size and with one bound each; units of all three."""
     rng = np.random.default_rng(seed)

@@ -83,6 +83,40 @@ def test_formulas_that_are_read_otherwise_are_found_out(monkeypatch):
     assert any("violated" in one for one in formulas_together.faults(tight, []))
 
 
+TOUCHING = (
+    "ellipsoid",
+    "second-order cone",
+    "soft box",
+    "soft terminal ball",
+    "soft mask",
+    "spectrogram",
+    "residual vibration",
+)
+
+
+@pytest.mark.parametrize("name", TOUCHING)
+def test_ends_that_touch_in_a_point_have_a_proven_optimum(name):
+    """The linked end is on the edge of the terminal ball: a change of 1e-7 along the edge violates it by 1e-14."""
+    names = sorted(["terminal ball", "linked ends", name], key=list(pairs.FEATURES).index)
+    assert pairs.solved_wrongly(names) == ""
+
+
+@expensive
+@pytest.mark.parametrize("ends", [("terminal point", "terminal polyhedron"), ("terminal point", "linked ends")])
+def test_ends_that_contradict_each_other_are_infeasible_whatever_the_dynamics_are(ends):
+    for dynamics in ("linear dynamics", "smooth dynamics", "piecewise-smooth dynamics", "dynamics by functions"):
+        problem = pairs.problem_of(dynamics, *ends)
+        assert pairs.solve_quickly(problem).status == "infeasible"
+
+
+def test_names_of_terms_stay_where_a_fixed_end_satisfies_a_hard_set_beside_a_soft_one():
+    """The hard ball has no term at the fixed end, nor where the cost by formulas is a state that is free there."""
+    cost = {"cost": lfo.costs.SmoothCost(stage="norm(x_1, 0.388*u_0)")}
+    path = {"stage_rows": [lfo.sets.PathConstraint("x_0 - 0.388*cos(x_1) - 1.4", "drawn path")]}
+    ends = map(pairs.fields_of, ("soft terminal ball", "terminal ball", "terminal point"))
+    assert pairs.solve_quickly(pairs.problem_with([*ends, cost, path], "")).status in pairs.ANSWERS
+
+
 def test_the_page_has_every_pair():
     every = pairs.pairs()
     assert SAID.keys() == set(every)

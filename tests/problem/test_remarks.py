@@ -62,7 +62,10 @@ CASES = {
         {"output_spectrum": lfo.spectrum.OutputSpectrum([[1, 0]], [[0.1]], lfo.MagnitudeBound(9.0, bins=[1]))},
         "",
     ),
-    "windows": ({"control_spectrum": lfo.spectrum.Spectrogram(WITHOUT_LIMIT, 8)}, "bound: its limit is infinite"),
+    "windows": (
+        {"control_spectrum": lfo.spectrum.Spectrogram(WITHOUT_LIMIT, 8)},
+        "control_spectrum: its limit is infinite",
+    ),
     "output": (
         {"output_spectrum": lfo.spectrum.OutputSpectrum([[1, 0]], None, [lfo.low_pass(2.0), NYQUIST])},
         "output_spectrum.constraints[1]: low_pass(0 .. 3.14159 rad/sample) removes no bin of a signal of 9 samples",
@@ -93,6 +96,55 @@ def test_the_status_says_what_limits_nothing_and_which_references_lie_outside(ca
     assert (line == "status    optimal") == (not words)
     remarks = "; ".join(result_summary(result)["remarks"])
     assert (words in remarks, bool(words)) == (True, bool(remarks))
+
+
+WITHOUT_BINS = lfo.spectrum.notch(0.3, 0.01)
+BANDS = {
+    "control band": {"control_spectrum": [WITHOUT_BINS]},
+    "state band": {"state_spectrum": [WITHOUT_BINS]},
+    "output band": {"output_spectrum": [lfo.spectrum.OutputSpectrum([[1.0, 0.5]], None, WITHOUT_BINS)]},
+    "mask": {"control_spectrum": [lfo.MagnitudeBound(1.0, band=WITHOUT_BINS)]},
+    "every bin, with the band before": {"control_spectrum": [lfo.low_pass(1.0), lfo.spectrum.high_pass(2.0)]},
+}
+ON_THE_WAY = {
+    "rounds of frequencies": {
+        "control_spectrum": [lfo.MagnitudeBound(9.0, band=lfo.low_pass(2.2), every_frequency=True)]
+    },
+    "modes": {"control_set": lfo.FiniteSet([-1, 0, 1])},
+    "a state that counts the cost": {"cost": lfo.costs.SmoothCost(stage="x_0**2 + u_0**2 + 0.01*u_0**4")},
+    "norms of a cost by formulas": {"cost": lfo.costs.SmoothCost(stage="x_0**2 + u_0**2 + abs(x_0 - 0.3)")},
+    "tangents": {"stage_rows": [lfo.sets.PathConstraint("x_1**2 + u_0**2", "path", 2.0)]},
+    "joint rows": {"control_set": lfo.sets.Polyhedron([[-2.0]], [0.7])},
+    "another origin": {"initial_state": [1e7, 0.0], "terminal_state": [1e7, 0.0], "state_set": None},
+    "rate limits": {"rates": 0.4},
+}
+
+
+def stated(band, way):
+    """Return the problem with a band, by the way of the user: of rate limits by ``rate_limited``."""
+    fields = dict(ON_THE_WAY[way])
+    rates = fields.pop("rates", None)
+    fields |= {field: [*fields.get(field, []), *given] for field, given in BANDS[band].items()}
+    problem = replace(CART, **fields)
+    return problem if rates is None else lfo.rate_limited(problem, rates)
+
+
+@pytest.mark.parametrize("way", ON_THE_WAY)
+@pytest.mark.parametrize("band", BANDS)
+def test_a_band_warns_once_where_the_problem_is_stated(band, way):
+    with pytest.warns(lfo.errors.BandWarning) as caught:
+        problem = stated(band, way)
+    assert len(caught) == 1
+    method = "nonsmooth" if way.startswith("a state") else "auto"
+    result = lfo.solve(problem, method, throw=False)  # warnings are errors
+    lfo.certify(problem, result.trajectory)
+
+
+def test_neither_explanations_nor_loops_repeat_the_warning_of_a_band():
+    with pytest.warns(lfo.errors.BandWarning):
+        problem = replace(CART, control_set=lfo.Box(-1, 1), control_spectrum=NYQUIST)
+    lfo.RecedingHorizon(problem).step([0.1, 0.0])
+    assert lfo.explain(problem.with_ends([0, 0], [1, 0])).family
 
 
 def test_a_warning_names_the_line_of_the_user_whatever_lies_between():

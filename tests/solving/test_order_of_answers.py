@@ -217,8 +217,8 @@ NEARLY = replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + 1
 @expensive
 @pytest.mark.parametrize(
     ("problem", "reason"),
-    [(PROBLEM, Reason.LOCALLY_OPTIMAL), (FALLING, Reason.UNBOUNDED), (NEARLY, Reason.NEARLY_FEASIBLE)],
-    ids=["local optimum", "unbounded", "nearly feasible"],
+    [(PROBLEM, Reason.LOCALLY_OPTIMAL), (NEARLY, Reason.NEARLY_FEASIBLE)],
+    ids=["local optimum", "nearly feasible"],
 )
 def test_other_units_do_not_follow_an_answer_of_the_sparse_program_but_the_next_method_does(
     problem, reason, monkeypatch
@@ -232,6 +232,18 @@ def test_other_units_do_not_follow_an_answer_of_the_sparse_program_but_the_next_
         attempts = lfo.solve(problem, method=method, throw=False).attempts
         assert [one.method for one in attempts if one.method in last and one.reason == reason] == last
         assert attempts[-1].method == last[-1]
+
+
+def test_a_direction_of_descent_ends_auto_where_a_trajectory_is_known(monkeypatch):
+    def forget(problem, *options):
+        found = solve_convex(problem, *options)
+        return replace(found, status=Status.LIMIT, trajectory=None) if found.status == "optimal" else found
+
+    known = lfo.solve(FALLING, throw=False).attempts
+    substitute(monkeypatch, "methods.solve_convex", forget)
+    unknown = lfo.solve(FALLING, throw=False).attempts
+    for attempts, reason, methods in (known, Reason.PROVEN, 1), (unknown, Reason.UNBOUNDED, 2):
+        assert [(one.status, one.reason) for one in attempts if one.status] == [("unbounded", reason)] * methods
 
 
 def test_the_answer_of_a_warm_start_counts_only_if_it_is_proven(monkeypatch):

@@ -482,4 +482,4 @@ def _averaged_problem(problem: OptimalControlProblem, weights: Array, sequence: 
     """Return the linear problem with the weights of modes; controls that modes fix are fixed."""
     dynamics, choices = piecewise_affine(problem).averaged(weights), problem.form.choices
     fixed = None if choices is None else choices[sequence]
-    return replace(problem, dynamics=dynamics, control_set=fix_values(problem.control_hull, fixed))
+    return problem.derived(dynamics=dynamics, control_set=fix_values(problem.control_hull, fixed))

@@ -190,7 +190,7 @@ def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipl
         p=cost.p + slopes[T, :n],
     )
     costs, rows = CostSum([minorant, *problem.cost.without_formulas.norms]), problem.rows_along(trajectory)
-    below, plain = replace(problem, dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
+    below, plain = problem.derived(dynamics=stated, cost=costs, stage_rows=rows), replace(multipliers, weights=None)
     extremal, lost = with_errors_of_tangents(extremal_at(below, trajectory, plain), problem.cost.formulas, proven)
     scale = cost_scale(problem, trajectory)
     bound = best_bound(extremal, GAP_TOLERANCE * scale)

@@ -24,7 +24,7 @@ from a small motion, that box is the region to search. J* is at least the least 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -223,7 +223,7 @@ def within_level(problem: OptimalControlProblem, level: float) -> OptimalControl
     if boxes is None:
         return problem
     state_set, control_set = map(replace_bounds, (problem.state_set, problem.control_set), boxes)
-    return replace(problem, state_set=state_set, control_set=control_set)
+    return problem.derived(state_set=state_set, control_set=control_set)
 
 
 def level_boxes(problem: OptimalControlProblem, level: float) -> tuple[Box, Box] | None:

@@ -11,7 +11,7 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "search.path_native": "OPTIMAL path_library run_path",
     "smooth.interior_point": "Barrier BarrierPoint FEW_ROWS Filter Measure",
     "smooth.local_optimum": "End LocalOptimum smooth_optimum",
-    "smooth.local_search": "LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress states_of_controls",
+    "smooth.local_search": "FAR_REACHES LONGEST_REPLAY LocalSearch SMOOTH_STARTS SmoothProgress states_of_controls",
     "smooth.polish": "newton_points quadratic_model",
     "angles": "bound_near local_angles local_prices nearest_train", "angle_lattice": "AngleLattice AngleRange",
     "quarter": "Quarter",

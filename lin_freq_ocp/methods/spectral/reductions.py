@@ -70,8 +70,7 @@ def row_form(problem: OptimalControlProblem) -> RowForm | None:
         joint = list[StageRows]()
         for rows, term in polyhedra:
             joint += _stage_rows(problem, rows, None if term.hard else float(np.max(term.penalty.weights)))
-        changed = replace(
-            problem,
+        changed = problem.derived(
             state_set=problem.state_boxes,
             control_set=problem.control_tube,
             initial_state=problem.initial_box,
@@ -291,7 +290,7 @@ def soft_bins(problem: OptimalControlProblem) -> SoftBins | None:
             hard = [entry for i, entry in enumerate(entries_of(getattr(problem, field))) if i not in replaced]
             stops = [stop_band(bins=spectrum.nearest_bins, component=spectrum.component) for _, spectrum in soft]
             changes[field] = [*hard, *stops]
-    return SoftBins(problem, replace(problem, **changes), bands) if bands else None
+    return SoftBins(problem, problem.derived(**changes), bands) if bands else None
 
 
 def _is_soft_band(problem: OptimalControlProblem, term: Term) -> bool:

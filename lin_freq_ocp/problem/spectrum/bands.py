@@ -30,7 +30,7 @@ from lin_freq_ocp.base.arrays import (
     to_shape,
     with_columns,
 )
-from lin_freq_ocp.base.errors import BandWarning, ProblemError, warn_user
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import datum, first_few, number, price, runs_in_words, runs_of, short_name
 from lin_freq_ocp.problem.numbers import NOTCHES, Axis, Number
 from lin_freq_ocp.problem.spectrum.base import (
@@ -139,7 +139,7 @@ class Band(FrequencyConstraint):
             return
         for name, C, D in signal.rows(field, self.component):
             bins = np.flatnonzero(self.stopped(signal.length, signal.sampling_time, field))
-            if len(bins):  # else a warning has been issued
+            if len(bins):
                 stopped = SpectrumMap(C, D, np.ones(signal.length), signal.length, bins, joint=True)
                 yield Term(f"stop band on {name}", signal.kind, stopped, NormBall(2, np.zeros(()), HARD), source)
 
@@ -147,11 +147,7 @@ class Band(FrequencyConstraint):
         return self.on_components(n)
 
     def stopped(self, length: int, sampling_time: float | None, field: str) -> Mask:
-        """Return which bins k = 0 .. length//2 of ``length`` samples are removed; warn if none or all are."""
-        stopped = self.at(length, sampling_time, field)
-        if stopped.all() or not stopped.any():
-            warn_user(self.remark(length, sampling_time, field), BandWarning)
-        return stopped
+        return self.at(length, sampling_time, field)
 
     def remark(self, length: int, sampling_time: float | None, field: str) -> str:
         stopped = self.at(length, sampling_time, field)
@@ -408,12 +404,24 @@ def stopped_bins(
             advice = "Make a band with low_pass, high_pass, band_pass, notch or stop_band."
             raise ProblemError(where, brief(band), expected, advice)
         columns = component_indices(where, band.component, component_names)
-        alone, full = band.stopped(length, sampling_time, where), stopped[:, columns].all(axis=0)
-        stopped[:, columns] |= alone[:, None]
-        if not alone.all() and (stopped[:, columns].all(axis=0) & ~full).any():
-            text = f"removes every bin of a signal of {length} samples that the bands before it keep"
-            warn_user(f"{where}: {band} {text}; the signal must then be zero.", BandWarning)
+        stopped[:, columns] |= band.stopped(length, sampling_time, where)[:, None]
     return seal(stopped)
+
+
+def band_remarks(
+    field: str, constraints: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
+) -> Iterator[str]:
+    """Yield which bands remove or bound no bin, or remove every bin, alone or with the bands before them."""
+    of_signal, entries = (length, component_names, sampling_time), named_entries(field, constraints)
+    before = stopped_bins(field, [], *of_signal).all(axis=0)
+    for i, (where, band) in enumerate(entries):
+        after = stopped_bins(field, [one for _, one in entries[: i + 1]], *of_signal).all(axis=0)
+        if remark := band.remark(length, sampling_time, where):
+            yield remark
+        elif (after & ~before).any():
+            text = f"removes every bin of a signal of {length} samples that the bands before it keep"
+            yield f"{where}: {band} {text}; the signal must then be zero."
+        before = after
 
 
 def bands_of(stop: Mask) -> list[Band]:

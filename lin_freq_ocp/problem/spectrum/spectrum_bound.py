@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, Indices, assign, brief, positive_integer, positive_number, real_array
-from lin_freq_ocp.base.errors import BandWarning, ProblemError, warn_user
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import ordinal, short_name, split_unit
 from lin_freq_ocp.problem.numbers import Axis, Number
 from lin_freq_ocp.problem.spectrum.bands import Band, stop_band
@@ -130,7 +130,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
         levels = self.bin_levels(bins, points, step, field)
         at_ends, inner = self.quantity.sums(window, step, field)
         for name, C, D in signal.rows(field, self.component):
-            if len(bins):  # else a warning has been issued
+            if len(bins):
                 spectrum = SpectrumMap(C, D, window, points, bins, self.joint)
                 sums, differ = inner, at_ends != inner and spectrum.real.any()
                 if self.joint and differ:
@@ -225,8 +225,6 @@ class SpectrumBound(FrequencyConstraint, ABC):
         return self.window
 
     def remark(self, length: int, sampling_time: float | None, field: str) -> str:
-        if self.levels is not None and np.isposinf(self.levels).all():
-            return f"{field}: its limit is infinite."
         everywhere = self.band.listed or self.every_frequency  # a held mask may be above the Nyquist frequency
         if everywhere or self.band.at(self.oversampling * length, sampling_time, f"{field}.band").any():
             return ""
@@ -239,10 +237,7 @@ class SpectrumBound(FrequencyConstraint, ABC):
             inside = self.band.at(points, sampling_time, f"{field}.band")
             if self.edges:
                 inside = np.convolve(inside, np.ones(3), "same") > 0
-            bounded = np.flatnonzero(inside)
-            if not len(bounded):
-                warn_user(self.remark(length, sampling_time, field), BandWarning)
-            return bounded
+            return np.flatnonzero(inside)
         listed = np.flatnonzero(self.band.at(length, sampling_time, field))
         grid = np.zeros(points // 2 + 1, dtype=bool)
         for k in listed:  # and the points between neighbours; for odd N, the last bin is next to its own conjugate

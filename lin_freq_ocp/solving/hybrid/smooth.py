@@ -38,6 +38,7 @@ from lin_freq_ocp.methods.hybrid.smooth.local_search import DECREASE, LocalSearc
 from lin_freq_ocp.methods.hybrid.smooth.model import Pieces
 from lin_freq_ocp.methods.hybrid.smooth.polish import newton_points, quadratic_model
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import box_of, map_sets
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -55,6 +56,7 @@ from lin_freq_ocp.transform.starts import Start
 UNBOUNDED = "no global bound was found in time; time_limit= gives it more"
 EXCLUDED_BY_TANGENTS = "proven by a ray: no trajectory satisfies tangents of convex path constraints ({})"
 EXCLUDED_BY_INTERVALS = "proven by dynamic programming with intervals: no trajectory exists"
+EXCLUDED_BY_STATES = "proven without dynamics: no states satisfy the sets, ends and spectra of states"
 EXCLUDED_BY_RAY = "proven without formulas: no trajectory satisfies the other constraints (explain names them)"
 
 GLOBAL_GAP = 1e-4  # default of the relative gap to prove
@@ -404,7 +406,7 @@ def _bound_without_obstacles(problem: OptimalControlProblem, judged: Judged, dea
     ]
     if problem.dynamics.mode_names or not obstacles:
         return None
-    relaxed = replace(problem, stage_rows=[row for row in problem.stage_rows if row.name not in obstacles])
+    relaxed = problem.derived(stage_rows=[row for row in problem.stage_rows if row.name not in obstacles])
     linear = not relaxed.path_constraints and not relaxed.cost.has_formulas
     method = LinearAuto() if linear else Nonsmooth(global_bound=False)
     found = method.solve(relaxed, Request(deadline - now()))
@@ -419,15 +421,24 @@ def _proof_of_infeasibility(
     """Return what proves that there is no trajectory, an empty text if nothing does.
 
     Of linear dynamics, it is a ray, whatever the cost by formulas is, with the tangents at a trajectory of the path
-    constraints that are convex; else ``intervals``, if they are asked for, prove it by bounds and path constraints
-    alone: D is infinite. They are not tried if a trajectory satisfies these.
+    constraints that are convex; of others, a ray of the sets, ends and spectra of states alone; else ``intervals``, if
+    they are asked for, prove it by bounds and path constraints alone: D is infinite. They are not tried if a trajectory
+    satisfies these.
     """
     deadline, stated = now() + seconds, problem.dynamics
+    if stated.mode_names:
+        n, names, step = problem.state_dim, problem.state_names, problem.sampling_time
+        fields = {"control_set": None, "control_spectrum": None, "output_spectrum": None, "stage_rows": ()}
+        anywhere = LinearDynamics(np.zeros((n, n)), np.eye(n), sampling_time=step, state_names=names)
+        of_states = problem.derived(dynamics=anywhere, cost=QuadraticCost(), **fields)
+        found = LinearAuto().solve(of_states, Request(seconds))
+        if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
+            return EXCLUDED_BY_STATES
     if not stated.mode_names:
         rows, given = problem.stage_rows if at is None else problem.rows_along(at), problem.path_constraints
         left_out = {one.name for one in given if at is None or not is_proven_convex(problem, one, at)}
         hard = [row for row in rows if row.hard_part is not None and row.name not in left_out]
-        relaxed = replace(problem, dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
+        relaxed = problem.derived(dynamics=stated, cost=QuadraticCost(), stage_rows=hard)
         found = LinearAuto().solve(relaxed, Request(seconds))
         if found.status == Status.INFEASIBLE and found.bound == RIGOROUS:
             if not problem.path_constraints:
@@ -464,7 +475,7 @@ def _bounds_admit_trajectory(problem: OptimalControlProblem, seconds: float) -> 
     if len(problem.terms) == len(constraints) and not stops:
         return False
     sets = {field: map_sets(getattr(problem, field), box_of) for field in BOXES}
-    bounded = replace(problem, **sets, **dict.fromkeys(SPECTRA), stage_rows=constraints)
+    bounded = problem.derived(**sets, **dict.fromkeys(SPECTRA), stage_rows=constraints)
     search = LocalSearch(bounded, seconds, is_proven=lambda _: True).run()
     if search.interrupted:
         raise KeyboardInterrupt

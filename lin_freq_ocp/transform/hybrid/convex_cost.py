@@ -90,7 +90,7 @@ def with_norms_as_terms(problem: OptimalControlProblem) -> OptimalControlProblem
     if not found.norms:
         return problem
     formulas = SmoothCost(stage=sum(found.others, 0.0 * stage), terminal=terminal)
-    return replace(problem, cost=CostSum([cost.quadratic, *cost.norms, AffineNorms(tuple(found.norms)), formulas]))
+    return problem.derived(cost=CostSum([cost.quadratic, *cost.norms, AffineNorms(tuple(found.norms)), formulas]))
 
 
 def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem | None:
@@ -110,7 +110,7 @@ def with_convex_terms(problem: OptimalControlProblem) -> OptimalControlProblem |
     steps = np.arange(problem.horizon + 1)[:, None] < problem.horizon
     quadratic = with_parabola(problem.quadratic, np.zeros((len(steps), width)), steps * slope, steps[..., None] * M)
     norms = [*problem.cost.without_formulas.norms, AffineNorms(tuple(found.norms))]
-    return replace(problem, cost=CostSum([quadratic, *norms]))
+    return problem.derived(cost=CostSum([quadratic, *norms]))
 
 
 def with_parabola(cost: QuadraticCost, points: Array, slopes: Array, hessians: Array) -> QuadraticCost:

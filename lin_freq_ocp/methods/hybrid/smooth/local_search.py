@@ -229,6 +229,9 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
+# Sizes of random controls that follow where nothing bounds controls and no start led to a trajectory: from near, the
+# violation has local minima
+FAR_REACHES = 4 * (16.0, 64.0, 256.0)
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
 BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of a step at which a line that passes an obstacle is outside, too
@@ -295,7 +298,7 @@ class LocalSearch:
         self._bounded = bool(np.isfinite(self.problem.control_tube.bounds).all())
         alone = Pieces.of(self.problem, np.zeros(self.problem.horizon, dtype=np.intp))
         if self._smooth and (obstacles := alone.with_regions(self.problem).path_constraints):
-            line = self._constant_trajectory(SHARES[0], replayed=False)
+            line = self._trajectory_at(SHARES[0], replayed=False)
             self._lines = lines_around_obstacles(obstacles, line, self._sizes) or [line]
 
     def run(self) -> LocalSearch:
@@ -314,7 +317,7 @@ class LocalSearch:
     def _all_starts(self) -> Iterator[tuple[Trajectory, Indices, bool]]:
         """Yield the given start, then those of ``starts`` until there are enough; the flag says if it is near."""
         if self.start is not None:
-            given = self.start.trajectory or self._constant_trajectory(SHARES[0])
+            given = self.start.trajectory or self._trajectory_at(SHARES[0])
             for warm in (True, False) if self._smooth else (True,):
                 yield given, self.start.sequence, warm
                 if self._smooth and self.best is not None and self.best.reason is Reason.LOCALLY_OPTIMAL:
@@ -448,28 +451,32 @@ class LocalSearch:
     def starts(self) -> Iterator[tuple[Trajectory, Indices]]:
         """Yield trajectories of constant controls with their mode sequences, then with each mode alone.
 
-        Of one smooth map, a straight line between the ends comes last, third without bounds of controls; with path
-        constraints first, after the lines that pass obstacles on either side.
+        Of one smooth map, a straight line between the ends comes last; with path constraints first, after the lines
+        that pass obstacles on either side. Without bounds of controls it is third, and random controls come last.
         """
         dynamics = piecewise_smooth(self.problem)
         alone = np.zeros(self.problem.horizon, dtype=np.intp)
         yield from ((line, alone) for line in self._lines)
         for i, share in enumerate(SHARES):
-            trajectory = self._constant_trajectory(share)
+            trajectory = self._trajectory_at(share)
             yield trajectory, alone if self._smooth else dynamics.sequence_of(trajectory.x, trajectory.u)
             if self._smooth and i == (len(SHARES) - 1 if self._bounded else 1):
-                yield self._constant_trajectory(SHARES[0], replayed=False), alone
+                yield self._trajectory_at(SHARES[0], replayed=False), alone
+        rng = np.random.default_rng(0)
+        for reach in FAR_REACHES if self._smooth and not self._bounded else ():
+            yield self._trajectory_at(rng.random(self.problem.control_tube.lower.shape), reach=reach), alone
         for mode in range(0 if self._smooth else len(dynamics.modes)):
-            yield self._constant_trajectory(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
+            yield self._trajectory_at(SHARES[0]), np.full(self.problem.horizon, mode, dtype=np.intp)
 
-    def _constant_trajectory(self, share: float, replayed: bool = True) -> Trajectory:
-        """Return the trajectory of controls at a share between their bounds, or their sizes where they have none.
+    def _trajectory_at(self, share: Array | float, replayed: bool = True, reach: float = 1.0) -> Trajectory:
+        """Return the trajectory of controls at a share between their bounds, or ``reach`` sizes where they have none.
 
         Where there is none, the state is constant. Of one smooth map, whose replay may take long or diverge, it then
         goes straight from one end to the other.
         """
         tube, middle = self.problem.control_tube, np.full(self.problem.state_dim, 0.5)
-        u, start = _middle(tube, np.full(tube.lower.shape, share), self._units), _middle(self.problem.ends[0], middle)
+        u = _middle(tube, np.broadcast_to(share, tube.lower.shape), reach * self._units)
+        start = _middle(self.problem.ends[0], middle)
         if replayed and (not self._smooth or self.problem.horizon <= LONGEST_REPLAY):
             with suppress(NumericalError):
                 trajectory = simulate(self.problem, u, start)

@@ -86,7 +86,8 @@ class DenseReduced:
             M[:free, i] = M[i, :free]
         self._exact = ~C.any(axis=1)
         exact = E[self._exact]
-        size = WEIGHT * float(np.abs(np.diag(M)).mean()) / (1 + float((exact * exact).sum(0).max(initial=0.0)))
+        size = WEIGHT * float(np.abs(np.diag(M)).sum()) / max(space.size, 1)  # no unknowns where no bin passes
+        size /= 1 + float((exact * exact).sum(0).max(initial=0.0))
         for raised in RAISED:
             self._weight = raised * size
             self._M = Cholesky(M + self._weight * (exact.T @ exact))

@@ -10,11 +10,12 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.path_constraints import mass
+from helpers.random.smooth import random_problem
 from helpers.replacing import substitute
 from helpers.seeds import expensive
 from lin_freq_ocp import library
 from lin_freq_ocp.methods import zero_multipliers
-from lin_freq_ocp.methods.hybrid import SMOOTH_STARTS, End, LocalOptimum, LocalSearch, states_of_controls
+from lin_freq_ocp.methods.hybrid import FAR_REACHES, SMOOTH_STARTS, End, LocalOptimum, LocalSearch, states_of_controls
 from lin_freq_ocp.results import Reason
 from lin_freq_ocp.transform import start_of
 
@@ -115,6 +116,20 @@ def test_without_bounds_four_starts_are_enough_or_two_with_one_answer(costs, exp
     starts = script(monkeypatch, [optimum(cost) for cost in costs])
     LocalSearch(replace(PROBLEM, control_set=None)).run()
     assert len(starts) == expected
+
+
+def test_without_bounds_far_starts_follow_where_none_leads_to_a_trajectory(monkeypatch):
+    starts = script(monkeypatch, [optimum(violation=1.0)])
+    LocalSearch(replace(PROBLEM, control_set=None)).run()
+    assert starts == [False] * (TRIED_ALL + len(FAR_REACHES)) + [True]
+
+
+@expensive
+@pytest.mark.parametrize("seed", [71, 179, 403, 703])
+def test_ends_that_no_near_start_reaches_are_reached_from_far_ones(seed):
+    search = LocalSearch(random_problem(seed)).run()
+    assert search.best.reason is Reason.LOCALLY_OPTIMAL
+    assert search.tried > TRIED_ALL
 
 
 @expensive
