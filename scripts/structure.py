@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_556,
-    "code lines": 47_118,
-    "code lines, linear part": 22_345,
+    "shipped lines": 50_588,
+    "code lines": 47_150,
+    "code lines, linear part": 22_351,
     "code lines, hybrid": 8_827,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
