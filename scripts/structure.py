@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_588,
-    "code lines": 47_150,
+    "shipped lines": 50_589,
+    "code lines": 47_151,
     "code lines, linear part": 22_351,
     "code lines, hybrid": 8_827,
     SHARE_SAID: 19.5,  # at least
