@@ -222,7 +222,7 @@ class WindowedPlanner:
         """
         solver, kernel, tables = self._solver, self._solver.kernel, self._solver.kernel.tables
         first = np.isin(tables.families - len(begin), np.arange(len(u)))
-        of_states = tables.C[:, ~known_states(self.stated.linear)].any(axis=1)[:, None]
+        of_states = tables.C[:, ~known_states(self.stated.linear)].any(axis=1, keepdims=True)
         lower, upper = (np.where(of_states, far, side) for far, side in zip((-FAR, FAR), tables.bounds, strict=True))
         lower[first, 0] = upper[first, 0] = u / solver.units.u
         kernel.take(replace(tables, bounds=(lower, upper)))
