@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from lin_freq_ocp.loop.step_tables import REALS
 from lin_freq_ocp.loop.windows import WindowedPlanner, has_windows
 from lin_freq_ocp.methods.condensed.plans import UNLIMITED
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.spectrum.base import WindowSpectra
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, WindowSpectra, map_constraints
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.resolver import PlannedStart, Resolver, proven_in_batch
@@ -31,7 +32,7 @@ from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
-REPORTED = 1e-3  # excess of a level from which controllers in float report it, and others do
+ANOTHER = 1e-2  # difference above which a logged control is not that of the step: controllers in float differ by less
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
@@ -99,6 +100,8 @@ class CertifiedLog(ControllerLog):
     differences : (N,)
         Largest difference of a control from the planned one, relative to the largest control of the plan, or to the
         bound on the side of the planned control if that is smaller. 0 if it moves a state by no more than rounding.
+        With windows, the part that rounding of the state and of the levels explains is left out; infinite if no plan
+        that begins with the logged control keeps these levels.
     windows : tuple of WindowSpectra
         The spectra of all windows of the applied controls, with their limits, from the logged controls alone.
 
@@ -201,44 +204,40 @@ def certify_log(
     known = known_states(stated.linear)
     starts = _starts_of_plans(stated, known, log, delay)
     resolver, verdicts, windows = Resolver(stated), dict[int, _Verdict](), tuple[WindowSpectra, ...]()
-    steps = np.flatnonzero(valid).tolist()
+    steps, changes = np.flatnonzero(valid).tolist(), [Change(x) for x in starts]
+    for k, given in enumerate([] if log.references is None else log.references):
+        changes[k] = Change(starts[k], references={"x_ref": complete_reference(stated, known, given)})
     if has_windows(problem):
-        verdicts, steps = _windowed_verdicts(WindowedPlanner(problem, penalties, delay), log, starts, tolerance), []
+        rounding = next(real.tolerance for real in REALS.values() if real.epsilon == log.rounding)
+        spectrum = map_constraints(problem.control_spectrum, partial(_raise_windows, 1 + rounding))
+        planner, steps = WindowedPlanner(replace(problem, control_spectrum=spectrum), penalties, delay), []
+        verdicts = _windowed_verdicts(planner, log, changes, rounding, tolerance)
         applied = np.vstack([np.zeros((delay, stated.control_dim)), log.controls])[: len(starts)]
         windows = LoopRecord(problem, (), acted=applied).spectra()
     for first in range(0, len(steps), STEPS_AT_ONCE):
         tell(f"{first} of {len(steps)} steps certified")
         groups = dict[int, dict[int, PlannedStart]]()  # by the problem whose states have the same origin
         for k in steps[first : first + STEPS_AT_ONCE]:
-            references, plan = None, None
-            if log.references is None:
-                plan = resolver.plan(starts[k])
-            else:
-                tracked = np.tile(log.references[k], (stated.horizon + 1, 1))
-                references = {"x_ref": complete_reference(stated, known, tracked)}
-            change = Change(starts[k], references=references)
+            plan = resolver.plan(starts[k]) if log.references is None else None
             if plan is not None:
                 groups.setdefault(id(plan.translation), {})[k] = plan
-            elif resolver.excluded(change):
+            elif resolver.excluded(changes[k]):
                 verdicts[k] = _Verdict(Status.INFEASIBLE)
             else:
-                outcome = resolver.solve(change)
+                outcome = resolver.solve(changes[k])
                 resolver.remember_ray(outcome)
                 verdicts[k] = _Verdict.of(outcome, tolerance)
         for group in groups.values():
             for k, one in proven_in_batch(group).items():
-                plan = Trajectory(one.x, one.u)
-                verdicts[k] = _Verdict(Status.OPTIMAL, one.cost, one.gap).with_plan(
-                    group[k].translation, plan, tolerance
-                )
-            verdicts |= {
-                k: _Verdict.of(plan.certified(None), tolerance) for k, plan in group.items() if k not in verdicts
-            }
+                proven = _Verdict(Status.OPTIMAL, one.cost, one.gap)
+                verdicts[k] = proven.with_plan(group[k].translation, Trajectory(one.x, one.u), tolerance)
+            for k in group.keys() - verdicts:
+                verdicts[k] = _Verdict.of(group[k].certified(None), tolerance)
     each, limits = [verdicts.get(k, _Verdict(None)) for k in range(len(starts))], ControlLimits.of(stated)
     differences = np.full(len(starts), np.nan)
     for k, one in verdicts.items():
         if one.plan is not None:
-            differences[k] = _difference(stated, log.rounding, starts[k], log.controls[k], one.plan)
+            differences[k] = _difference(stated, log.rounding, starts[k], log.controls[k], one.plan, one.moved)
     agrees = [
         difference <= tolerance and not limits.violated(x, u, log.rounding)
         for difference, x, u in zip(differences, starts, log.controls, strict=True)
@@ -256,24 +255,37 @@ def certify_log(
     )
 
 
+def _raise_windows(factor: float, one: FrequencyConstraint) -> FrequencyConstraint:
+    """Return a limit on windows that is higher by a factor; other constraints stay."""
+    return one if one.levels is None or not one.remembers else one.at_levels(factor * one.levels)
+
+
 def _windowed_verdicts(
-    planner: WindowedPlanner, log: ControllerLog, starts: Array, tolerance: float
+    planner: WindowedPlanner, log: ControllerLog, changes: Sequence[Change], rounding: float, tolerance: float
 ) -> dict[int, _Verdict]:
-    """Return the verdicts on the plans of a controller with windows, each after the controls that were logged."""
+    """Return the verdicts on the plans of a controller with windows, each after the controls that were logged.
+
+    The levels of a step are those of a plan that begins with the control logged before: it exists if that control was
+    right, and its rest keeps them. The rest of the optimal plan, which begins with another one, need not. Where the
+    logged control is not that of the step, another one acted, and the controller goes on from the rest of its plan.
+    """
     verdicts = dict[int, _Verdict]()
-    for k, status in enumerate(log.statuses):
-        found = planner.plan(starts[k], None, UNLIMITED)
+    for k, (status, change) in enumerate(zip(log.statuses, changes, strict=True)):
+        begin = np.asarray(change.initial_state)
+        found = planner.plan(begin, None if change.references is None else change, UNLIMITED)
+        moved = planner.shift(begin, log.rounding, rounding)
+        apart = _difference(planner.stated, log.rounding, begin, log.controls[k], found.trajectory, moved)
+        acted = status <= StepStatus.SOFTENED and apart > max(tolerance, ANOTHER)
+        held = acted or planner.hold(begin, log.controls[k]) or found.raised > rounding
         planner.apply(log.controls[k])
-        # the rest of the plan before is not known: that of a capped step
-        unknown = status is StepStatus.PLANNED and found.raised > REPORTED
-        if status is StepStatus.NO_STATE or unknown or not found.plan.settled:
+        if status is StepStatus.NO_STATE or not found.plan.settled:
             continue
         outcome = found.certified(None)
-        if outcome.certificate is not None and outcome.trajectory is not None and outcome.status.solved:
-            verdict = _Verdict(outcome.status, outcome.certificate.cost, outcome.certificate.gap or 0.0)
-            verdict = verdict.with_plan(translation_of(outcome.problem), outcome.trajectory, tolerance)
-            satisfied, exceeded = verdict.satisfied and found.raised <= tolerance, verdict.exceeded or found.raised > 0
-            verdicts[k] = replace(verdict, satisfied=satisfied, exceeded=exceeded)
+        if outcome.status.solved:
+            one = _Verdict.of(outcome, tolerance)
+            satisfied, exceeded = one.satisfied and found.raised <= tolerance, one.exceeded or found.raised > 0
+            moved = moved if held else np.full_like(moved, -np.inf)
+            verdicts[k] = replace(one, status=outcome.status, satisfied=satisfied, exceeded=exceeded, moved=moved)
     return verdicts
 
 
@@ -297,19 +309,24 @@ def _starts_of_plans(problem: OptimalControlProblem, known: Mask, log: Controlle
     return starts
 
 
-def _difference(problem: OptimalControlProblem, rounding: float, x: Array, u: Array, plan: Trajectory) -> float:
+def _difference(
+    problem: OptimalControlProblem, rounding: float, x: Array, u: Array, plan: Trajectory, moved: Array | None
+) -> float:
     """Return the largest difference of a control from the first one of a plan from x, relative to its size.
 
-    A difference that moves a state by no more than the rounding of its terms is none: a controller that removes this
-    rounding in one step differs by as much.
+    A difference is none where rounding has ``moved`` the planned control by as much. Where that is not known, it is
+    none if it moves a state by no more than the rounding of its terms: a controller that removes this rounding in one
+    step differs by as much.
     """
     planned, (A, B, d) = plan.u[0], problem.linear.gains()
     bounds = np.where(planned > 0, problem.control_tube.upper[0], -problem.control_tube.lower[0])
     sizes = np.abs(plan.u).max(axis=0)
-    sizes = np.where(bounds > 0, np.minimum(sizes, bounds), sizes)
-    rounded = rounding * (A @ np.abs(x) + B @ np.abs(planned) + d)
-    apart = np.abs(u - planned)
-    apart = np.where(((B * apart <= rounded[:, None]) & (B > 0)).any(axis=0), 0.0, apart)
+    sizes, apart = np.where(bounds > 0, np.minimum(sizes, bounds), sizes), np.abs(u - planned)
+    if moved is None:
+        rounded = rounding * (A @ np.abs(x) + B @ np.abs(planned) + d)
+        apart[((B * apart <= rounded[:, None]) & (B > 0)).any(axis=0)] = 0.0
+    else:
+        apart = np.maximum(apart - moved, 0.0)
     return float(np.divide(apart, sizes, out=np.where(apart > 0, np.inf, 0.0), where=sizes > 0).max())
 
 
@@ -318,7 +335,7 @@ class _Verdict:
     """A status that is proven, or None, with the plan and its cost and gap.
 
     ``satisfied`` says that the plan violates no soft constraint by more than the tolerance, and ``exceeded`` that it
-    violates one at all.
+    violates one at all. ``moved`` is how far rounding moves its first control, (m,).
     """
 
     status: Status | None
@@ -327,6 +344,7 @@ class _Verdict:
     plan: Trajectory | None = None
     satisfied: bool = True
     exceeded: bool = False
+    moved: Array | None = None
 
     @classmethod
     def of(cls, outcome: Outcome, tolerance: float) -> _Verdict:

@@ -18,10 +18,10 @@ from lin_freq_ocp.certificate.bound import RIGOROUS
 from lin_freq_ocp.certificate.tolerances import GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import judge
 from lin_freq_ocp.loop.step_problem import free_first_state, known_states, soften
-from lin_freq_ocp.methods.condensed.plans import Budget, CondensedSolver, Plan
+from lin_freq_ocp.methods.condensed.plans import UNLIMITED, Budget, CondensedSolver, Plan
 from lin_freq_ocp.methods.condensed.windows import FACET_LEVEL, FACETS, ControlWindows, WindowSet
 from lin_freq_ocp.methods.repair import repair_trajectory
-from lin_freq_ocp.methods.spectral.model import LtiUnits
+from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import REDUCTIONS
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -35,6 +35,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reductions import Change, reduce_problem
 from lin_freq_ocp.transform.reformulations import Translation, translated_by, translation_of
 
+FAR = 1e20  # units: a bound of a control that has none; the kernel leaves out rows without bounds
 KERNEL_TAKES = "the condensed kernel takes hard, finite limits above zero on windows of controls with a length"
 
 
@@ -174,6 +175,13 @@ class WindowedPlan:
         return Outcome(given, status, "condensed", None, {"certify": seconds}, at, multipliers, certificate)
 
 
+def _with_bounds(lti: Lti) -> Lti:
+    """Return the problem with bounds of all controls, which the kernel can move: where there is none, a far one."""
+    of_controls = np.isin(np.arange(len(lti.bounds.lower)), lti.state_dim + np.arange(lti.control_dim))[:, None]
+    bounds = lti.bounds.map(lambda sides: np.where(of_controls, np.clip(sides, -FAR, FAR), sides))
+    return replace(lti, bounds=bounds)
+
+
 class WindowedPlanner:
     """The kernel of a controller whose controls have windows, and the problems by which its plans are judged.
 
@@ -188,24 +196,45 @@ class WindowedPlanner:
             raise UnsupportedError(f"problem: it is solved as another one; {KERNEL_TAKES}.")
         self.stated, self.origin = stated, translation.origin
         self._translation, self._spectral = translation, SpectralSolver(translation.problem)
-        units = self._spectral.units
+        units, self._lti = self._spectral.units, _with_bounds(self._spectral.lti)
         windows = control_windows(stated, units, delay)
-        self._solver = CondensedSolver(self._spectral.lti, units, windows)
+        self._solver = CondensedSolver(self._lti, units, windows)
         self._rest = np.zeros((problem.horizon, problem.control_dim))
         none = np.zeros((delay, problem.control_dim))
         self._spectrum = [one.with_past(none, 0) for one in entries_of(problem.control_spectrum)]
 
     def plan(self, begin: Array, change: Change | None, budget: Budget) -> WindowedPlan:
         """Return the plan from a state, (n,), with previews if any."""
-        stated, lti = self.stated, self._spectral.lti
+        stated, lti = self.stated, self._lti
         if change is not None:
             with one_blas_thread:
                 stated = change.apply(self.stated)
                 moved = self._translation.change(change, without_windows(stated))
-                lti = self._spectral.changed_problem(moved)[1]
+                lti = _with_bounds(self._spectral.changed_problem(moved)[1])
         plan, kernel = self._solver.plan_windows(begin - self.origin, lti, budget), self._solver.kernel
         findings = kernel.exceeded, kernel.raised
         return WindowedPlan(self.origin, stated, plan, self._spectrum, self._rest, *findings)
+
+    def hold(self, begin: Array, u: Array) -> bool:
+        """Plan with this first control, (m,), and the rows of controls alone; return whether there is such a plan.
+
+        ``apply`` goes on from it, else from the rest of the plan before.
+        """
+        solver, kernel, tables = self._solver, self._solver.kernel, self._solver.kernel.tables
+        first = np.isin(tables.families - len(begin), np.arange(len(u)))
+        of_states = tables.C[:, ~known_states(self.stated.linear)].any(axis=1, keepdims=True)
+        lower, upper = (np.where(of_states, far, side) for far, side in zip((-FAR, FAR), tables.bounds, strict=True))
+        lower[first, 0] = upper[first, 0] = u / solver.units.u
+        kernel.take(replace(tables, bounds=(lower, upper)))
+        settled = solver.plan_windows(begin - self.origin, tables.loop.lti, UNLIMITED).settled
+        kernel.take(tables)
+        return settled
+
+    def shift(self, begin: Array, rounding: float, of_rows: float) -> Array:
+        """Return how far rounding moves u_0 of the last plan, (m,): that of its begin, and of the levels of windows."""
+        units, tables = self._solver.units, self._solver.kernel.tables
+        gain = tables.loop.K + tables.W[: len(units.u), : len(begin)]  # without active rows
+        return units.u * (rounding * np.abs(gain) @ np.abs(begin / units.x) + of_rows * self._solver.kernel.shift)
 
     def apply(self, u: Array) -> None:
         """Go on to the next step with the control that acts next."""

@@ -66,12 +66,21 @@ class CompiledController:
         return x.astype(float), u.astype(float)
 
 
-def write_log(path: Path, states: np.ndarray, controls: np.ndarray, statuses: list[int]) -> Path:
-    """Write a log without references, and return its path."""
-    letters = [f"x{i + 1}" for i in range(states.shape[1])] + [f"u{j + 1}" for j in range(controls.shape[1])]
+def write_log(
+    path: Path,
+    states: np.ndarray,
+    controls: np.ndarray,
+    statuses: list[int],
+    references: np.ndarray | None = None,
+    digits: int = 17,
+) -> Path:
+    """Write a log, and return its path."""
+    signals = {"x": states, "r": references, "u": controls}
+    given = {letter: signal for letter, signal in signals.items() if signal is not None}
+    letters = [f"{letter}{i + 1}" for letter, signal in given.items() for i in range(signal.shape[1])]
     rows = [
-        ",".join([*(f"{value:.17g}" for value in (*x, *u)), str(status)])
-        for x, u, status in zip(states, controls, statuses, strict=True)
+        ",".join([*(f"{value:.{digits}g}" for value in row), str(int(status))])
+        for row, status in zip(np.hstack([*given.values()]), statuses, strict=True)
     ]
     path.write_text("\n".join([",".join([*letters, "status"]), *rows]) + "\n")
     return path

@@ -485,10 +485,9 @@ static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
   if (sigma * (y - bound) <= allowed) return ENTERED;
   lambda = flag ? (lfo_real)flag * limit : 0;
   length = dot(s->row, s->row, r);
-  for (;;) {
+  while (++s->changes <= p->most_changes) {
     lfo_real rho2 = split(p, s), full = NONE, step;
     int leaving, independent = rho2 > p->dependent * p->dependent * length && s->active < p->most_active;
-    if (++s->changes > p->most_changes) return ENTERED;
     memcpy(s->w, s->d, BYTES(s->active));
     upper_solve(p, s, s->w);
     for (int j = 0; j < s->active; j++) s->w[j] *= -sigma;
@@ -517,6 +516,7 @@ static int enter(const lfo_model *p, lfo_memory *s, const candidate *c) {
       append(p, s, (lfo_real)LFO_SQRT(rho2), c->row, side, lambda);
     return ENTERED;
   }
+  return ENTERED;
 }
 
 /* Let a whole run of soft rows exceed their bounds, if all multipliers at their limits are an ascent. Return whether. */
@@ -715,7 +715,7 @@ int lfo_step(const lfo_model *p, lfo_memory *s, const lfo_real *x, lfo_real *u, 
       continue;
     }
     corrections = 0;
-    for (int i = 0; i < count && status == LFO_LIMIT; i++) {
+    for (int i = 0; i < count && status == LFO_LIMIT && s->changes <= p->most_changes; i++) {
       int entered = relaxed_run(p, s, queue + i) ? ENTERED : enter(p, s, queue + i);
       rounding += entered == ROUNDING;
       if (entered == STUCK) status = LFO_INFEASIBLE;

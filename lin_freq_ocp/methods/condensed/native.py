@@ -200,6 +200,17 @@ class NativeKernel:
         return max(float(self._memory.rest) - 1, 0.0)
 
     @property
+    def shift(self) -> Array:
+        """Return how far u_0 of the last step moves at most, (m,), if the levels of its active windows change by 1.
+
+        To first order: the gradients of the active rows are R'Q, and xi moves by Q'R'^-1 times the change.
+        """
+        active, rows = self._memory.active, self._indices["member"]
+        Q, R = (self._parts[name].reshape(self._model.most_active, -1)[:active] for name in "QR")
+        moved = np.linalg.solve(np.tril(R[:, :active]).T, Q @ self.tables.V[: len(self._u)].T)
+        return np.abs(moved[rows[:active] >= math.prod(self._stage)]).sum(axis=0)
+
+    @property
     def window_duals(self) -> Callable[[], Sequence[WindowDuals]]:
         """Return a function that reads the multipliers of each set for the last step."""
         assert self.windows is not None
