@@ -211,7 +211,7 @@ class LimitRows:
 
     def closest(self, x: Array, u: Array, margins: Array) -> Iterator[tuple[Worst, Array, Array]]:
         """Yield each limit at the time at which a trajectory and its margins are closest to it, with its row."""
-        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
+        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + np.abs(margins)
         planned = self.values(x, u)
         for i in np.flatnonzero(np.isfinite(self.limits).any(axis=0)).tolist():
             violations = (planned + margins - self.limits)[:, i]

@@ -206,3 +206,16 @@ def test_of_limits_that_are_equally_close_but_for_rounding_the_first_is_the_clos
     closer = replace(first, margin=first.margin + 1e-12 * first.size)
     assert closer.violation > first.violation
     assert replace(worst, limits=(first, closer)).closest is first
+
+
+def test_a_limit_that_loads_of_one_sign_move_away_from_is_judged_at_its_worst_time():
+    """The plan stays at 0, its limit at t = 1 is -2, and the loads are -1 and -3: the worst one leaves -1."""
+    sets, cost = [lfo.Box(-10, 10), lfo.Box(-10, -2)], lfo.QuadraticCost(R=1.0)
+    dynamics = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(dynamics, 1, cost, state_set=sets, initial_state=0.0)
+    plan = lfo.Trajectory([[0.0], [0.0]], [[0.0]])
+    worst = lfo.worst_case(problem, lfo.Disturbance([[-1.0], [-3.0]], gain=None), plan)
+    upper = worst["x_0, upper"]
+    assert (upper.index, upper.limit, upper.size) == (1, -2.0, pytest.approx(3.0))
+    assert upper.violation == pytest.approx(1.0)
+    assert not worst
