@@ -49,7 +49,8 @@ class Disturbance(Uncertainty):
         The loads of each time, of one bounded set or of the convex hull of measured samples; or records over time, or
         Gaussian loads, for which each limit at each time by itself holds with a probability.
     input : (n, k), or (T, n, k), optional
-        E. Default: a load in every state.
+        E; rows of states that ``rate_limited`` or ``filtered_control`` adds may be absent. Default: a load in every
+        state.
     gain : "auto", (m, n), or None
         K. "auto" takes, of the regulators of 25 weights of the controls, the one whose largest margin is the smallest
         share of its range. None for K = 0: the plan acts as it is.
@@ -116,7 +117,8 @@ class Disturbance(Uncertainty):
     def error_loop(self, problem: OptimalControlProblem) -> ErrorLoop:
         """Return the loop of x - z for a problem, with its gain."""
         n, T = problem.state_dim, problem.horizon
-        E = np.eye(n) if self.input is None else to_shape("disturbance.input", self.input, (n, self.input.shape[-1]), T)
+        E = np.eye(n) if self.input is None else _of_all_states(self.input, problem)
+        E = to_shape("disturbance.input", E, (n, E.shape[-1]), T)
         loads = loads_of(self.set, E.shape[-1])
         if loads.horizon not in (None, T):
             expected = f"one load for each of the {T} steps of the horizon"
@@ -176,6 +178,15 @@ class Disturbance(Uncertainty):
         assert plan.trajectory is not None  # worst_case checks it
         own = plan.problem.uncertainty is self and plan.status.solved and not problem.control_spectrum
         return worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
+
+
+def _of_all_states(E: Array, problem: OptimalControlProblem) -> Array:
+    """Return E; missing rows are zeros if the last states follow from the controls, such as those of rate_limited."""
+    rows, dynamics = E.shape[-2], problem.linear
+    absent = dynamics.state_names[rows:]
+    if not absent or (dynamics.A[..., rows:, :].any() and not {*absent} <= {*(dynamics.known_states or ())}):
+        return E
+    return np.pad(E, ((0, 0),) * (E.ndim - 2) + ((0, len(absent)), (0, 0)))
 
 
 def _tighten(

@@ -219,3 +219,15 @@ def test_a_limit_that_loads_of_one_sign_move_away_from_is_judged_at_its_worst_ti
     assert (upper.index, upper.limit, upper.size) == (1, -2.0, pytest.approx(3.0))
     assert upper.violation == pytest.approx(1.0)
     assert not worst
+
+
+def test_an_input_of_the_plant_fits_filtered_controls_but_no_state_of_the_plant_may_be_left_out():
+    problem, E = tube(12, initial_state=[-5.0, 0.0]), [[0.0], [1.0]]
+    band = lfo.low_pass(cutoff=1.0)
+    filtered = lfo.filtered_control(problem, band, price=1e-3)
+    absent = filtered.state_dim - 2
+    plans = [lfo.robust(filtered, lfo.Disturbance(lfo.Box(-0.01, 0.01), rows)) for rows in (E, E + absent * [[0.0]])]
+    assert absent > 0
+    assert lfo.solve(plans[0]).cost == lfo.solve(plans[1]).cost
+    with pytest.raises(lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"):
+        lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.01, 0.01), E[1:]))
