@@ -125,8 +125,8 @@ class Plants(Uncertainty):
         trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
         assert trajectory is not None  # worst_case checks it
         n, u, found = problem.state_dim, trajectory.u, dict[str, list[Worst]]()
-        if u.shape != (problem.horizon, problem.control_dim):
-            raise ProblemError("plan", f"controls {u.shape}", f"shape {(problem.horizon, problem.control_dim)}")
+        if trajectory.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
+            problem.require(trajectory)
         starts = trajectory.x[0].reshape(-1, n)
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)
