@@ -158,9 +158,8 @@ class Disturbance(Uncertainty):
                 *([] if end is None else [invariant_end(problem, loop)]),
             ],
         } | tightened_spectra(problem, loop)
-        end_of_plan = (problem.terminal_box.fixed & (of_x(np.eye(n))[T] > 0)).any() or problem.terminal_state.links(
-            n, T
-        )
+        moved = np.maximum(of_x(np.eye(n))[T], of_x(-np.eye(n))[T]) > 0
+        end_of_plan = (problem.terminal_box.fixed & moved).any() or problem.terminal_state.links(n, T)
         if not end_of_plan:
             changes["terminal_state"] = _tighten(problem, "terminal_state", of_x, np.array([T]))
         stops = problem.control_stop.any() and loop.K.any(), problem.state_stop.any()

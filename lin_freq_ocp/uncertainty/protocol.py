@@ -38,7 +38,7 @@ class RobustProblem(OptimalControlProblem):
     ----------
     given : OptimalControlProblem
         With the limits as they were given, which ``worst_case`` judges.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     end : "invariant" or None
 
     Examples
@@ -86,7 +86,7 @@ def robust(
     ----------
     problem : OptimalControlProblem
         Of linear dynamics without modes, formulas or levels.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     end : "invariant", optional
         Plans of a ``Disturbance`` end in a set of rows from which they continue for ever, whatever the loads: then
         every step of a receding horizon has a plan. The terminal state must be free, and all limits constant.
@@ -136,7 +136,7 @@ def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: T
     ----------
     problem : OptimalControlProblem
         As it was given to ``robust``, not the tightened problem.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     plan : Trajectory or Result
         From any tool.
 
@@ -168,5 +168,5 @@ def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: T
 def _require_uncertainty(given: object) -> Uncertainty:
     if not isinstance(given, Uncertainty):
         advice = "Loads in a box are lfo.Disturbance(lfo.Box(lower, upper))."
-        raise ProblemError("uncertainty", brief(given), "a Disturbance or Plants", advice)
+        raise ProblemError("uncertainty", brief(given), "a Disturbance, Plants or Discs", advice)
     return given
