@@ -158,9 +158,9 @@ class Disturbance(Uncertainty):
                 *([] if end is None else [invariant_end(problem, loop)]),
             ],
         } | tightened_spectra(problem, loop)
-        moved = np.maximum(of_x(np.eye(n))[T], of_x(-np.eye(n))[T]) > 0
-        end_of_plan = (problem.terminal_box.fixed & moved).any() or problem.terminal_state.links(n, T)
-        if not end_of_plan:
+        moved, links = np.maximum(of_x(np.eye(n))[T], of_x(-np.eye(n))[T]) > 0, problem.terminal_state.links(n, T)
+        end_of_plan = (problem.terminal_box.fixed & moved).any() or links
+        if not links:
             changes["terminal_state"] = _tighten(problem, "terminal_state", of_x, np.array([T]))
         stops = problem.control_stop.any() and loop.K.any(), problem.state_stop.any()
         unkept = zip(("terminal_state", "control_spectrum", "state_spectrum"), (end_of_plan, *stops), strict=True)
@@ -198,7 +198,8 @@ def _tighten(
     names = problem.control_names if field == "control_set" else problem.state_names
     size, sets = len(names), list(given) if isinstance(given, Sequence) else [given] * len(times)
     box = {"state_set": problem.state_boxes, "control_set": problem.control_tube}.get(field) or problem.terminal_box
-    up, down = (margins(sign * np.eye(size))[times] for sign in (1.0, -1.0))
+    kept = box.fixed if field == "terminal_state" else False  # a fixed end is for the plan
+    up, down = (np.where(kept, 0.0, margins(sign * np.eye(size))[times]) for sign in (1.0, -1.0))
     lower, upper = (np.broadcast_to(side, up.shape) for side in box.bounds)
     low, high = np.where(np.isfinite(lower), lower + down, lower), np.where(np.isfinite(upper), upper - up, upper)
     wrong = low > high

@@ -208,6 +208,35 @@ def test_of_limits_that_are_equally_close_but_for_rounding_the_first_is_the_clos
     assert replace(worst, limits=(first, closer)).closest is first
 
 
+@pytest.mark.parametrize(
+    ("changes", "start"),
+    [
+        ({"terminal_state": lfo.Box([0.4, -0.1], [0.6, 0.1])}, None),
+        ({"terminal_state": lfo.Box([0.5, -0.05], [0.5, 0.05])}, None),
+        ({"terminal_state": lfo.Box([0.4, -0.1], [0.6, 0.1])}, 0.02),
+        ({"initial_state": lfo.Box([-0.2, 0.0], [0.0, 0.3]), "terminal_state": lfo.Box([0.3, -0.3], [0.5, 0.3])}, 0.02),
+    ],
+    ids=["end in a box", "position fixed", "uncertain start", "start in a box"],
+)
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.ClosedLoopWarning")
+def test_bounds_of_states_and_of_ends_that_share_multipliers_are_priced_once(changes, start):
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([0.3, 0.1]), R=1.0, x_ref=[0.6, 0.0])
+    states, fields = lfo.Box([-1, -0.32], [1, 0.32]), {"initial_state": [0.0, 0.0]} | changes
+    problem = lfo.OptimalControlProblem(dynamics, 20, cost, lfo.Box(-1, 1), states, **fields)
+
+    def plan(size: float) -> lfo.results.Result:
+        of_start = None if start is None else lfo.Box(-start * size, start * size)
+        loads = lfo.Box(-0.02 * size, 0.02 * size)
+        return lfo.solve(lfo.robust(problem, lfo.Disturbance(loads, dynamics.B, [[-1.0, -1.5]], of_start)))
+
+    found = plan(1.0)
+    worst = lfo.worst_case(problem, found.problem.uncertainty, found)
+    assert worst
+    assert worst.price > 0.01
+    assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
+
+
 def test_a_limit_that_loads_of_one_sign_move_away_from_is_judged_at_its_worst_time():
     """The plan stays at 0, its limit at t = 1 is -2, and the loads are -1 and -3: the worst one leaves -1."""
     sets, cost = [lfo.Box(-10, 10), lfo.Box(-10, -2)], lfo.QuadraticCost(R=1.0)
