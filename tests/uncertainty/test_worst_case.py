@@ -258,5 +258,7 @@ def test_an_input_of_the_plant_fits_filtered_controls_but_no_state_of_the_plant_
     plans = [lfo.robust(filtered, lfo.Disturbance(lfo.Box(-0.01, 0.01), rows)) for rows in (E, E + absent * [[0.0]])]
     assert absent > 0
     assert lfo.solve(plans[0]).cost == lfo.solve(plans[1]).cost
-    with pytest.raises(lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"):
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"
+    ):
         lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.01, 0.01), E[1:]))
