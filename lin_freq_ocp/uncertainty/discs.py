@@ -127,12 +127,10 @@ class Discs(Uncertainty):
         same: dict[str, object] = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
         return same | {"output_spectrum": [*entries_of(wide.output_spectrum), *found] or None}
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         radius, T = self.radii(problem), problem.horizon
-        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-        assert trajectory is not None  # worst_case checks it
-        u, limits, leaks = trajectory.u, list[Worst](), list[Worst]()
+        u, limits, leaks = plan.u, list[Worst](), list[Worst]()
         if u.shape != (T, problem.control_dim):
             raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
         translation = translation_of(problem)

@@ -169,14 +169,10 @@ class Disturbance(Uncertainty):
             warn_user(text, ClosedLoopWarning)
         return changes
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst loads do to a plan; see ``worst_case``."""
-        loop = self.error_loop(problem)
-        if isinstance(plan, Trajectory):
-            return worst_loads(problem, loop, plan)
-        assert plan.trajectory is not None  # worst_case checks it
-        own = plan.problem.uncertainty is self and plan.status.solved and not problem.control_spectrum
-        return worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
+        own = solved and solved.problem.uncertainty is self and solved.status.solved and not problem.control_spectrum
+        return worst_loads(problem, self.error_loop(problem), plan, solved.multipliers if solved and own else None)
 
 
 def _of_all_states(E: Array, problem: OptimalControlProblem) -> Array:

@@ -119,15 +119,13 @@ class Plants(Uncertainty):
             output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
         )
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         self._require(problem)
-        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-        assert trajectory is not None  # worst_case checks it
-        n, u, found = problem.state_dim, trajectory.u, dict[str, list[Worst]]()
-        if trajectory.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
-            problem.require(trajectory)
-        starts = trajectory.x[0].reshape(-1, n)
+        n, u, found = problem.state_dim, plan.u, dict[str, list[Worst]]()
+        if plan.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
+            problem.require(plan)
+        starts = plan.x[0].reshape(-1, n)
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)
             start = starts[min(k, len(starts) - 1)] if own.response is None else None

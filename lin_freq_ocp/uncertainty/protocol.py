@@ -26,8 +26,8 @@ class Uncertainty(ABC):
         """Return the fields in which the problem whose plans hold for all cases differs from a given one."""
 
     @abstractmethod
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
-        """Return what the worst case does to a plan, by the given limits."""
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
+        """Return what the worst case does to a plan, by the given limits; with the outcome that it is of, if any."""
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -162,7 +162,7 @@ def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: T
     trajectory = getattr(plan, "trajectory", plan)
     if not isinstance(trajectory, Trajectory):
         raise ProblemError("plan", brief(plan), "a Trajectory, or a result with one")
-    return _require_uncertainty(uncertainty).worst(problem, plan)
+    return _require_uncertainty(uncertainty).worst(problem, trajectory, plan if isinstance(plan, Outcome) else None)
 
 
 def _require_uncertainty(given: object) -> Uncertainty:
