@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
-from lin_freq_ocp.base.arrays import Array, Mask, to_shape
-from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.arrays import Array, Mask, brief, to_shape
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
+from lin_freq_ocp.certificate.hamiltonian import require_fitting
 from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, slopes
 from lin_freq_ocp.derivatives.equations import ChangedEquations, changed_equations
 from lin_freq_ocp.derivatives.exact_point import ExactPoint, exact_point
@@ -245,6 +246,9 @@ class SolutionDerivatives:
             of_z[linear.states : linear.signals] = to_shape("u", u, (T, m)).ravel()
         of_z *= scaling.cost * scaling.columns
         if multipliers is not None:
+            if not isinstance(multipliers, Multipliers):
+                raise ProblemError("multipliers", brief(multipliers), "Multipliers, such as those of a Derivative")
+            require_fitting(self.problem, multipliers)
             flat = np.append(linear.layout.flat(multipliers), 0.0)
             weighted = (flat[part.targets] * (1.0 if part.weights is None else part.weights) for part in linear.rows)
             of_rows = scaling.rows * np.concatenate([multipliers.eta.ravel(), *weighted])

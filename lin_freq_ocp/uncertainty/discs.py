@@ -43,7 +43,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
-from lin_freq_ocp.uncertainty.protocol import Uncertainty, trajectory_of
+from lin_freq_ocp.uncertainty.protocol import Uncertainty
 from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
 
 WORST_POWER = "worst case of the cost"
@@ -123,10 +123,12 @@ class Discs(Uncertainty):
         same: dict[str, object] = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
         return same | {"output_spectrum": [*entries_of(wide.output_spectrum), *found] or None}
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
-        radius, u = self.radii(problem), trajectory_of(problem, plan).u
-        limits, leaks = list[Worst](), list[Worst]()
+        radius, T = self.radii(problem), problem.horizon
+        u, limits, leaks = plan.u, list[Worst](), list[Worst]()
+        if u.shape != (T, problem.control_dim):
+            raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
         translation = translation_of(problem)
         problem = translation.problem
         response, nominal = _response(problem), simulate(problem, u)

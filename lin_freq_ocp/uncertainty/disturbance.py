@@ -51,7 +51,8 @@ class Disturbance(Uncertainty):
         The loads of each time, of one bounded set or of the convex hull of measured samples; or records over time, or
         Gaussian loads, for which each limit at each time by itself holds with a probability.
     input : (n, k), or (T, n, k), optional
-        E. Default: a load in every state.
+        E; rows of states that ``rate_limited`` or ``filtered_control`` adds may be absent. Default: a load in every
+        state.
     gain : "auto", (m, n), or None
         K. "auto" takes, of the regulators of 25 weights of the controls, the one whose largest margin is the smallest
         share of its range. None for K = 0: the plan acts as it is.
@@ -118,7 +119,8 @@ class Disturbance(Uncertainty):
     def error_loop(self, problem: OptimalControlProblem) -> ErrorLoop:
         """Return the loop of x - z for a problem, with its gain."""
         n, T = problem.state_dim, problem.horizon
-        E = np.eye(n) if self.input is None else to_shape("disturbance.input", self.input, (n, self.input.shape[-1]), T)
+        E = np.eye(n) if self.input is None else _of_all_states(self.input, problem)
+        E = to_shape("disturbance.input", E, (n, E.shape[-1]), T)
         loads = loads_of(self.set, E.shape[-1])
         if loads.horizon not in (None, T):
             expected = f"one load for each of the {T} steps of the horizon"
@@ -158,10 +160,9 @@ class Disturbance(Uncertainty):
                 *([] if end is None else [invariant_end(problem, loop)]),
             ],
         } | tightened_spectra(problem, loop)
-        end_of_plan = (problem.terminal_box.fixed & (of_x(np.eye(n))[T] > 0)).any() or problem.terminal_state.links(
-            n, T
-        )
-        if not end_of_plan:
+        moved, links = np.maximum(of_x(np.eye(n))[T], of_x(-np.eye(n))[T]) > 0, problem.terminal_state.links(n, T)
+        end_of_plan = (problem.terminal_box.fixed & moved).any() or links
+        if not links:
             changes["terminal_state"] = _tighten(problem, "terminal_state", of_x, np.array([T]))
         stops = problem.control_stop.any() and loop.K.any(), problem.state_stop.any()
         unkept = zip(("terminal_state", "control_spectrum", "state_spectrum"), (end_of_plan, *stops), strict=True)
@@ -170,14 +171,19 @@ class Disturbance(Uncertainty):
             warn_user(text, ClosedLoopWarning)
         return changes
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst loads do to a plan; see ``worst_case``."""
-        loop = self.error_loop(problem)
-        if isinstance(plan, Trajectory):
-            return worst_loads(problem, loop, plan)
-        assert plan.trajectory is not None  # worst_case checks it
-        own = plan.problem.uncertainty is self and plan.status.solved and not problem.control_spectrum
-        return worst_loads(problem, loop, plan.trajectory, plan.multipliers if own else None)
+        own = solved and solved.problem.uncertainty is self and solved.status.solved and not problem.control_spectrum
+        return worst_loads(problem, self.error_loop(problem), plan, solved.multipliers if solved and own else None)
+
+
+def _of_all_states(E: Array, problem: OptimalControlProblem) -> Array:
+    """Return E; missing rows are zeros if the last states follow from the controls, such as those of rate_limited."""
+    rows, dynamics = E.shape[-2], problem.linear
+    absent = dynamics.state_names[rows:]
+    if not absent or (dynamics.A[..., rows:, :].any() and not {*absent} <= {*(dynamics.known_states or ())}):
+        return E
+    return np.pad(E, ((0, 0),) * (E.ndim - 2) + ((0, len(absent)), (0, 0)))
 
 
 def _tighten(
@@ -190,7 +196,8 @@ def _tighten(
     names = problem.control_names if field == "control_set" else problem.state_names
     size, sets = len(names), list(given) if isinstance(given, Sequence) else [given] * len(times)
     box = {"state_set": problem.state_boxes, "control_set": problem.control_tube}.get(field) or problem.terminal_box
-    up, down = (margins(sign * np.eye(size))[times] for sign in (1.0, -1.0))
+    kept = box.fixed if field == "terminal_state" else False  # a fixed end is for the plan
+    up, down = (np.where(kept, 0.0, margins(sign * np.eye(size))[times]) for sign in (1.0, -1.0))
     lower, upper = (np.broadcast_to(side, up.shape) for side in box.bounds)
     low, high = np.where(np.isfinite(lower), lower + down, lower), np.where(np.isfinite(upper), upper - up, upper)
     wrong = low > high

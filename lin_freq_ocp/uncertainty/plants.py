@@ -27,7 +27,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
-from lin_freq_ocp.uncertainty.protocol import Uncertainty, trajectory_of
+from lin_freq_ocp.uncertainty.protocol import Uncertainty
 from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
 
 
@@ -115,12 +115,13 @@ class Plants(Uncertainty):
             output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
         )
 
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         self._require(problem)
-        trajectory = trajectory_of(problem, plan)
-        n, u, found = problem.state_dim, trajectory.u, dict[str, list[Worst]]()
-        starts = trajectory.x[0].reshape(-1, n)
+        n, u, found = problem.state_dim, plan.u, dict[str, list[Worst]]()
+        if plan.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
+            problem.require(plan)
+        starts = plan.x[0].reshape(-1, n)
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)
             start = starts[min(k, len(starts) - 1)] if own.response is None else None

@@ -26,8 +26,8 @@ class Uncertainty(ABC):
         """Return the fields in which the problem whose plans hold for all cases differs from a given one."""
 
     @abstractmethod
-    def worst(self, problem: OptimalControlProblem, plan: Trajectory | Outcome) -> WorstCase:
-        """Return what the worst case does to a plan, by the given limits."""
+    def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
+        """Return what the worst case does to a plan, by the given limits; with the outcome that it is of, if any."""
 
     def require_plain(self, problem: OptimalControlProblem, end: object) -> None:
         """Raise UnsupportedError unless cost and rows are quadratic and linear, and no invariant end is asked for."""
@@ -39,16 +39,6 @@ class Uncertainty(ABC):
             raise UnsupportedError(f"{got}; expected a quadratic cost and linear rows.")
 
 
-def trajectory_of(problem: OptimalControlProblem, plan: Trajectory | Outcome) -> Trajectory:
-    """Return the trajectory of a plan, which ``worst_case`` has checked, with controls of the problem's shape."""
-    trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-    assert trajectory is not None
-    expected = problem.horizon, problem.control_dim
-    if trajectory.u.shape != expected:
-        raise ProblemError("plan", f"controls {trajectory.u.shape}", f"shape {expected}")
-    return trajectory
-
-
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class RobustProblem(OptimalControlProblem):
     """An ordinary problem with the limits of ``robust``, and what it is made of, which ``replace`` keeps.
@@ -57,7 +47,7 @@ class RobustProblem(OptimalControlProblem):
     ----------
     given : OptimalControlProblem
         With the limits as they were given, which ``worst_case`` judges.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     end : "invariant" or None
 
     Examples
@@ -105,7 +95,7 @@ def robust(
     ----------
     problem : OptimalControlProblem
         Of linear dynamics without modes, formulas or levels.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     end : "invariant", optional
         Plans of a ``Disturbance`` end in a set of rows from which they continue for ever, whatever the loads: then
         every step of a receding horizon has a plan. The terminal state must be free, and all limits constant.
@@ -155,7 +145,7 @@ def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: T
     ----------
     problem : OptimalControlProblem
         As it was given to ``robust``, not the tightened problem.
-    uncertainty : Disturbance or Plants
+    uncertainty : Disturbance, Plants or Discs
     plan : Trajectory or Result
         From any tool.
 
@@ -181,11 +171,11 @@ def worst_case(problem: OptimalControlProblem, uncertainty: Uncertainty, plan: T
     trajectory = getattr(plan, "trajectory", plan)
     if not isinstance(trajectory, Trajectory):
         raise ProblemError("plan", brief(plan), "a Trajectory, or a result with one")
-    return _require_uncertainty(uncertainty).worst(problem, plan)
+    return _require_uncertainty(uncertainty).worst(problem, trajectory, plan if isinstance(plan, Outcome) else None)
 
 
 def _require_uncertainty(given: object) -> Uncertainty:
     if not isinstance(given, Uncertainty):
         advice = "Loads in a box are lfo.Disturbance(lfo.Box(lower, upper))."
-        raise ProblemError("uncertainty", brief(given), "a Disturbance or Plants", advice)
+        raise ProblemError("uncertainty", brief(given), "a Disturbance, Plants or Discs", advice)
     return given

@@ -204,6 +204,7 @@ class LimitRows:
     limits: Array  # (T+1, rows)
     term: str = ""  # whose multipliers they have
     signs: Indices | None = None  # -1: lower limits, multiplied by -1
+    others: Array | float = np.inf  # other limits of the same values, without margins: the least one has the multiplier
 
     def values(self, x: Array, u: Array) -> Array:
         """Return C x_t + D u_t, (T+1, rows), with a control of zero at time T."""
@@ -211,7 +212,7 @@ class LimitRows:
 
     def closest(self, x: Array, u: Array, margins: Array) -> Iterator[tuple[Worst, Array, Array]]:
         """Yield each limit at the time at which a trajectory and its margins are closest to it, with its row."""
-        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + margins
+        sizes = replace(self, C=np.abs(self.C), D=np.abs(self.D)).values(np.abs(x), np.abs(u)) + np.abs(margins)
         planned = self.values(x, u)
         for i in np.flatnonzero(np.isfinite(self.limits).any(axis=0)).tolist():
             violations = (planned + margins - self.limits)[:, i]
@@ -225,12 +226,11 @@ class LimitRows:
 
     def price(self, margins: Array, multipliers: Multipliers) -> float:
         """Return the sum of multipliers times margins: the slope of the cost in the size of the loads."""
-        bounded = np.isfinite(self.limits)
         if self.signs is None:
             weights = multipliers.stage.get(self.term)
-            return 0.0 if weights is None else float((weights * margins[bounded.any(axis=1)]).sum())
+            return 0.0 if weights is None else float((weights * margins[np.isfinite(self.limits).any(axis=1)]).sum())
         weights = np.maximum(self.signs * np.tile(multipliers.mu if self.C.any() else multipliers.nu, 2), 0.0)
-        return float((weights * (margins * bounded)[: len(weights)]).sum())
+        return float((weights * (margins * (self.limits - margins < self.others))[: len(weights)]).sum())
 
 
 def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
@@ -242,14 +242,18 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     ends, end = problem.terminal_box, np.full((T + 1, 2 * n), np.inf)
     end[T] = np.where(np.tile(ends.fixed & moved, 2), np.inf, np.append(ends.upper, -ends.lower))
     of_x, of_u = (np.hstack([box.upper, -box.lower]) for box in (problem.state_boxes, problem.control_tube))
+    at_start, at_end = (np.append(box.upper, -box.lower) for box in (problem.initial_box, ends))
+    by_end = at_end <= of_x[T]  # limits of which one of the two at the end has the multipliers
+    others = np.vstack([at_start, end[1:T], np.where(by_end, -np.inf, np.inf)])
     of_x = of_x if bounded_start else np.vstack([end[:1], of_x[1:]])
     of_u = np.pad(of_u, ((0, 1), (0, 0)), constant_values=np.inf)
     C, D = (np.vstack([np.eye(k), -np.eye(k)]) for k in (n, m))
     states = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.state_names]
     controls = [f"{short_name(name)}, {side}" for side in ("upper", "lower") for name in problem.control_names]
-    yield LimitRows(states, C, np.zeros((2 * n, m)), of_x, signs=np.repeat((1, -1), n))
+    yield LimitRows(states, C, np.zeros((2 * n, m)), of_x, signs=np.repeat((1, -1), n), others=others)
     yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
-    yield LimitRows([f"end of {name}" for name in states], C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n))
+    names, others = [f"end of {name}" for name in states], np.where(by_end, np.inf, -np.inf)
+    yield LimitRows(names, C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n), others=others)
     for term in problem.terms:
         found = term.polyhedron(n, m)
         if found is None or term.kind.is_link:

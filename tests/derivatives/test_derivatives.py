@@ -225,6 +225,14 @@ def replace_multipliers(given: lfo.results.Multipliers, **fields: np.ndarray) ->
     return lfo.results.Multipliers(1.0, **({name: getattr(given, name) for name in names} | fields))
 
 
+def test_weights_that_are_no_multipliers_of_the_problem_are_refused():
+    found, other = exact(random_problem(1)), exact(tracking()).multipliers
+    with pytest.raises(lfo.errors.ProblemError, match="multipliers: got 3; expected Multipliers"):
+        found.vjp(multipliers=3)
+    with pytest.raises(lfo.errors.ProblemError, match=r"multipliers: got eta \(.*\); expected eta \("):
+        found.vjp(multipliers=other)
+
+
 def test_weights_of_the_multipliers_of_a_mask_by_differences():
     rng = np.random.default_rng(0)
     found = exact(limited("mask on u_0", 1.0))

@@ -140,3 +140,11 @@ def test_what_plants_do_not_take_is_unsupported():
     ):
         with pytest.raises(lfo.errors.UnsupportedError):
             lfo.robust(replace(move(), **changes), lfo.Plants(ARMS), end=end)
+
+
+def test_a_plan_with_other_states_is_refused_with_the_shapes():
+    problem = lfo.library.double_integrator(horizon=4, cutoff_hz=None, terminal_state=None)
+    plan = lfo.Trajectory(np.zeros((5, 3)), np.zeros((4, 1)))
+    message = r"trajectory: got x \(5, 3\), u \(4, 1\); expected x \(5, 2\), u \(4, 1\)"
+    with pytest.raises(lfo.errors.ProblemError, match=message):
+        lfo.worst_case(problem, lfo.Plants([problem.dynamics] * 2), plan)

@@ -66,7 +66,7 @@ Records, Gaussian = lfo.uncertainty.Records, lfo.uncertainty.Gaussian
         (lambda: Disturbance(Gaussian([[1.0, 2.0], [2.0, 1.0]], 0.9)), "Gaussian.covariance: .*positive semidefinite"),
         (lambda: Disturbance(Gaussian([[1.0, 0.0], [0.5, 1.0]], 0.9)), "Gaussian.covariance: .*symmetric"),
         (lambda: Disturbance(Gaussian(np.eye(2), 0.5)), "Gaussian.probability: got 0.5; expected one number above 0.5"),
-        (lambda: lfo.sets.Ball(0.1), "uncertainty: got Ball.*expected a Disturbance or Plants"),
+        (lambda: lfo.sets.Ball(0.1), "uncertainty: got Ball.*expected a Disturbance, Plants or Discs"),
     ],
 )
 def test_what_is_no_disturbance_is_refused_with_the_field(make, message):
@@ -149,6 +149,16 @@ def test_fixed_ends_are_for_the_plan_with_one_warning():
     assert worst
     assert worst.end.min() > 0.05
     assert "end of the plan" in str(worst)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_fixed_ends_are_for_the_plan_whatever_the_sign_of_the_loads(sign):
+    load = Disturbance([[sign * 0.01, 0.0], [sign * 0.03, 0.0]], gain=None)
+    problem = tube(12, terminal_state=[0.0, 0.0])
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="robust: terminal_state hold for the plan"):
+        plan = lfo.robust(problem, load)
+    found = lfo.solve(plan)
+    assert lfo.worst_case(problem, load, found).end[0] == pytest.approx(12 * 0.03)
 
 
 def test_equal_bounds_one_step_and_states_without_bounds():

@@ -173,9 +173,10 @@ def test_numbers_of_limits_set_the_given_limits(file):
     assert position["planned"] + position["margin"] < 1.5
 
 
-def test_rate_limits_of_a_file_hold_for_all_loads(file):
+@pytest.mark.parametrize("of_last_control", ["", ", [0.0, 0.0]"], ids=["input of the plant", "input of all states"])
+def test_rate_limits_of_a_file_hold_for_all_loads(file, of_last_control):
     problem = lfo.read_problem(
-        file("set = {lower = -0.02, upper = 0.02}\ninput = [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]"),
+        file(f"set = {{lower = -0.02, upper = 0.02}}\ninput = [[1.0, 0.0], [0.0, 1.0]{of_last_control}]"),
         {"rate_limit": {"limit": 0.6, "previous": 0.0}, "initial_state": [-5.0, 0.0]},
     )
     plan, K = lfo.solve(problem).trajectory, problem.uncertainty.feedback(problem.given)

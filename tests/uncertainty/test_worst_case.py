@@ -206,3 +206,59 @@ def test_of_limits_that_are_equally_close_but_for_rounding_the_first_is_the_clos
     closer = replace(first, margin=first.margin + 1e-12 * first.size)
     assert closer.violation > first.violation
     assert replace(worst, limits=(first, closer)).closest is first
+
+
+@pytest.mark.parametrize(
+    ("changes", "start"),
+    [
+        ({"terminal_state": lfo.Box([0.4, -0.1], [0.6, 0.1])}, None),
+        ({"terminal_state": lfo.Box([0.5, -0.05], [0.5, 0.05])}, None),
+        ({"terminal_state": lfo.Box([0.4, -0.1], [0.6, 0.1])}, 0.02),
+        ({"initial_state": lfo.Box([-0.2, 0.0], [0.0, 0.3]), "terminal_state": lfo.Box([0.3, -0.3], [0.5, 0.3])}, 0.02),
+    ],
+    ids=["end in a box", "position fixed", "uncertain start", "start in a box"],
+)
+@pytest.mark.filterwarnings("ignore::lin_freq_ocp.errors.ClosedLoopWarning")
+def test_bounds_of_states_and_of_ends_that_share_multipliers_are_priced_once(changes, start):
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    cost = lfo.QuadraticCost(Q=np.diag([0.3, 0.1]), R=1.0, x_ref=[0.6, 0.0])
+    states, fields = lfo.Box([-1, -0.32], [1, 0.32]), {"initial_state": [0.0, 0.0]} | changes
+    problem = lfo.OptimalControlProblem(dynamics, 20, cost, lfo.Box(-1, 1), states, **fields)
+
+    def plan(size: float) -> lfo.results.Result:
+        of_start = None if start is None else lfo.Box(-start * size, start * size)
+        loads = lfo.Box(-0.02 * size, 0.02 * size)
+        return lfo.solve(lfo.robust(problem, lfo.Disturbance(loads, dynamics.B, [[-1.0, -1.5]], of_start)))
+
+    found = plan(1.0)
+    worst = lfo.worst_case(problem, found.problem.uncertainty, found)
+    assert worst
+    assert worst.price > 0.01
+    assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
+
+
+def test_a_limit_that_loads_of_one_sign_move_away_from_is_judged_at_its_worst_time():
+    """The plan stays at 0, its limit at t = 1 is -2, and the loads are -1 and -3: the worst one leaves -1."""
+    sets, cost = [lfo.Box(-10, 10), lfo.Box(-10, -2)], lfo.QuadraticCost(R=1.0)
+    dynamics = lfo.LinearDynamics([[1.0]], [[1.0]])
+    problem = lfo.OptimalControlProblem(dynamics, 1, cost, state_set=sets, initial_state=0.0)
+    plan = lfo.Trajectory([[0.0], [0.0]], [[0.0]])
+    worst = lfo.worst_case(problem, lfo.Disturbance([[-1.0], [-3.0]], gain=None), plan)
+    upper = worst["x_0, upper"]
+    assert (upper.index, upper.limit, upper.size) == (1, -2.0, pytest.approx(3.0))
+    assert upper.violation == pytest.approx(1.0)
+    assert not worst
+
+
+def test_an_input_of_the_plant_fits_filtered_controls_but_no_state_of_the_plant_may_be_left_out():
+    problem, E = tube(12, initial_state=[-5.0, 0.0]), [[0.0], [1.0]]
+    band = lfo.low_pass(cutoff=1.0)
+    filtered = lfo.filtered_control(problem, band, price=1e-3)
+    absent = filtered.state_dim - 2
+    plans = [lfo.robust(filtered, lfo.Disturbance(lfo.Box(-0.01, 0.01), rows)) for rows in (E, E + absent * [[0.0]])]
+    assert absent > 0
+    assert lfo.solve(plans[0]).cost == lfo.solve(plans[1]).cost
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"
+    ):
+        lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.01, 0.01), E[1:]))

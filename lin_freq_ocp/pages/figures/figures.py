@@ -73,7 +73,7 @@ def result_data(result: Outcome) -> PlotData:
     plan = Trace(shown.label, shown, look.STYLES[CONSTRAINED])
     if given is problem or not isinstance(problem, RobustProblem):
         return PlotData(problem, (plan,))
-    worst = problem.uncertainty.worst(given, result).closest
+    worst = problem.uncertainty.worst(given, shown.trajectory, None).closest
     if worst is None or worst.trajectory is None:
         return PlotData(given, (plan,), problem)
     under = MeasuredTrajectory("worst load", given, worst.trajectory)
