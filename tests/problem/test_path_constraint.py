@@ -125,7 +125,7 @@ def test_families_need_different_names():
 
 
 def test_families_without_a_name_are_numbered():
-    rows, others = [lfo.sets.StageRows(C=np.eye(2), e=[1.0, 1.0])], [PathConstraint("x_1", name="a")]
+    rows, others = [lfo.sets.StageRows(C=np.eye(4), e=np.ones(4))], [PathConstraint("x_1", name="a")]
     problem = replace(mass(), stage_rows=[*2 * rows, *others, PathConstraint("x_0"), PathConstraint("x_0 - 1")])
     numbered = ["stage rows 1", "stage rows 2", "a", "path constraint 1", "path constraint 2"]
     assert [one.name for one in problem.stage_rows] == numbered
