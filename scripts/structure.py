@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_484,
-    "code lines": 47_061,
-    "code lines, linear part": 22_406,
+    "shipped lines": 50_483,
+    "code lines": 47_060,
+    "code lines, linear part": 22_404,
     "code lines, hybrid": 8_776,
     SHARE_SAID: 19.5,  # at least
     "files": 343,

@@ -50,8 +50,9 @@ def shaper_command(
     status = console.INTERRUPTED if found.interrupted else console.PROVEN
     if not as_json:  # before the second search
         console.print_lines(str(found))
-    further = other is not None and other != bands and not found.interrupted
-    second = shaper(other, damping, vibration, impulses) if further else None
+    second = None
+    if other is not None and other != bands and not found.interrupted:
+        second = shaper(other, damping, vibration, impulses)
     if as_json:
         console.print_json(_summary(found) | ({} if second is None else {"other_bands": _summary(second)}))
     elif second is not None:

@@ -69,7 +69,7 @@ BAD_IN_A_PROBLEM = [
     ([lfo.StageRows(ROW, None, [1.0]), lfo.StageRows(None, ROW, [1.0], "b")], "stage_rows[1].D", f"(1, {M})"),
     (lfo.StageRows(np.ones((T + 1, 1, N)), None, [1.0]), "stage_rows.C", f"({T}, 1, {N})"),
     (lfo.StageRows(ROW, None, np.ones((T + 1, 1))), "stage_rows.e", f"{T} steps"),
-    ([lfo.StageRows(ROW, None, [1.0])] * 2, "stage_rows", "a different name"),
+    ([lfo.StageRows(ROW, None, [1.0], "a")] * 2, "stage_rows", "a different name"),
     (lfo.StageRows(0 * ROW, None, [-1.0]), "stage_rows.e", "row 0,"),
     (lfo.StageRows(0 * ROW, None, np.where(np.arange(T) == 3, -1, 0)[:, None]), "stage_rows.e", "row 0 at t = 3,"),
 ]

@@ -45,7 +45,7 @@ from lin_freq_ocp.formulas.nodes import (
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, SUM, TIME, VARIABLE
 from lin_freq_ocp.formulas.text import Formulas, formula_from_text, listed_formulas, read_definitions
 from lin_freq_ocp.problem.sets.box import END_TOLERANCE
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
+from lin_freq_ocp.problem.sets.stage_rows import UNNAMED, StageRows
 from lin_freq_ocp.problem.terms.maps import AffineMap, Shapes, StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import weight_of
@@ -92,12 +92,11 @@ class PathConstraint(StageRows):
     h: object  # tuple of Formula in a problem
     convex: bool
     let: object
-    _unnamed = "path constraint"
 
     def __init__(
         self,
         h: Formulas,
-        name: str = _unnamed,
+        name: str = UNNAMED[1],
         upper: ArrayLike = 0.0,
         price: float | None = None,
         convex: bool = False,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +35,8 @@ from lin_freq_ocp.problem.terms.maps import StageMap
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces
 from lin_freq_ocp.problem.terms.penalty import weight_of
 from lin_freq_ocp.problem.terms.term import LinearRows, Term, TermKind
+
+UNNAMED = "stage rows", "path constraint"  # names of families that are given none
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -85,14 +86,13 @@ class StageRows:
     e: Array
     name: str
     penalty: float | None
-    _unnamed: ClassVar[str] = "stage rows"
 
     def __init__(
         self,
         C: ArrayLike | None = None,
         D: ArrayLike | None = None,
         e: ArrayLike | None = None,
-        name: str = _unnamed,
+        name: str = UNNAMED[0],
         penalty: float | None = None,
     ):
         printable("stage_rows.name", name, empty="")
@@ -216,8 +216,8 @@ def row_families(given: StageRows | Sequence[StageRows] | None, n: int, m: int, 
         raise ProblemError("stage_rows", brief(given), "StageRows, PathConstraint, a sequence of them, or None")
     own = [rows.name for rows in given]
     names = [
-        f"{name} {own[: i + 1].count(name)}" if name == rows._unnamed and own.count(name) > 1 else name
-        for i, (name, rows) in enumerate(zip(own, given, strict=True))
+        f"{name} {own[: i + 1].count(name)}" if name in UNNAMED and own.count(name) > 1 else name
+        for i, name in enumerate(own)
     ]
     if len(set(names)) != len(names):
         raise ProblemError("stage_rows", f"the names {brief(names)}", "a different name for each", "Give name=.")
