@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_483,
-    "code lines": 47_060,
+    "shipped lines": 50_482,
+    "code lines": 47_059,
     "code lines, linear part": 22_404,
     "code lines, hybrid": 8_776,
     SHARE_SAID: 19.5,  # at least

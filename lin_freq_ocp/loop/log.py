@@ -32,7 +32,6 @@ from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, translation_of
 
 MORE_DIGITS = re.compile(rf"(?<![0-9.])0*\.?0*[1-9](\.?[0-9]){{{REALS['float'].digits},}}")  # than float has
-ANOTHER = 1e-2  # difference above which a logged control is not that of the step: controllers in float differ by less
 STEPS_AT_ONCE = 1000  # steps whose plans are kept until they are judged: some kB each
 
 
@@ -275,7 +274,7 @@ def _windowed_verdicts(
         found = planner.plan(begin, None if change.references is None else change, UNLIMITED)
         moved = planner.shift(begin, log.rounding, rounding)
         apart = _difference(planner.stated, log.rounding, begin, log.controls[k], found.trajectory, moved)
-        acted = status <= StepStatus.SOFTENED and apart > max(tolerance, ANOTHER)
+        acted = status <= StepStatus.SOFTENED and apart > tolerance
         held = acted or planner.hold(begin, log.controls[k]) or found.raised > rounding
         planner.apply(log.controls[k])
         if status is StepStatus.NO_STATE or not found.plan.settled:
