@@ -9,6 +9,7 @@ for multipliers lambda of any sign.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -26,6 +27,7 @@ from lin_freq_ocp.problem.spectrum.bands import time_signal
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.simulation import motions_at_rest, reach_of_bounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,21 +181,69 @@ class Extremal:
         return cost
 
     @cached_property
-    def cost_and_terms(self) -> tuple[Array, Array]:
-        """J, and the sum of the absolute values of its terms; a time has one quadratic term."""
-        x, u = split_signals(self.z, self.problem.state_dim)
-        linear = self.problem.quadratic.linear_slopes(self.problem.horizon)
-        quadratic = 0.5 * (self.deviations * self.bent).sum(-1)
-        parts = [quadratic[..., None], *([] if linear is None else [linear * self.z])]
-        parts += [self.problem.cost.formula_values(x, u)[:, None]] if self.problem.cost.has_formulas else []
-        for term, values in ((one.term, one.values) for one in self.terms if not one.term.hard):
-            parts.append((term.penalty.cost(values) if term.semi_infinite is None else term.cost(x, u))[..., None])
-        return np.sum([*map(total, parts)], axis=0), np.sum([total(np.abs(part)) for part in parts], axis=0)
+    def cost_and_size(self) -> tuple[Array, Array]:
+        """J, and the sum of the sizes of its terms."""
+        return cost_and_size(self.problem, self.z, (self.deviations, self.bent, [one.values for one in self.terms]))
 
     @property
     def cost(self) -> float:
         """Return J of one trajectory."""
-        return float(self.cost_and_terms[0])
+        return float(self.cost_and_size[0])
+
+
+def cost_and_size(
+    problem: OptimalControlProblem, z: Array, known: tuple[Array, Array, Sequence[Array]] | None = None
+) -> tuple[Array, Array]:
+    """Return J, and the sum of the sizes of its terms; the quadratic part is a single term at each time.
+
+    The size of a term is its absolute value, but at most the difference that bounds and dynamics let it have on another
+    trajectory. A linear cost of a state has no value of its own, which would depend on where the zero of the state is:
+    its size is its difference from the nearest of the motions at rest.
+
+    Parameters
+    ----------
+    z : (..., T+1, n + m)
+        Stacked signals.
+    known : tuple, optional
+        If they are known: z less the references, the slopes of the quadratic part, and the values of the terms there.
+    """
+    n, cost, (reach, varied) = problem.state_dim, problem.quadratic, _reach_and_variation(problem)
+    (x, u), slopes = split_signals(z, n), cost.linear_slopes(problem.horizon)
+    if known is None:
+        deviations = cost.deviations_of(z)
+        known = deviations, cost.bend(deviations), [term.map.values(x, u) for term in problem.terms]
+    deviations, bent, values = known
+    stages, formulas = 0.5 * (deviations * bent).sum(-1), problem.cost.formula_values(x, u)
+    price = stages.sum(-1) + formulas.sum(-1)
+    size = np.minimum(np.abs(stages), (np.abs(bent) * reach).sum(-1) + varied).sum(-1) + np.abs(formulas).sum(-1)
+    for term, at in zip(problem.terms, values, strict=True):
+        paid = term.penalty.cost(at) if term.semi_infinite is None else term.cost(x, u)
+        if paid.any():
+            price, size = price + paid.sum(-1), size + _size_of_price(term, at, paid, split_signals(reach, n)).sum(-1)
+    if slopes is not None:
+        box = problem.initial_box
+        start = np.where(box.fixed, x[..., 0, :], box.project(np.zeros_like(box.lower)))
+        moved = np.fmin.reduce([np.abs(x - motion) for motion in motions_at_rest(problem, start)])
+        moved = np.minimum(stack_signals(moved, np.abs(u)), reach)
+        price, size = price + total(slopes * z), size + total(np.abs(slopes) * moved)
+    return np.asarray(price, dtype=np.float64), np.asarray(size, dtype=np.float64)
+
+
+@lru_cache(maxsize=2)
+def _reach_and_variation(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return ``reach_of_bounds``, and what the curvature of the cost makes of it, (T+1,)."""
+    reach = reach_of_bounds(problem)
+    return reach, 0.5 * (reach * problem.quadratic.magnitudes.bend(reach)).sum(-1)
+
+
+def _size_of_price(term: Term, values: Array, paid: Array, apart: tuple[Array, Array]) -> Array:
+    """Return the sizes of what groups of a term cost, (..., groups)."""
+    if term.semi_infinite is not None:  # its price is that of a peak
+        return np.abs(paid)
+    change = term.map.sizes(*apart) - term.map.sizes(*(np.zeros_like(part) for part in apart))
+    with np.errstate(over="ignore", invalid="ignore"):
+        others = [np.abs(term.penalty.cost(values + sign * change) - paid) for sign in (-1, 1)]
+    return np.fmin(np.abs(paid), np.fmax(*others))
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:

@@ -15,10 +15,11 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals, with_fields
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
-from lin_freq_ocp.certificate.reach import Pair, constant_radii
+from lin_freq_ocp.certificate.reach import Pair
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, RADIUS_MARGIN
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Extremals
+from lin_freq_ocp.transform.simulation import constant_radii
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
     """Judge trajectories from initial states (N, n) of a problem that differs in the initial state only."""
     with np.errstate(over="ignore", invalid="ignore"):
         extremal = _extremal_from(problem, starts, extremals)
-        costs, scale = extremal.cost_and_terms
+        costs, scale = extremal.cost_and_size
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
         gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)

@@ -18,13 +18,12 @@ from lin_freq_ocp.certificate.tolerances import (
     MOST_BENT,
     NEGLIGIBLE_SHARE,
     NUMERICAL_REACH,
-    POWER_BLOCK,
     RADIUS_MARGIN,
 )
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.simulation import simulate
+from lin_freq_ocp.transform.simulation import constant_radii, simulate
 
 Pair = tuple[Array, Array]
 Rows = dict[int, list[Pair]]  # per time, rows of (x_t, u_t) and how far their values can rise
@@ -487,23 +486,3 @@ def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius
             transition = A @ transition
             spread.append(np.einsum("sij,sj->i", np.abs(responses), inputs[: t + 1]) + np.abs(transition) @ radius_0)
         return np.array(spread)
-
-
-def constant_radii(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:
-    """Return the same for constant dynamics and radii of inputs (m + n,), with powers of A by blocks.
-
-    For k starts and inputs, (n, k) and (m + n, k): (T+1, n, k).
-    """
-    A, B, _ = dynamics.at(0)
-    n, count = len(A), min(POWER_BLOCK, T + 1)
-    powers = np.eye(n)[None]
-    while len(powers) < count:
-        powers = np.concatenate([powers, powers[: count - len(powers)] @ (A @ powers[-1])])
-    inputs, whole, first = np.hstack([B, np.eye(n)]), A @ powers[-1], np.eye(n)
-    of_inputs, of_start = np.empty((T + 1, *radius_0.shape)), np.empty((T + 1, *radius_0.shape))
-    for start in range(0, T + 1, count):
-        block = powers[: T + 1 - start] @ first
-        of_start[start : start + count] = np.abs(block) @ radius_0
-        of_inputs[start : start + count] = np.abs(block @ inputs) @ largest
-        first = whole @ first
-    return np.concatenate([np.zeros((1, *radius_0.shape)), np.cumsum(of_inputs[:-1], axis=0)]) + of_start

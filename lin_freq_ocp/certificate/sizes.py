@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals
-from lin_freq_ocp.certificate.hamiltonian import Extremal
+from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_and_size
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
     DATA_ROUNDING,
@@ -28,6 +28,7 @@ from lin_freq_ocp.certificate.tolerances import (
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.transform.simulation import reach_of_bounds
 
 Sizes = tuple[Array, Array]  # of states (n,) and of controls (m,)
 
@@ -35,24 +36,26 @@ Sizes = tuple[Array, Array]  # of states (n,) and of controls (m,)
 def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), all above zero.
 
-    The size of a component is the largest of its values, fixed ends, references, offsets and levels. A component
-    without such data may stay near zero. Its size is then the value that changes other components by their sizes within
-    the horizon. If it acts on none, its size is the value that costs as much as the whole trajectory. If the trajectory
-    is zero and there are no data, the size is that of the origin, or 1.
+    The size of a component is the largest of its values, fixed ends, references, as far as bounds let it reach them,
+    offsets and levels. A component without such data may stay near zero. Its size is then the value that changes other
+    components by their sizes within the horizon. If it acts on none, its size is the value that costs as much as the
+    whole trajectory. If the trajectory is zero and there are no data, the size is that of the origin, or 1.
     """
     n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
+    values, reach = largest_over_time(np.abs(stack_signals(trajectory.x, trajectory.u))), reach_of_bounds(problem)
+    references = np.minimum(references, values + reach.max(axis=0))
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
     in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
         in_data[:n] = np.maximum(in_data[:n], np.where(end.fixed, np.abs(end.lower), 0.0))
-    known = np.maximum(in_data, largest_over_time(np.abs(stack_signals(trajectory.x, trajectory.u))))
+    known = np.maximum(in_data, values)
     known = np.where(known > ZERO_COMPONENT, known, 0.0)
     anchored = (in_data > 0) | (slopes > 0)
     needed = np.zeros(len(known)) if anchored.all() else _anchoring_sizes(A, B, problem.horizon, known, anchored)
     sizes = np.maximum(known, needed)
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
-        total = _cost_and_terms(problem, trajectory)[1] / problem.horizon
+        total = _size_of_cost(problem, trajectory) / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
     if not sizes.all() and problem.origin is not None:
@@ -96,19 +99,13 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
     return needed
 
 
-def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return S, the sum of the absolute values of the terms of the cost; see ``cost_and_scale``."""
-    return cost_and_scale(problem, trajectory)[1]
+def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, size: float | None = None) -> float:
+    """Return S, the sum of the sizes of the terms of the cost, ``size`` if it is known. Gaps are relative to S.
 
-
-def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return J, and S, the sum of the absolute values of the terms of the cost. Gaps are relative to S.
-
-    The quadratic part is a single term at each time, as are every linear term and every penalty. S is at least the
-    cost that rounding can cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING
-    of its own terms at its own time: squares are taken from the references, all else from the trajectory. A control
-    with levels moves by whole levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING
-    of the products of its entries with deviations.
+    See ``cost_and_size`` for sizes. S is at least the cost that rounding can cause, divided by GAP_TOLERANCE. Rounding
+    of the data moves each component by DATA_ROUNDING of its own terms at its own time: squares are taken from the
+    references, all else from the trajectory. A control with levels moves by whole levels, of whose cost DATA_ROUNDING
+    counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of its entries with deviations.
     """
     x, u = trajectory.x, trajectory.u
     quadratic, levels = problem.quadratic, problem.level_sizes
@@ -116,20 +113,15 @@ def cost_and_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> tu
     rounding = quadratic.magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * quadratic.products(x, u)
     if levels.any():
         rounding += DATA_ROUNDING * quadratic.magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
-    cost, total, priced = _cost_and_terms(problem, trajectory)
-    for term, given in zip(problem.terms, priced, strict=True):
+    for term in problem.terms:
+        given = term.cost(x, u)
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
-    return cost, max(total, rounding / GAP_TOLERANCE)
+    return max(_size_of_cost(problem, trajectory) if size is None else size, rounding / GAP_TOLERANCE)
 
 
-def _cost_and_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[float, float, list[Array]]:
-    """Return J, the sum of the absolute values of its terms, and what each of the problem's terms costs."""
-    x, u = trajectory.x, trajectory.u
-    value, total = problem.quadratic.value_and_terms(x, u)
-    formulas, priced = problem.cost.formula_values(x, u), [term.cost(x, u) for term in problem.terms]
-    cost = float(value + formulas.sum() + sum(part.sum() for part in priced))
-    return cost, float(total) + sum(float(np.abs(part).sum()) for part in (formulas, *priced)), priced
+def _size_of_cost(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
+    return float(cost_and_size(problem, stack_signals(trajectory.x, trajectory.u))[1])
 
 
 @lru_cache(maxsize=2)  # for the scale of the cost and those of slopes
@@ -149,14 +141,23 @@ def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
 
 
 class Scales(NamedTuple):
-    """Sizes of states (n,) and controls (m,), S, by default that of the problem, and slopes of costs by formulas.
+    """Sizes of states (n,) and controls (m,), S, how far bounds let components reach, and slopes of costs by formulas.
 
-    ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with zeros for u_T.
+    ``reach`` is (T+1, n + m), None if it is not known. ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with
+    zeros for u_T.
     """
 
     sizes: Sizes
-    cost: float | None = None
+    cost: float
+    reach: Array | None = None
     slopes: Callable[[Array], Array] | None = None
+
+
+def scales_of(problem: OptimalControlProblem, trajectory: Trajectory, size: float | None = None) -> Scales:
+    """Return the scales along a trajectory; ``size`` as for ``cost_scale``."""
+    return Scales(
+        trajectory_sizes(problem, trajectory), cost_scale(problem, trajectory, size), reach_of_bounds(problem)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +201,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     with modes, that is only the average over modes.
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
-    (x, u), cost, slopes_at = scales
+    (x, u), cost, reach, slopes_at = scales
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     at = np.abs(extremal.trajectory.x)
@@ -224,11 +225,11 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(steep * size).ravel(), *priced])
+        costs = np.concatenate([(steep * (size if reach is None else np.minimum(size, reach))).ravel(), *priced])
         costs, stage = np.sort(costs[costs > 0]), 0.0
         if len(costs):  # their median
             stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
-        level = max(cost_scale(problem, extremal.trajectory) if cost is None else cost, stage)
+        level = max(cost, stage)
     if (coarse > x).any():
         lost = stack_signals(*problem.quadratic.gradient_magnitudes(*blurred))
         lost = lost if slopes_at is None else lost + slopes_at(np.concatenate([coarse, u]))

@@ -28,7 +28,6 @@ RADIUS_MARGIN = 1.0 + 1e-9  # factor by which computed radii are enlarged to cov
 INVERSE_TOLERANCE = 1e-9  # error of a left inverse that counts as one; RADIUS_MARGIN covers it
 MOST_BENT = 0.5  # part of the curvature that rounding below zero elsewhere may take away; RADIUS_MARGIN covers its own
 NEGLIGIBLE_SHARE = 1e-2  # part of a tolerance up to which residuals, or losses of stated bounds, need no closer look
-POWER_BLOCK = 1024  # powers of A that are kept at a time
 MAX_STEPS = 20_000  # horizon up to which radii are computed step by step, at 0.1 ms each
 MAX_UNKNOWN = 1000  # components whose radii are computed at once, by a dense matrix, in a second
 

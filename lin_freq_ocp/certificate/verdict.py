@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.conditions import OF_RESIDUALS, Condition, all_con
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at
 from lin_freq_ocp.certificate.rays import Direction
 from lin_freq_ocp.certificate.response_bound import best_bound
-from lin_freq_ocp.certificate.sizes import Scales, cost_and_scale, cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import cost_scale, floors, scales_of
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, GAP_TOLERANCE, MAX_DECIMALS, MIN_ROUNDED
 from lin_freq_ocp.problem.dynamics.base import entry_for
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -137,7 +137,7 @@ class Certificate:
     cost : float
         J of the trajectory.
     cost_scale : float
-        S, the sum of the absolute values of the terms of the cost. The gap is relative to S.
+        S, the sum of the sizes of the terms of the cost, each at most what it can vary by. The gap is relative to S.
     worth_of_residuals : float
         Residuals of constraints times their multipliers: the amount by which they lower the cost, to first order.
         Infinite if all multipliers are zero and residuals exceed rounding: such multipliers price nothing. Of an answer
@@ -368,10 +368,10 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
     if multipliers.weights is not None:
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
-    sizes = trajectory_sizes(problem, trajectory)
-    cost, scale = cost_and_scale(problem, trajectory)
-    conditions = all_conditions(extremal, floors(extremal, Scales(sizes, scale)))
-    return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scale, cost)
+    cost, size = map(float, extremal.cost_and_size)
+    scales = scales_of(problem, trajectory, size)
+    conditions = all_conditions(extremal, floors(extremal, scales))
+    return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scales.cost, cost)
 
 
 JUDGES: dict[type, Callable[[OptimalControlProblem, Trajectory, Multipliers], Judgement]] = {

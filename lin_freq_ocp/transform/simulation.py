@@ -1,14 +1,22 @@
-"""The trajectory of given controls, by the dynamics alone."""
+"""The trajectory of given controls, and how far controls reach, by the dynamics alone."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import brief, one_component, real_array
+from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
+from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
+
+INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
+POWER_BLOCK = 1024  # powers of A that are kept at a time
 
 
 def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayLike | None = None) -> Trajectory:
@@ -69,3 +77,77 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
         text = f"The open-loop state overflows at t = {t}: these dynamics cannot be simulated over {T} steps."
         raise NumericalError(text)
     return Trajectory(x, u)
+
+
+def reach_of_bounds(problem: OptimalControlProblem) -> Array:
+    """Return how far apart bounds and dynamics let x_t and u_t of two trajectories lie, (T+1, n + m).
+
+    INFINITE stands for any distance. Of smooth modes, the bounds alone count.
+    """
+    states, controls, form = problem.state_tube, problem.control_tube, problem.form
+    of_x, of_u = states.upper - states.lower, np.minimum(controls.upper - controls.lower, INFINITE)
+    if isinstance(form, LinearDynamics):
+        of_x = np.fmin(of_x, _reach_of_states(form, of_x[0].tobytes(), controls))  # nan where powers of A overflow
+    elif problem.response is None and form.affine:
+        of_x = np.minimum(of_x, 2 * _largest_states(problem))
+    return np.minimum(stack_signals(of_x, of_u), INFINITE)
+
+
+@lru_cache(maxsize=4)  # for the steps of a loop
+def _reach_of_states(dynamics: LinearDynamics, at_start: bytes, controls: Box) -> Array:
+    of_u, first = np.minimum(controls.upper - controls.lower, INFINITE), np.minimum(np.frombuffer(at_start), INFINITE)
+    if dynamics.time_varying:
+        return _growth([dynamics.magnitudes.at(t)[:2] for t in range(len(of_u))], first, of_u, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return constant_radii(dynamics, first, np.append(of_u.max(axis=0), np.zeros(len(first))), len(of_u))
+
+
+@lru_cache(maxsize=4)
+def _largest_states(problem: OptimalControlProblem) -> Array:
+    boxes = problem.initial_box, problem.control_tube
+    start, controls = (np.minimum(np.abs(box.bounds).max(axis=0), INFINITE) for box in boxes)
+    A, B, offset = problem.form.gains()
+    return _growth([(A, B)] * problem.horizon, start, controls, offset)
+
+
+def _growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, offset: Array | float) -> Array:
+    """Return the sizes of states, (T+1, n), from that of the first, (n,), those of controls, (T, m), and |A|, |B|."""
+    sizes = [first]
+    for t, (A, B) in enumerate(gains):
+        sizes.append(np.minimum(A @ sizes[t] + B @ of_u[t] + offset, INFINITE))
+    return np.array(sizes)
+
+
+def motions_at_rest(problem: OptimalControlProblem, start: Array) -> list[Array]:
+    """Return the states that stay at the start, (..., n), and those of controls at their references, (..., T+1, n)."""
+    T, n, m, form = problem.horizon, problem.state_dim, problem.control_dim, problem.form
+    held = np.broadcast_to(start[..., None, :], (*start.shape[:-1], T + 1, n))
+    if not isinstance(form, LinearDynamics):
+        return [held]
+    forced = problem.control_tube.project(np.broadcast_to(problem.quadratic.u_ref, (T, m)))
+    moved = [start]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for t in range(T):
+            A, B, d = form.at(t)
+            moved.append(moved[t] @ A.T + (B @ forced[t] + d))
+    return [held, np.stack(moved, axis=-2)]
+
+
+def constant_radii(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:
+    """Return the radii of x_t, (T+1, n), from those of x_0, (n,), and of u and offsets at all times, (m + n,).
+
+    For constant dynamics, by blocks of powers of A. For k starts and inputs, (n, k) and (m + n, k): (T+1, n, k).
+    """
+    A, B, _ = dynamics.at(0)
+    n, count = len(A), min(POWER_BLOCK, T + 1)
+    powers = np.eye(n)[None]
+    while len(powers) < count:
+        powers = np.concatenate([powers, powers[: count - len(powers)] @ (A @ powers[-1])])
+    inputs, whole, first = np.hstack([B, np.eye(n)]), A @ powers[-1], np.eye(n)
+    of_inputs, of_start = np.empty((T + 1, *radius_0.shape)), np.empty((T + 1, *radius_0.shape))
+    for start in range(0, T + 1, count):
+        block = powers[: T + 1 - start] @ first
+        of_start[start : start + count] = np.abs(block) @ radius_0
+        of_inputs[start : start + count] = np.abs(block @ inputs) @ largest
+        first = whole @ first
+    return np.concatenate([np.zeros((1, *radius_0.shape)), np.cumsum(of_inputs[:-1], axis=0)]) + of_start

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, seal
+from lin_freq_ocp.base.arrays import Array, Mask, seal, stack_signals
 from lin_freq_ocp.formulas.jets import jets_of
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, VARIABLE
@@ -18,8 +18,10 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.reformulations import translation_of
+from lin_freq_ocp.transform.simulation import reach_of_bounds
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
+ROUNDING = float(np.finfo(float).eps)
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
 WEIGHTY = 0.1  # a row limits a component whose coefficient is at least this part of the row's largest
 NO_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
@@ -32,13 +34,22 @@ KNOWN_SIZES: WeakKeyDictionary[OptimalControlProblem, tuple[Array, Array]] = Wea
 
 
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP."""
-    cost, (x, u) = problem.quadratic, (trajectory.x, trajectory.u)
-    total = float(cost.value_and_terms(x, u)[1]) + sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP.
+
+    The quadratic term of a time counts at most by what bounds and dynamics let it vary.
+    """
+    cost, (x, u), reach = problem.quadratic, (trajectory.x, trajectory.u), reach_of_bounds(problem)
+    z, slopes = stack_signals(x, u), cost.linear_slopes(problem.horizon)
+    deviations = cost.deviations_of(z)
+    bent = cost.bend(deviations)
+    varied = np.abs(bent) * reach + 0.5 * reach * cost.magnitudes.bend(reach)
+    total = float(np.minimum(np.abs(0.5 * (deviations * bent).sum(-1)), varied.sum(-1)).sum())
+    total += 0.0 if slopes is None else float(np.abs(slopes * z).sum())
+    total += sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
-    return max(total, cost.magnitudes.value(*rounding) / FINEST_GAP)
+    return max(total, (cost.magnitudes.value(*rounding) + ROUNDING * cost.products(x, u)) / FINEST_GAP)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:

@@ -43,7 +43,8 @@ def test_it_is_the_difference_from_the_optimal_cost_where_the_hessian_is_diagona
 
 
 def test_without_curvature_it_is_the_distance_to_the_far_bound():
-    problem = problem_of(cost=lfo.QuadraticCost(Q=np.eye(2), r=[0.3]), control_set=lfo.Box(-1e-3, 2e-3))
+    cost, bounds, start = lfo.QuadraticCost(Q=np.eye(2), r=[0.3]), lfo.Box(-1e-3, 2e-3), lfo.Box([0.5, 0.0], [1.0, 0.0])
+    problem = problem_of(cost=cost, control_set=bounds, initial_state=start)
     result = lfo.solve(problem)
     nu = result.multipliers.nu + 1e-7
     slope = 1e-7 * np.maximum(2e-3 - result.control, result.control + 1e-3)

@@ -34,7 +34,7 @@ from lin_freq_ocp.base.phrases import runs_in_words, runs_of
 from lin_freq_ocp.base.polyhedra import hull_weights
 from lin_freq_ocp.certificate.conditions import Condition, all_conditions, state_equation
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_at, state_residual
-from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Floors, Scales, Sizes, floors, scales_of, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.certificate.verdict import Certificate, Facts, Judgement
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
@@ -402,7 +402,7 @@ def judge_modes(
 ) -> Judgement:
     """Judge a trajectory of affine modes, which may be smooth modes linearised along it, with their scales."""
     problem.require(trajectory)
-    linearised, scales = linear_at is not None, linear_at or Scales(trajectory_sizes(problem, trajectory))
+    linearised, scales = linear_at is not None, linear_at or scales_of(problem, trajectory)
     sizes, arrays = scales.sizes, modes_along(problem, trajectory, scales.sizes)
     sequence, distance = arrays.sequence(trajectory.x, trajectory.u), region_distance(problem, trajectory, sizes)
     active = arrays.active_modes(trajectory.x, trajectory.u) & (distance <= CONDITION_TOLERANCE)

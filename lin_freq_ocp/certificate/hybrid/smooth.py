@@ -29,7 +29,7 @@ from lin_freq_ocp.certificate.hybrid.clarke import (
 from lin_freq_ocp.certificate.hybrid.qualification import dependent_gradients
 from lin_freq_ocp.certificate.hybrid.second_order import second_order_test
 from lin_freq_ocp.certificate.response_bound import best_bound, farkas_bound
-from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, trajectory_sizes
+from lin_freq_ocp.certificate.sizes import Scales, cost_scale, floors, scales_of, trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, CONDITION_TOLERANCE, GAP_TOLERANCE
 from lin_freq_ocp.certificate.verdict import Judgement, SecondOrder
 from lin_freq_ocp.formulas.convexity import convex_curvature, is_convex
@@ -85,7 +85,7 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     reduced, bound = cost_as_state(problem, trajectory), convex_bound(problem, trajectory, multipliers)
     hessian = _end_hessian(problem, trajectory)
     if reduced is None:
-        scales = Scales(trajectory_sizes(problem, trajectory))
+        scales = scales_of(problem, trajectory)
         return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
     at, scales = reduced.start(trajectory), scales_with_cost(reduced, trajectory)
     found = judge_smooth(reduced.problem, at, reduced.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
@@ -128,7 +128,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
     cost = cost_scale(stripped, trajectory) + float(values.sum())
-    return Scales((np.append(x, stage), u), cost, slopes)
+    return Scales((np.append(x, stage), u), cost, slopes=slopes)
 
 
 def judged_modes(

@@ -27,7 +27,6 @@ from lin_freq_ocp.base.arrays import (
     stack_signals,
     times_vectors,
     to_shape,
-    total,
     with_columns,
     with_rows,
 )
@@ -363,12 +362,6 @@ class QuadraticCost(Cost):
         """Return c_t(x_t, u_t) for t < T and c_T(x_T): shape (..., T+1)."""
         quadratic, linear = self.terms_at(stack_signals(x, u))
         return quadratic if linear is None else quadratic + linear.sum(-1)
-
-    def value_and_terms(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the total cost, and the sum of its terms, each in absolute value; a time has one quadratic term."""
-        quadratic, linear = self.terms_at(stack_signals(x, u))
-        value, terms = quadratic.sum(-1), np.abs(quadratic).sum(-1)
-        return (value, terms) if linear is None else (value + total(linear), terms + total(np.abs(linear)))
 
     def products(self, x: Array, u: Array) -> float:
         """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""

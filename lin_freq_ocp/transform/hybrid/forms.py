@@ -13,9 +13,9 @@ from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.simulation import INFINITE
 from lin_freq_ocp.transform.sizes import stated_sizes
 
-INFINITE = 1e100  # replaces infinity, so that its product with zero is zero
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
 

@@ -1,0 +1,47 @@
+"""How far bounds and dynamics let two trajectories lie apart, and the size of the cost that follows from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lin_freq_ocp as lfo
+from lin_freq_ocp.certificate import cost_scale
+from lin_freq_ocp.transform import reach_of_bounds
+
+T = 9
+
+
+def random_dynamics(kind: str, rng: np.random.Generator):
+    A, B = rng.normal(size=(3, 3)) / 2, rng.normal(size=(3, 2))
+    if kind == "constant":
+        return lfo.LinearDynamics(A, B, rng.normal(size=3))
+    if kind == "of time":
+        return lfo.LinearDynamics(rng.normal(size=(T, 3, 3)) / 2, B, rng.normal(size=(T, 3)))
+    sides = [lfo.AffineMode(A + side * np.diag([0.3, 0, 0]), B, G=[[side, 0, 0]], h=[0.0]) for side in (1.0, -1.0)]
+    return lfo.PiecewiseAffineDynamics(sides)
+
+
+@pytest.mark.parametrize("kind", ["constant", "of time", "modes"])
+@pytest.mark.parametrize("free", [False, True])
+def test_no_two_trajectories_within_the_bounds_lie_further_apart(kind, free):
+    rng = np.random.default_rng(3)
+    start = lfo.Box([-1.0, 0.0, 2.0], [1.0, 0.5, 2.0]) if free else [1.0, -2.0, 0.0]
+    box = lfo.Box([-1.0, 0.5], [2.0, 0.5])
+    problem = lfo.OptimalControlProblem(
+        random_dynamics(kind, rng), T, lfo.QuadraticCost(R=1.0), box, initial_state=start
+    )
+    reach = reach_of_bounds(problem)
+    farthest = np.zeros_like(reach)
+    for _ in range(40):
+        pair = []
+        for _ in range(2):
+            corner = rng.integers(0, 2, size=(T, 2))
+            first = problem.initial_box
+            x_0 = np.where(rng.integers(0, 2, size=3), first.lower, first.upper)
+            moved = lfo.simulate(problem, np.where(corner, box.lower, box.upper), x_0)
+            pair.append(np.hstack([moved.x, np.vstack([moved.u, np.zeros(2)])]))
+        farthest = np.maximum(farthest, np.abs(pair[0] - pair[1]))
+    assert (farthest <= reach * (1 + 1e-9) + 1e-12).all()
+    if kind == "constant":
+        assert (farthest >= 0.3 * reach).all()
