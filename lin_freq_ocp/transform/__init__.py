@@ -8,6 +8,6 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "limits": "Limit all_limits changed_fields constraints drop_limits numbers",
     "reductions": "Change Reduced Reduction reduce_problem",
     "reformulations": "RATE_LIMIT far_origin rate_limit sampled_masks semi_infinite_terms translated_by translation_of",
-    "response_curvature": "BinCurvature bin_curvature", "simulation": "reach_of_bounds", "sizes": "stated_sizes",
-    "starts": "start_of",
+    "response_curvature": "BinCurvature bin_curvature", "simulation": "motions_at_rest reach_of_bounds",
+    "sizes": "stated_sizes", "starts": "start_of",
 })

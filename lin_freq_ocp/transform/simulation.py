@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -84,13 +85,17 @@ def reach_of_bounds(problem: OptimalControlProblem) -> Array:
 
     INFINITE stands for any distance. Of smooth modes, the bounds alone count.
     """
-    states, controls, form = problem.state_tube, problem.control_tube, problem.form
+    states, controls = problem.state_tube, problem.control_tube
     of_x, of_u = states.upper - states.lower, np.minimum(controls.upper - controls.lower, INFINITE)
-    if isinstance(form, LinearDynamics):
-        of_x = np.fmin(of_x, _reach_of_states(form, of_x[0].tobytes(), controls))  # nan where powers of A overflow
-    elif problem.response is None and form.affine:
+    if _is_recursion_without_modes(problem):  # nan where powers of A overflow
+        of_x = np.fmin(of_x, _reach_of_states(problem.linear, of_x[0].tobytes(), controls))
+    elif problem.response is None and problem.form.affine:
         of_x = np.minimum(of_x, 2 * _largest_states(problem))
     return np.minimum(stack_signals(of_x, of_u), INFINITE)
+
+
+def _is_recursion_without_modes(problem: OptimalControlProblem) -> bool:
+    return problem.response is None and problem.form.affine and not problem.mode_names
 
 
 @lru_cache(maxsize=4)  # for the steps of a loop
@@ -120,17 +125,37 @@ def _growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, off
 
 def motions_at_rest(problem: OptimalControlProblem, start: Array) -> list[Array]:
     """Return the states that stay at the start, (..., n), and those of controls at their references, (..., T+1, n)."""
-    T, n, m, form = problem.horizon, problem.state_dim, problem.control_dim, problem.form
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
     held = np.broadcast_to(start[..., None, :], (*start.shape[:-1], T + 1, n))
-    if not isinstance(form, LinearDynamics):
+    if not _is_recursion_without_modes(problem):
         return [held]
-    forced = problem.control_tube.project(np.broadcast_to(problem.quadratic.u_ref, (T, m)))
-    moved = [start]
+    form = problem.linear
+    u = problem.control_tube.project(np.broadcast_to(problem.quadratic.u_ref, (T, m)))
+    inputs = form.successors(np.zeros((T, n)), u)
     with np.errstate(over="ignore", invalid="ignore"):
-        for t in range(T):
-            A, B, d = form.at(t)
-            moved.append(moved[t] @ A.T + (B @ forced[t] + d))
+        if not form.time_varying:
+            return [held, _constant_motion(form.A, inputs, start)]
+        moved = [start]
+        for t, pushed in enumerate(inputs):
+            moved.append(moved[t] @ form.at(t)[0].T + pushed)
     return [held, np.stack(moved, axis=-2)]
+
+
+def _constant_motion(A: Array, inputs: Array, start: Array) -> Array:
+    """Return x_t of x_{t+1} = A x_t + w_t, (..., T+1, n), from x_0 (..., n): blocks of sqrt(T) steps side by side."""
+    T, n = inputs.shape
+    steps = math.isqrt(T) + 1
+    blocks = T // steps + 1
+    parts = np.vstack([inputs, np.zeros((blocks * steps - T, n))]).reshape(blocks, steps, n)
+    powers, from_zero, starts = [np.eye(n)], [np.zeros((blocks, n))], [start]
+    for k in range(steps):
+        powers.append(A @ powers[k])
+        from_zero.append(from_zero[k] @ A.T + parts[:, k])
+    for block in range(blocks - 1):
+        starts.append(starts[block] @ powers[steps].T + from_zero[steps][block])
+    free = np.einsum("kij,...bj->...bki", np.array(powers[:steps]), np.stack(starts, axis=-2))
+    moved = free + np.stack(from_zero[:steps], axis=1)
+    return moved.reshape(*start.shape[:-1], blocks * steps, n)[..., : T + 1, :]
 
 
 def constant_radii(dynamics: LinearDynamics, radius_0: Array, largest: Array, T: int) -> Array:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.certificate import cost_scale
-from lin_freq_ocp.transform import reach_of_bounds
+from lin_freq_ocp.transform import motions_at_rest, reach_of_bounds
 
 T = 9
 
@@ -45,3 +44,17 @@ def test_no_two_trajectories_within_the_bounds_lie_further_apart(kind, free):
     assert (farthest <= reach * (1 + 1e-9) + 1e-12).all()
     if kind == "constant":
         assert (farthest >= 0.3 * reach).all()
+
+
+@pytest.mark.parametrize("kind", ["constant", "of time"])
+@pytest.mark.parametrize("steps", [1, 2, 7, 8, 9, 40])
+def test_the_motion_at_rest_is_that_of_controls_at_their_references(kind, steps):
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(steps, 3, 3)) / 3 if kind == "of time" else rng.normal(size=(3, 3)) / 3
+    dynamics = lfo.LinearDynamics(A, rng.normal(size=(3, 2)), rng.normal(size=(steps, 3)))
+    references, starts = rng.normal(size=(steps, 2)), rng.normal(size=(5, 3))
+    problem = lfo.OptimalControlProblem(dynamics, steps, lfo.QuadraticCost(R=1.0, u_ref=references))
+    held, moved = motions_at_rest(problem, starts)
+    for start, stays, moves in zip(starts, held, moved, strict=True):
+        assert (stays == start).all()
+        assert moves == pytest.approx(lfo.simulate(problem, references, start).x, abs=1e-12)
