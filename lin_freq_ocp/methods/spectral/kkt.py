@@ -139,7 +139,7 @@ class BorderedSystem:
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b and its inverse; if bordering unknowns are soft, with the least proximal weight."""
+        """Set K_b and its inverse; if bordering unknowns are compliant, with the least proximal weight."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
         G = np.zeros((len(self.E), len(self.E)))
         G[:, :points] = self.responses(self.point_t, self.point_f)
@@ -154,13 +154,13 @@ class BorderedSystem:
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_with(0.0)
-        # soft: the response of an unknown to a force is so large that digits of other responses are lost, or it is NaN
+        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost
         response = np.abs(self.inverse.diagonal()[: self.size])
         of_ends = response[: self.ends_count].max(initial=0.0)
         of_directions = response[self.ends_count :].max(initial=0.0)
-        stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
-        self.soft = not (stiff_ends and of_directions <= tol.SOFT_RESPONSE / unit)
-        if self.soft:
+        stiff_ends = of_ends <= min(tol.COMPLIANT_END / unit, 0.1 / self.least_proximal)
+        self.compliant = not (stiff_ends and of_directions <= tol.COMPLIANT_RESPONSE / unit)
+        if self.compliant:
             self.inverse = self.inverse_with(self.least_proximal)
 
     def proximal_matrix(self, proximal: float) -> Array:

@@ -4,7 +4,7 @@ docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a h
 saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0. S is positive semidefinite, and
 numerically singular if a state or a control stays at a bound.
 
-``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps soft bordering unknowns, whose
+``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps compliant bordering unknowns, whose
 elimination would lose the digits of S. The exchange measures every answer by its signals.
 """
 
@@ -348,7 +348,7 @@ class BorderedQp:
 
     and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
     matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md,
-    7: soft unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta comes first.
+    7: compliant unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta is first.
     """
 
     size: int

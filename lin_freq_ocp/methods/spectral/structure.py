@@ -60,9 +60,12 @@ class Structure:
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
-        """Return the responses of all values of the rows of F; None if many, or with soft unknowns or periodic ends."""
+        """Return the responses of all values of the rows of F.
+
+        None if these are many, an unknown is compliant, or the ends are periodic.
+        """
         T, closed = self.kkt.lti.horizon, self.kkt.lti.periodic
-        if closed or self.kkt.soft or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
+        if closed or self.kkt.compliant or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.kkt, rows)
