@@ -342,7 +342,7 @@ class BorderedQp:
     """The small QP with the bordering unknowns as unknowns: free ends without cost, marginal modes.
 
     Elimination of an unknown of curvature h adds entries 1/h to S, and entries below 1e-16 of these are lost. Here
-    the unknowns stay, with a proximal term: find the step p of (theta, y), weights l and slacks z with
+    the unknowns stay, with a proximal term: find the step p of (theta, zeta), weights l and slacks z with
 
         K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
 
