@@ -119,7 +119,7 @@ class Exchange:
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest = np.inf, 0.0
-        self.unconstrained, self.compliant = structure.unconstrained, self.kkt.compliant
+        self.diagonal_bound, self.compliant = structure.diagonal_bound, self.kkt.compliant
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         if self.first_point is None:
@@ -182,7 +182,7 @@ class Exchange:
         else:
             (step, base), self.first_point = self.first_point, None
         start, self.first = whole.duals(self.first or working.rows()), None
-        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.diagonal_bound, self.stop)
         rows = whole.rows_of(duals)
         self.rounds += max(0, duals.rounds - 1)
         if not duals.accurate:
@@ -222,10 +222,10 @@ class Exchange:
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
         d = self.slack - working.coupling.T @ step - S @ working.weights
-        unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
+        diagonal_bound = None if self.diagonal_bound is None else self.diagonal_bound[working.f] * working.inner
         prices = working.prices(self.data.lti)
         response = None if prices is None else working.free_response()
-        new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
+        new, accurate = bounded_qp(S, d, guess, diagonal_bound, self.stop, prices, response)
         combine = (want_ray or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
@@ -339,12 +339,12 @@ def exchange_values(
     start: ActiveSetDuals,
     base: Array,
     tolerance: float,
-    unconstrained: Array | None,
+    diagonal_bound: Array | None,
     stop: Callable[[], str | None],
 ) -> ActiveSetDuals:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
+    ``base`` is v_0, (values,); ``diagonal_bound`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
     lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
@@ -354,7 +354,7 @@ def exchange_values(
         if len(index):
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
+            free = None if diagonal_bound is None else diagonal_bound[f] * (t < lti.horizon)
             price = None if prices is None else prices.at(t, f, sign)
             response = None if prices is None else whole.kernels.free_response(t, f)
             S = whole.gram(index) * sign * sign[:, None]

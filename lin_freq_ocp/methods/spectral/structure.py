@@ -1,7 +1,7 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
-Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, Farkas
-rays of infeasible data, and the data between other ends (docs/spectral.md, 1 to 5 and 10).
+Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, and
+Farkas rays of infeasible data (docs/spectral.md, 1 to 5 and 10).
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ class Structure:
 
     They depend on A, B, M, F, the bands, and the choice of free components at the ends.
 
-    ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
+    ``diagonal_bound`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0: R is diagonal, and
+    the cost has no products of states and controls.
     """
 
     def __init__(self, lti: Lti):
@@ -53,10 +54,10 @@ class Structure:
         self.kernels = CirculantKernels(lti, self.spaces)
         self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
         R = lti.M[n:, n:]
-        self.unconstrained: Array | None = None
+        self.diagonal_bound: Array | None = None
         if not lti.M[:n, n:].any() and np.array_equal(R, np.diag(np.diagonal(R))) and np.diagonal(R).all():
-            self.unconstrained = np.zeros(len(lti.F))
-            self.unconstrained[n:dimension] = 1 / np.diagonal(R)
+            self.diagonal_bound = np.zeros(len(lti.F))
+            self.diagonal_bound[n:dimension] = 1 / np.diagonal(R)
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
