@@ -119,7 +119,7 @@ class Exchange:
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest = np.inf, 0.0
-        self.diagonal_bound, self.compliant = structure.diagonal_bound, self.kkt.compliant
+        self.diagonal_bound = structure.diagonal_bound
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         if self.first_point is None:
@@ -160,7 +160,7 @@ class Exchange:
         """Correct the residuals of the present point, with the best weights of the working rows."""
         working, kkt = self.working, self.kkt
         whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._compliant_step if self.compliant else self._stiff_step)(self.defects, want_ray)
+        step, new, ray = whole or (self._compliant_step if kkt.compliant else self._stiff_step)(self.defects, want_ray)
         self.ray = ray
         if ray is not None:
             return
@@ -280,11 +280,10 @@ class Exchange:
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
             level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
         far = float(np.abs(self.theta).max(initial=0.0))
-        moves = slope < self.flattest / 2 or far > 2 * self.farthest
-        moving = self.compliant and moves and not self._cannot_decrease()
-        if self.compliant and worst < tol.NEARLY_FEASIBLE and not level:
+        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        if kkt.compliant and worst < tol.NEARLY_FEASIBLE and not level:
             self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
-        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
+        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)

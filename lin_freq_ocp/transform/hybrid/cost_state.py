@@ -39,15 +39,14 @@ class CostState(OwnStates):
 
     def with_adjoint(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers of the given problem with those of z: -eta_C."""
-        eta, mu, rho_x = multipliers.eta, with_columns(multipliers.mu, 1), np.pad(multipliers.rho_x, ((0, 0), (0, 1)))
-        mu[0, -1] = -multipliers.eta_C
-        price = np.full((len(eta), 1), -multipliers.eta_C)
-        stage = dict(multipliers.stage)
+        eta, mu = with_columns(multipliers.eta, 1), with_columns(multipliers.mu, 1)
+        eta[:, -1] = mu[0, -1] = -multipliers.eta_C
+        rho_x, stage = np.pad(multipliers.rho_x, ((0, 0), (0, 1))), dict(multipliers.stage)
         for name, own in self.own_values.items():
             if name in stage:
                 stage[name] = np.zeros((len(stage[name]), len(own)))
                 stage[name][:, own] = multipliers.stage[name]
-        return replace(multipliers, eta=np.hstack([eta, price]), mu=mu, rho_x=rho_x, stage=stage)
+        return replace(multipliers, eta=eta, mu=mu, rho_x=rho_x, stage=stage)
 
 
 def cost_as_state(problem: OptimalControlProblem, at: Trajectory) -> CostState | None:

@@ -55,8 +55,7 @@ def form_of_others(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula 
     if levels is not None:
         advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
         raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
-    expected = "one of LinearDynamics, PiecewiseSmoothDynamics"
-    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected {expected}.")
+    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected one of LinearDynamics, PiecewiseSmoothDynamics.")
 
 
 def _with_cost(dynamics: Dynamics, modes: Sequence[SmoothMode], stage: Formula | None) -> ModesWithCost:
