@@ -6,7 +6,7 @@ those that accept the problem are applied from left to right, and recovered from
 checks the recovered answer, a claim about the given problem, on that problem.
 
 Masks, origins and own states are replaced in ``reformulations``, few controls between levels in ``level_rows``, costs
-by formulas in ``hybrid/priced``; what one method needs stands with it: ``methods/absorbed_cost``,
+by formulas in ``hybrid/cost_state``; what one method needs stands with it: ``methods/absorbed_cost``,
 ``methods/spectral/reductions``, ``solving/hybrid/fixed_modes``. ``problem.form`` is the only other replacement that
 every solve makes.
 

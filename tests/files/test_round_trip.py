@@ -12,6 +12,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.formulas import exact_text
+from helpers.instances.statements import OF_A_USER, STATEMENTS
 from helpers.random.mixed import FEATURES, problem_of, random_model
 from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
@@ -242,6 +243,14 @@ def test_every_feature_survives_the_round_trip(tmp_path, feature):
     problem = problem_with(**FEATURES_ALONE[feature])
     assert problem.terms or feature == "boxes per time"
     round_trip(problem, tmp_path)
+
+
+NOT_WRITTEN = {*OF_A_USER, "response within discs"}  # a user's classes, and limits that lfo.robust makes
+
+
+@pytest.mark.parametrize("name", seeds(name for name in STATEMENTS if name not in NOT_WRITTEN))
+def test_every_class_of_the_package_survives_the_round_trip(tmp_path, name):
+    round_trip(STATEMENTS[name](), tmp_path)
 
 
 @pytest.mark.parametrize("name", MODES)

@@ -2,7 +2,7 @@
 
 from lin_freq_ocp.base import lazy_exports
 from lin_freq_ocp.certificate.hybrid.clarke import judge_modes
-from lin_freq_ocp.certificate.hybrid.smooth import judge_priced
+from lin_freq_ocp.certificate.hybrid.smooth import judge_smooth
 from lin_freq_ocp.certificate.verdict import JUDGES
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
@@ -17,4 +17,4 @@ __all__, __getattr__ = lazy_exports(__name__, {
 # fmt: on
 
 JUDGES[PiecewiseAffineDynamics] = judge_modes
-JUDGES[PiecewiseSmoothDynamics] = judge_priced
+JUDGES[PiecewiseSmoothDynamics] = judge_smooth

@@ -41,8 +41,8 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
 from lin_freq_ocp.problem.sets.path_constraint import PathConstraint
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.transform.hybrid.cost_state import CostState, cost_as_state
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine, piecewise_smooth
-from lin_freq_ocp.transform.hybrid.priced import CostState, cost_as_state
 from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.reformulations import at_frequencies
 from lin_freq_ocp.transform.sizes import stated_sizes
@@ -50,7 +50,7 @@ from lin_freq_ocp.transform.sizes import stated_sizes
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
 
 
-def judge_smooth(
+def _judge_linearised(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, terminal: Array, scales: Scales
 ) -> Judgement:
     """Judge a trajectory of smooth pieces; ``terminal`` is the ``final`` of ``second_order_test``."""
@@ -77,7 +77,7 @@ def judge_smooth(
     return replace(judgement, borders=facts, second_order=test)
 
 
-def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
+def judge_smooth(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Judgement:
     """Judge a trajectory of a problem with formulas; a cost by formulas is a state, which has its gradient."""
     problem.require(trajectory)
     problem = at_frequencies(problem, multipliers.frequencies)
@@ -86,9 +86,9 @@ def judge_priced(problem: OptimalControlProblem, trajectory: Trajectory, multipl
     hessian = _end_hessian(problem, trajectory)
     if reduced is None:
         scales = scales_of(problem, trajectory)
-        return replace(judge_smooth(problem, trajectory, multipliers, hessian, scales), bound=bound)
+        return replace(_judge_linearised(problem, trajectory, multipliers, hessian, scales), bound=bound)
     at, scales = reduced.start(trajectory), scales_with_cost(reduced, trajectory)
-    found = judge_smooth(reduced.problem, at, reduced.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
+    found = _judge_linearised(reduced.problem, at, reduced.with_adjoint(multipliers), np.pad(hessian, (0, 1)), scales)
     test, last = found.second_order, problem.state_dim
     own = tuple(  # in the given problem, the cost so far has no name
         replace(one, component=None) if one.label in OF_STATES and one.component == last else one
@@ -138,13 +138,13 @@ def judged_modes(
 
     First come the way back to the given problem, and the problem in these states, linearised along the trajectory.
     """
-    priced = cost_as_state(problem, trajectory)
-    if priced is None:
+    reduced = cost_as_state(problem, trajectory)
+    if reduced is None:
         affine = problem.affine_at(trajectory)
         return Reduced(problem, problem), affine, trajectory, modes_along(affine, trajectory)
-    at, sizes = priced.start(trajectory), scales_with_cost(priced, trajectory).sizes
-    affine = priced.problem.affine_at(at)
-    return priced, affine, at, modes_along(affine, at, sizes)
+    at, sizes = reduced.start(trajectory), scales_with_cost(reduced, trajectory).sizes
+    affine = reduced.problem.affine_at(at)
+    return reduced, affine, at, modes_along(affine, at, sizes)
 
 
 def convex_bound(problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers) -> Bound | None:
@@ -224,9 +224,9 @@ def with_errors_of_tangents(
     points = np.hstack([trajectory.x, np.pad(trajectory.u, ((0, 1), (0, 0)))]).astype(np.float64)
     steep, none, each = np.zeros_like(points), np.zeros((1, 1)), np.ones((1, 1))
     terms = [(np.arange(T * i, T + i), one) for i, one in enumerate(costs) if one is not None]
-    priced: list[tuple[Sequence[Formula], Indices, Array]] = [([one], times, each) for times, one in terms]
-    priced += [(one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)) for one in constraints]
-    for formulas, times, weights in priced:
+    weighted: list[tuple[Sequence[Formula], Indices, Array]] = [([one], times, each) for times, one in terms]
+    weighted += [(one.formulas, one.map.times, np.maximum(given.get(one.name, none), 0.0)) for one in constraints]
+    for formulas, times, weights in weighted:
         values, slopes = _rounding_errors(formulas, points[times], times)
         lost += float(np.where(weights > 0, weights * values, 0.0).sum())
         steep[times] += np.where(weights[..., None] > 0, weights[..., None] * slopes, 0.0).sum(axis=1)
@@ -375,10 +375,10 @@ def kinks(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers, facts: SwitchingFacts
 ) -> tuple[Kink, ...]:
     """Return the kinks of judged switching facts along a trajectory, in time."""
-    priced = cost_as_state(problem, trajectory)
-    if priced is not None:
-        n, augmented = problem.state_dim, (priced.start(trajectory), priced.with_adjoint(multipliers))
-        found = kinks(priced.problem, *augmented, facts)
+    reduced = cost_as_state(problem, trajectory)
+    if reduced is not None:
+        n, augmented = problem.state_dim, (reduced.start(trajectory), reduced.with_adjoint(multipliers))
+        found = kinks(reduced.problem, *augmented, facts)
         return tuple(Kink(kink.time, kink.lower[:n], kink.upper[:n], kink.required[:n]) for kink in found)
     times = sorted({*facts.times, *(kink.time for kink in facts.norms)})
     if not times:

@@ -119,7 +119,7 @@ class Exchange:
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
         self.flattest, self.farthest = np.inf, 0.0
-        self.unconstrained, self.soft = structure.unconstrained, self.kkt.soft
+        self.diagonal_bound = structure.diagonal_bound
         self.ray: Ray | None = None
         self.tolerance, self.stop, self.rounds = tolerance, stop, 0
         if self.first_point is None:
@@ -160,7 +160,7 @@ class Exchange:
         """Correct the residuals of the present point, with the best weights of the working rows."""
         working, kkt = self.working, self.kkt
         whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._soft_step if self.soft else self._stiff_step)(self.defects, want_ray)
+        step, new, ray = whole or (self._compliant_step if kkt.compliant else self._stiff_step)(self.defects, want_ray)
         self.ray = ray
         if ray is not None:
             return
@@ -182,7 +182,7 @@ class Exchange:
         else:
             (step, base), self.first_point = self.first_point, None
         start, self.first = whole.duals(self.first or working.rows()), None
-        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.unconstrained, self.stop)
+        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.diagonal_bound, self.stop)
         rows = whole.rows_of(duals)
         self.rounds += max(0, duals.rounds - 1)
         if not duals.accurate:
@@ -222,18 +222,18 @@ class Exchange:
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
         d = self.slack - working.coupling.T @ step - S @ working.weights
-        unconstrained = None if self.unconstrained is None else self.unconstrained[working.f] * working.inner
+        diagonal_bound = None if self.diagonal_bound is None else self.diagonal_bound[working.f] * working.inner
         prices = working.prices(self.data.lti)
         response = None if prices is None else working.free_response()
-        new, accurate = bounded_qp(S, d, guess, unconstrained, self.stop, prices, response)
+        new, accurate = bounded_qp(S, d, guess, diagonal_bound, self.stop, prices, response)
         combine = (want_ray or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
             ray = regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
-    def _soft_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for soft bordering unknowns, which stay in the small QP, with a proximal term."""
+    def _compliant_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
         if not len(working):
             return kkt.inverse_with(self.proximal) @ right, working.weights, None
@@ -280,10 +280,10 @@ class Exchange:
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
             level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
         far = float(np.abs(self.theta).max(initial=0.0))
-        moving = self.soft and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if self.soft and worst < tol.NEARLY_FEASIBLE and not level:
+        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        if kkt.compliant and worst < tol.NEARLY_FEASIBLE and not level:
             self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
-        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moving
+        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
@@ -338,12 +338,12 @@ def exchange_values(
     start: ActiveSetDuals,
     base: Array,
     tolerance: float,
-    unconstrained: Array | None,
+    diagonal_bound: Array | None,
     stop: Callable[[], str | None],
 ) -> ActiveSetDuals:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` is v_0, (values,); ``unconstrained`` is per row of F, see ``bounded_qp``.
+    ``base`` is v_0, (values,); ``diagonal_bound`` is per row of F, see ``bounded_qp``.
     """
     index, sign, weights = start.indices, start.sign, start.weights
     lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
@@ -353,7 +353,7 @@ def exchange_values(
         if len(index):
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            free = None if unconstrained is None else unconstrained[f] * (t < lti.horizon)
+            free = None if diagonal_bound is None else diagonal_bound[f] * (t < lti.horizon)
             price = None if prices is None else prices.at(t, f, sign)
             response = None if prices is None else whole.kernels.free_response(t, f)
             S = whole.gram(index) * sign * sign[:, None]

@@ -4,7 +4,9 @@ Bordering unknowns theta: the free components of x_0 and x_T, then real coordina
 with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
 bounds fix, compatibility at singular bins, state bands. The KKT matrix is
 
-    K_b = [[H, E'], [E, -G_EE]].
+    K_b = [[H, E'], [E, -S_E]],
+
+with S_E the decrease of the equations by unit forces on them.
 """
 
 from __future__ import annotations
@@ -139,28 +141,28 @@ class BorderedSystem:
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b and its inverse; if bordering unknowns are soft, with the least proximal weight."""
+        """Set K_b and its inverse; if bordering unknowns are compliant, with the least proximal weight."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
-        G = np.zeros((len(self.E), len(self.E)))
-        G[:, :points] = self.responses(self.point_t, self.point_f)
-        G[:points, first_band:] = G[first_band:, :points].T
+        S = np.zeros((len(self.E), len(self.E)))
+        S[:, :points] = self.responses(self.point_t, self.point_f)
+        S[:points, first_band:] = S[first_band:, :points].T
         for i in self.band_components:
             of_component = np.flatnonzero(self.band_component == i)
-            G[first_band:, first_band + of_component] = self.band_responses[i] @ self.bands[of_component, :-1].T
-        self.matrix = np.empty((self.size + len(G), self.size + len(G)))
+            S[first_band:, first_band + of_component] = self.band_responses[i] @ self.bands[of_component, :-1].T
+        self.matrix = np.empty((self.size + len(S), self.size + len(S)))
         self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
-        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(G + G.T) / 2
-        self.dependent = _null_space(self.E.T, G)
+        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(S + S.T) / 2
+        self.dependent = _null_space(self.E.T, S)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_with(0.0)
-        # soft: the response of an unknown to a force is so large that digits of other responses are lost, or it is NaN
+        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost
         response = np.abs(self.inverse.diagonal()[: self.size])
         of_ends = response[: self.ends_count].max(initial=0.0)
         of_directions = response[self.ends_count :].max(initial=0.0)
-        stiff_ends = of_ends <= min(tol.SOFT_END / unit, 0.1 / self.least_proximal)
-        self.soft = not (stiff_ends and of_directions <= tol.SOFT_RESPONSE / unit)
-        if self.soft:
+        stiff_ends = of_ends <= min(tol.COMPLIANT_END / unit, 0.1 / self.least_proximal)
+        self.compliant = not (stiff_ends and of_directions <= tol.COMPLIANT_RESPONSE / unit)
+        if self.compliant:
             self.inverse = self.inverse_with(self.least_proximal)
 
     def proximal_matrix(self, proximal: float) -> Array:

@@ -4,7 +4,7 @@ docs/spectral.md, 6, 7 and 12. u is the price of a soft row and infinite for a h
 saturated: it is violated, and its slope S lam + d, which is its slack, is at most 0. S is positive semidefinite, and
 numerically singular if a state or a control stays at a bound.
 
-``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps soft bordering unknowns, whose
+``bounded_qp`` tries block pivoting, then the interior point. ``BorderedQp`` keeps compliant bordering unknowns, whose
 elimination would lose the digits of S. The exchange measures every answer by its signals.
 """
 
@@ -40,7 +40,7 @@ def bounded_qp(
     S: Array,
     d: Array,
     start: Array,
-    unconstrained: Array | None = None,
+    diagonal_bound: Array | None = None,
     stop: Callable[[], str | None] = lambda: None,
     upper: Array | None = None,
     response: Array | None = None,
@@ -50,7 +50,7 @@ def bounded_qp(
     ``upper`` is u, None if all prices are infinite. If equations decide a row with a price, it is saturated iff it is
     violated: its entry of S is a rounding error, relative to its ``response`` without equations.
 
-    ``unconstrained`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
+    ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
     there is no such diagonal.
     """
     if upper is not None and response is not None:
@@ -58,7 +58,7 @@ def bounded_qp(
         if decided.any():  # they are at a bound of their multipliers
             lam, undecided, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
             if undecided.any():
-                free = None if unconstrained is None else unconstrained[undecided]
+                free = None if diagonal_bound is None else diagonal_bound[undecided]
                 target = d[undecided] + S[np.ix_(undecided, decided)] @ lam[decided]
                 S = S[np.ix_(undecided, undecided)]
                 lam[undecided], accurate = bounded_qp(S, target, start[undecided], free, stop, upper[undecided])
@@ -70,7 +70,7 @@ def bounded_qp(
     scaled_upper = None if upper is None else upper / unit / size
     lam, accurate = block_pivoting(A, b, warm, scaled_upper) if len(d) <= PIVOTING_ROWS else None, True
     if lam is None:
-        thin = None if unconstrained is None else unconstrained * unit**2
+        thin = None if diagonal_bound is None else diagonal_bound * unit**2
         lam, accurate = interior_point(A, b, thin, stop, warm, scaled_upper)
     if upper is None or scaled_upper is None:
         return lam * unit * size, accurate
@@ -116,7 +116,7 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
 def interior_point(
     A: Array,
     b: Array,
-    unconstrained: Array | None,
+    diagonal_bound: Array | None,
     stop: Callable[[], str | None] = lambda: None,
     start: Array | None = None,
     upper: Array | None = None,
@@ -127,12 +127,12 @@ def interior_point(
     w = u - lam >= 0, y >= 0, w'y = 0.
 
     On saturated control arcs A has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
-    There A is of low rank, the width of the pass band times the length of the arcs, or diag(unconstrained) - A >= 0 is,
-    with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
+    There A is of low rank, the width of the pass band times the length of the arcs, or diag(diagonal_bound) - A >= 0
+    is, with the width of the stop band: each step is then a small system (docs/spectral.md, 6).
 
     Mehrotra (1992), On the implementation of a primal-dual interior point method.
     """
-    system, ridge, count = _thin_factor(A, unconstrained) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
+    system, ridge, count = _thin_factor(A, diagonal_bound) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
     lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
     caps = Caps(np.full(count, np.inf) if upper is None else upper)
     weights = caps.inside(lam, least)
@@ -265,17 +265,17 @@ def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
     return 1 / max(tol.TINY, float((-dw / weights).max()), float((-dz / z).max()))
 
 
-def _thin_factor(A: Array, unconstrained: Array | None) -> _Thin | None:
-    """Return A by a thin factor of A or of diag(unconstrained) - A; None if neither is known to have a low rank.
+def _thin_factor(A: Array, diagonal_bound: Array | None) -> _Thin | None:
+    """Return A by a thin factor of A or of diag(diagonal_bound) - A; None if neither is known to have a low rank.
 
-    The eigenvalues of A, relative to diag(unconstrained), are near 0 and 1: they add up to its rank.
+    The eigenvalues of A, relative to diag(diagonal_bound), are near 0 and 1: they add up to its rank.
     """
-    if unconstrained is None or len(A) <= LOW_RANK_ROWS or not (unconstrained > 0).all():
+    if diagonal_bound is None or len(A) <= LOW_RANK_ROWS or not (diagonal_bound > 0).all():
         return None
-    share = float((np.diagonal(A) / unconstrained).mean())
+    share = float((np.diagonal(A) / diagonal_bound).mean())
     if min(share, 1 - share) > LARGEST_SHARE:
         return None
-    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (unconstrained, -1.0)
+    base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (diagonal_bound, -1.0)
     factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
     factored[np.diag_indices_from(A)] += base
     factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
@@ -342,13 +342,13 @@ class BorderedQp:
     """The small QP with the bordering unknowns as unknowns: free ends without cost, marginal modes.
 
     Elimination of an unknown of curvature h adds entries 1/h to S, and entries below 1e-16 of these are lost. Here
-    the unknowns stay, with a proximal term: find the step p of (theta, y), weights l and slacks z with
+    the unknowns stay, with a proximal term: find the step p of (theta, zeta), weights l and slacks z with
 
         K p + C (l - l_0) = r,   z - y = s_0 - C'p + S_W (l - l_0),   l >= 0,  z >= 0,  l'z = 0,
 
     and y >= 0 with y'(u - l) = 0 at upper bounds l <= u, by Mehrotra's predictor-corrector on the symmetric indefinite
     matrix [[K, C], [C', -(S_W + Z/L + Y/(U - L))]], then once more with the active rows as equations (docs/spectral.md,
-    7: soft unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta comes first.
+    7: compliant unknowns). K is (b, b), C (b, count), S_W (count, count), r (b,), s_0, l_0, u (count,); theta is first.
     """
 
     size: int

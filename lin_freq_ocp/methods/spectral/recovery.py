@@ -46,23 +46,23 @@ class LtiMultipliers:
 def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum: ComplexArray) -> LtiMultipliers:
     """Return the multipliers of an outcome with the spectrum of y; of its ray (eta_C = 0) if it has one."""
     lti, ray, kkt, spaces, at = data.lti, outcome.ray, structure.kkt, structure.spaces, outcome.signals
-    working, y = (outcome.working, outcome.multipliers) if ray is None else (ray.working, ray.multipliers)
+    working, zeta = (outcome.working, outcome.multipliers) if ray is None else (ray.working, ray.multipliers)
     n, near, eta_C = lti.state_dim, spaces.near, float(ray is None)
-    gradient, _ = forces(structure, lti, y, working)  # of the Lagrangian in (x, u)
+    gradient, _ = forces(structure, lti, zeta, working)  # of the Lagrangian in (x, u)
     if ray is None:
         gradient += lti.M @ spectrum
         if data.linear is not None:
             gradient += data.linear
     on_rows, fixed = np.zeros((len(lti.F), lti.horizon + 1)), slice(lti.start_points, len(kkt.point_t))
     np.add.at(on_rows, (working.f, working.t), working.sign * working.weights)
-    np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), y[fixed])
+    np.add.at(on_rows, (kkt.point_f[fixed], kkt.point_t[fixed]), zeta[fixed])
     with np.errstate(all="ignore"):
         eta_hat = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n, None])[:, 0]
     eta_hat[:, near.k] = -near.adjoint(gradient[:, None, near.k])[:, 0]
     row = len(kkt.point_t)
     for scale, equation in zip(kkt.compatibility_scale, spaces.compatibility, strict=True):
         weight = int(spaces.weight[equation.k])
-        value = y[row] if weight == 1 else y[row] + 1j * y[row + 1]
+        value = zeta[row] if weight == 1 else zeta[row] + 1j * zeta[row + 1]
         eta_hat[:, equation.k] += equation.left * (scale * lti.horizon / weight * value)
         row += weight
     if lti.response is None:
@@ -73,7 +73,7 @@ def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum
     band[lti.passed] = 0.0
     eta = np.fft.irfft(eta_hat, lti.horizon)
     # mu_0, mu_T of fixed ends follow from transversality: any vector is normal there
-    joint, on_bands = slice(len(lti.M), None), y[len(y) - len(kkt.bands) :]
+    joint, on_bands = slice(len(lti.M), None), zeta[len(zeta) - len(kkt.bands) :]
     at_start = lti.F[joint, :n].T @ on_rows[joint, 0] - lti.A.T @ eta[:, 0]
     at_end = np.array(eta[:, -1])
     for component, row, weight in zip(kkt.band_component, kkt.bands, on_bands, strict=True):

@@ -166,12 +166,12 @@ def _largest_finite(bounds: Array) -> Array:
 
 
 class WorkingSet:
-    """Rows sign F_f y_t <= limit with multipliers ``weights`` >= 0; at t = T, rows on the free components of x_T.
+    """Rows G y <= limit, each sign F_f y_t, with multipliers ``weights`` l >= 0; at t = T, on free components of x_T.
 
     Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
 
-    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count). ``present`` (2, rows of F, T+1) is the mask of
-    the rows, lower bounds first.
+    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count), S_EW the decrease of the equations by unit
+    forces on the rows. ``present`` (2, rows of F, T+1) is the mask of the rows, lower bounds first.
     """
 
     def __init__(self, kkt: BorderedSystem):
@@ -236,7 +236,7 @@ class WorkingSet:
 
     @property
     def gram(self) -> Array:
-        """S_W without the part of the bordering unknowns, (count, count)."""
+        """S_W, the responses of the rows to forces on each other at fixed theta and multipliers of the equations."""
         if self._cached_gram is None:
             require_memory(
                 f"method 'spectral' with {len(self)} working rows (samples at a bound)",

@@ -59,7 +59,7 @@ class SpectralSolution(Candidate):
     rounds: int = 0
 
 
-class PricedOutcome(NamedTuple):
+class RecoveredOutcome(NamedTuple):
     """The outcome of an exchange, with its multipliers."""
 
     outcome: ExchangeOutcome
@@ -252,18 +252,15 @@ class SpectralSolver:
             expected = f"{shape}, a solution of this problem"
             raise ProblemError("warm_start", f"(horizon, states, controls, joint rows) = {got}", expected)
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> PricedOutcome:
-        """Exchange from the first working rows, or test cached rays.
-
-        From the second solve on, a problem that differs in its ends only has a model of data between other ends.
-        """
+    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> RecoveredOutcome:
+        """Exchange from the first working rows; without any, from a guess. Recover the multipliers."""
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
         outcome = exchange.run()
-        return PricedOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
+        return RecoveredOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
 
-    def _solution(self, problem: OptimalControlProblem, answer: PricedOutcome, started: float) -> SpectralSolution:
+    def _solution(self, problem: OptimalControlProblem, answer: RecoveredOutcome, started: float) -> SpectralSolution:
         """Return the solution in the user's units; infinite numbers are a numerical error."""
         outcome, scaled = answer
         status, message = Status(outcome.status), outcome.message

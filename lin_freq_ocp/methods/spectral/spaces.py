@@ -1,13 +1,13 @@
 """All y_k = (x_k, u_k) that satisfy the dynamics and the stop bands at each bin (docs/spectral.md, 2, 3 and 5).
 
-    F_k y_k = z w + d_k,  F_k = [zI - A, -B_passed]
+    F_k y_k = z w + d_k,  F_k = [zI - A, -B_passed],  w = x_0 - x_T
     <=>   y_k = N_k v_k + (particular response to z w + d_k) + (bordering directions)
 
-N_k spans the regular part of the null space of F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal
-to it. Far from eigenvalues of A, N = [(zI - A)^{-1} B; I]. Near them, N and P follow from a singular value
-decomposition of F_k; directions of small cost or of small singular values become bordering directions, one complex
-unknown each. The inverse transform of F_f N N^* F_g' is a circulant kernel: the response of row f to a unit force on
-row g, by their distance in time.
+The jump w closes the period: x_1 .. x_T have the spectrum z (x_k - w). N_k spans the regular part of the null space of
+F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal to it. Far from eigenvalues of A,
+N = [(zI - A)^{-1} B; I]. Near them, N and P follow from a singular value decomposition of F_k; directions of small cost
+or of small singular values become bordering directions, one complex unknown each. The inverse transform of
+F_f N N^* F_g' is a circulant kernel: the response of row f to a unit force on row g, by their distance in time.
 """
 
 from __future__ import annotations

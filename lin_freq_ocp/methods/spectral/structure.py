@@ -1,7 +1,7 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
-Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, Farkas
-rays of infeasible data, and the data between other ends (docs/spectral.md, 1 to 5 and 10).
+Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, and
+Farkas rays of infeasible data (docs/spectral.md, 1 to 5 and 10).
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ class Structure:
 
     They depend on A, B, M, F, the bands, and the choice of free components at the ends.
 
-    ``unconstrained`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0 (R diagonal, S = 0).
+    ``diagonal_bound`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0: R is diagonal, and
+    the cost has no products of states and controls.
     """
 
     def __init__(self, lti: Lti):
@@ -53,16 +54,19 @@ class Structure:
         self.kernels = CirculantKernels(lti, self.spaces)
         self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
         R = lti.M[n:, n:]
-        self.unconstrained: Array | None = None
+        self.diagonal_bound: Array | None = None
         if not lti.M[:n, n:].any() and np.array_equal(R, np.diag(np.diagonal(R))) and np.diagonal(R).all():
-            self.unconstrained = np.zeros(len(lti.F))
-            self.unconstrained[n:dimension] = 1 / np.diagonal(R)
+            self.diagonal_bound = np.zeros(len(lti.F))
+            self.diagonal_bound[n:dimension] = 1 / np.diagonal(R)
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
-        """Return the responses of all values of the rows of F; None if many, or with soft unknowns or periodic ends."""
+        """Return the responses of all values of the rows of F.
+
+        None if these are many, an unknown is compliant, or the ends are periodic.
+        """
         T, closed = self.kkt.lti.horizon, self.kkt.lti.periodic
-        if closed or self.kkt.soft or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
+        if closed or self.kkt.compliant or not self.kernels.complete or not len(rows) or len(rows) * T > MOST_VALUES:
             return None
         if self._whole is None or not np.array_equal(self._whole.rows, rows):
             self._whole = WholeHorizon(self.kkt, rows)
@@ -109,7 +113,7 @@ def signals(
 ) -> tuple[Signals, ComplexArray]:
     """Return the optimum over all bins for given bordering unknowns and forces, and the spectrum of y, (n+m, bins).
 
-    docs/spectral.md, (3).
+    y_k = base_k - N_k N_k^* (G'l + E'zeta)_k + (responses to theta): docs/spectral.md, (3).
     """
     lti, spaces, kkt = data.lti, structure.spaces, structure.kkt
     spectrum = data.base.copy()
@@ -124,7 +128,7 @@ def signals(
 
 
 def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
-    """Return the spectrum of G'l + E'y, and the mask of its nonzero components."""
+    """Return the spectrum of G'l + E'zeta, zeta the ``multipliers`` of the equations, and the mask of components."""
     kkt, dimension = structure.kkt, len(lti.M)
     pulses = np.zeros((len(lti.F), lti.horizon))
     inner = working.inner
@@ -183,11 +187,11 @@ def unconstrained_point(
 
 @dataclass(frozen=True, eq=False)
 class Ray:
-    """A Farkas ray, verified within this method: weights l of the working rows, and multipliers y of the equations.
+    """A Farkas ray, verified within this method: weights l of the working rows, and multipliers zeta of the equations.
 
-    A ray (l >= 0, y), with l = 0 on soft rows, proves infeasibility if the forces G'l + E'y move nothing (N^* ghat = 0,
-    and no slope in theta) and the weighted sum of the constraints cannot hold: l'(limit - F c) + y'(e - E c) < 0 at any
-    point c that satisfies the dynamics.
+    A ray (l >= 0, zeta), with l = 0 on soft rows, proves infeasibility if the forces G'l + E'zeta move nothing
+    (N^* ghat = 0, and no slope in theta) and the weighted sum of the constraints cannot hold: at any point c that
+    satisfies the dynamics, l'(limit - G c) + zeta'(e - E c) < 0.
     """
 
     working: WorkingSet
@@ -195,31 +199,31 @@ class Ray:
 
 
 def verified_ray(
-    structure: Structure, data: Data, working: WorkingSet, y: Array, tolerance: float = tol.RAY_TOLERANCE
+    structure: Structure, data: Data, working: WorkingSet, zeta: Array, tolerance: float = tol.RAY_TOLERANCE
 ) -> Ray | None:
     """Return the ray if it is stationary to a tolerance and proves that these data are infeasible, else None."""
     kkt, lti = structure.kkt, data.lti
-    force, _ = forces(structure, lti, y, working)
-    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(y).sum()) + 1e-300
+    force, _ = forces(structure, lti, zeta, working)
+    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(zeta).sum()) + 1e-300
     response = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
     stationarity = float(np.abs(response).max()) / (
         max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size
     )
-    slope = np.abs(kkt.E.T @ y + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
+    slope = np.abs(kkt.E.T @ zeta + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = _point_without_forces(structure, data)
-    value = float(working.weights @ working.slacks(lti, c.y, c.last) + y @ residual)
-    terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(y) @ np.abs(data.e)) + 1e-300
+    value = float(working.weights @ working.slacks(lti, c.y, c.last) + zeta @ residual)
+    terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(zeta) @ np.abs(data.e)) + 1e-300
     proven = stationarity < tolerance * min(1.0, -tol.RAY_VALUE * value / terms)
-    return Ray(working, y) if proven else None
+    return Ray(working, zeta) if proven else None
 
 
 def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
     """Return a ray of the dependent equations."""
     dependent = structure.kkt.dependent
-    y = -dependent @ (dependent.T @ residual)
-    largest = float(np.abs(y).max(initial=0.0))
-    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.kkt), y / largest)
+    zeta = -dependent @ (dependent.T @ residual)
+    largest = float(np.abs(zeta).max(initial=0.0))
+    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.kkt), zeta / largest)
 
 
 def row_ray(
@@ -256,8 +260,8 @@ def row_ray(
     else:
         return None
     weights /= weights.max()
-    y = -(Z @ weights)[structure.kkt.size :]
-    return verified_ray(structure, data, working.weighted(weights), y, tolerance)
+    zeta = -(Z @ weights)[structure.kkt.size :]
+    return verified_ray(structure, data, working.weighted(weights), zeta, tolerance)
 
 
 def regularised_ray(

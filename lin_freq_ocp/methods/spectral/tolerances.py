@@ -20,11 +20,11 @@ SINGULAR_HESSIAN = 1e-13  # relative eigenvalue of N^*MN at which the cost does 
 
 # Bordered KKT system (kkt.py)
 NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
-EQUATION_ROUNDING = 1e-13  # relative eigenvalue of G_EE that is rounding of 0
-SOFT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
-SOFT_END = 1e8  # the same for free ends, which move all signals
+EQUATION_ROUNDING = 1e-13  # relative eigenvalue of S_E that is rounding of 0
+COMPLIANT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
+COMPLIANT_END = 1e8  # the same for free ends, which move all signals
 HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
-SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on soft unknowns, relative to the curvature of a control
+SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control
 
 # Small QPs, scaled to order 1 (qp.py)
 TINY = 1e-300  # keeps quotients of exact zeros finite

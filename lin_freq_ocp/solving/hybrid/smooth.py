@@ -47,8 +47,8 @@ from lin_freq_ocp.solving.linear import LinearAuto
 from lin_freq_ocp.solving.method import Request
 from lin_freq_ocp.solving.outcome import Evidence, Judged, Outcome
 from lin_freq_ocp.transform.hybrid.convex_cost import with_convex_terms
+from lin_freq_ocp.transform.hybrid.cost_state import CostState
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
-from lin_freq_ocp.transform.hybrid.priced import CostState
 from lin_freq_ocp.transform.limits import BOXES, SPECTRA
 from lin_freq_ocp.transform.sizes import search_scale
 from lin_freq_ocp.transform.starts import Start

@@ -5,12 +5,12 @@ from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.forms import FORMS
 from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
-from lin_freq_ocp.transform.hybrid.priced import form_of_linear, form_of_others, form_of_smooth
+from lin_freq_ocp.transform.hybrid.forms import form_of_linear, form_of_others, form_of_smooth
 
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
-    "convex_cost": "with_convex_terms", "forms": "boxes_of_steps linear_along piecewise_affine piecewise_smooth",
-    "mode_reach": "ModeReach", "priced": "cost_as_state",
+    "convex_cost": "with_convex_terms", "cost_state": "cost_as_state",
+    "forms": "boxes_of_steps linear_along piecewise_affine piecewise_smooth", "mode_reach": "ModeReach",
 })
 # fmt: on
 

@@ -1,23 +1,74 @@
-"""Problems with modes in the standard forms that searches and the judge use."""
+"""The forms of dynamics with levels and with a cost by formulas; problems with modes in the standard forms."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, stack_signals
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
+from lin_freq_ocp.formulas.nodes import Formula
+from lin_freq_ocp.problem.dynamics.base import Dynamics, require_form, unique_names
+from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.hybrid.affine_mode import ModeArrays
+from lin_freq_ocp.problem.hybrid.formula_modes import formula_pieces
+from lin_freq_ocp.problem.hybrid.levels import SwitchedDynamics
 from lin_freq_ocp.problem.hybrid.piecewise_affine import PiecewiseAffineDynamics
-from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics
+from lin_freq_ocp.problem.hybrid.piecewise_smooth import PiecewiseSmoothDynamics, SmoothMode, affine_formulas
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.problem_data import replace_fields
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.simulation import INFINITE
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 STATE, CONTROL = "mu", "nu"  # the fields of Multipliers that are normals to boxes; other families are names of terms
 OUTWARD = 1e-12  # sums are rounded outwards by this part of their largest terms, far above their rounding errors
+
+
+class ModesWithCost(PiecewiseSmoothDynamics, words="dynamics with a cost or path constraints by formulas"):
+    """The form of dynamics with a cost by formulas: smooth modes, each with its formula of the cost."""
+
+
+def form_of_linear(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Return linear dynamics with a mode for each of the levels, or else as one smooth mode with a stage cost."""
+    linear = require_form(dynamics, LinearDynamics)
+    if levels is not None:
+        return SwitchedDynamics(linear, levels)
+    times = max(linear.A.shape[:-2], linear.B.shape[:-2])
+    rows = np.concatenate([np.broadcast_to(M, (*times, *M.shape[-2:])) for M in (linear.A, linear.B)], axis=-1)
+    f = affine_formulas(rows, linear.offset, (linear.state_dim, linear.control_dim))
+    return _with_cost(linear, [SmoothMode(f)], stage)
+
+
+def form_of_smooth(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Return piecewise-smooth dynamics with a stage cost; levels are refused."""
+    if levels is not None:
+        return form_of_others(dynamics, levels, stage)
+    return _with_cost(dynamics, require_form(dynamics, PiecewiseSmoothDynamics).modes, stage)
+
+
+def form_of_others(dynamics: Dynamics, levels: ConvexSet | None, stage: Formula | None) -> Dynamics:
+    """Refuse levels, and a cost or path constraints by formulas."""
+    if levels is not None:
+        advice = "Write the levels into the regions of the modes, or take duty_cycles=True."
+        raise ProblemError("control_set", f"levels with {dynamics.words}", "LinearDynamics", advice)
+    raise UnsupportedError(f"dynamics: got {dynamics.words}; expected one of LinearDynamics, PiecewiseSmoothDynamics.")
+
+
+def _with_cost(dynamics: Dynamics, modes: Sequence[SmoothMode], stage: Formula | None) -> ModesWithCost:
+    """Return the modes with a stage cost, a mode for each piece of it."""
+    if stage is not None:
+        pieces = [(mode, piece) for mode in modes for piece in formula_pieces([stage], region=mode.region)]
+        names = unique_names([", ".join(filter(None, (mode.name, piece.name))) for mode, piece in pieces])
+        modes = [
+            SmoothMode(mode.f, piece.region, mode.domain, name, piece.formulas)
+            for (mode, piece), name in zip(pieces, names, strict=True)
+        ]
+    labels = dynamics.sampling_time, dynamics.state_names, dynamics.control_names
+    return ModesWithCost(modes, dynamics.state_dim, dynamics.control_dim, *labels)
 
 
 def piecewise_affine(problem: OptimalControlProblem) -> PiecewiseAffineDynamics:

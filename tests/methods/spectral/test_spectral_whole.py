@@ -42,7 +42,7 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     problem = problem_of(**({"initial_state": START} | PROBLEMS[request.param]))
     lti = lti_problem(problem, natural_units(problem))
     structure = Structure(lti)
-    assert not structure.kkt.soft
+    assert not structure.kkt.compliant
     whole = structure.whole_horizon(Violations(lti).rows)
     assert whole is not None
     working = WorkingSet(structure.kkt)
