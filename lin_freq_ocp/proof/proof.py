@@ -39,8 +39,10 @@ from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lfo_check import Failed, check
 from lin_freq_ocp.proof.point import InteriorPoint, points
 from lin_freq_ocp.proof.statement import line, problem_lines
+from lin_freq_ocp.proof.train import TrainProof, train_proof
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
+from lin_freq_ocp.solving.hybrid.pulse_train import Angles
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.reformulations import at_frequencies
@@ -127,7 +129,7 @@ class Proof:
         yield line(section="end")
 
 
-def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
+def proof_of(outcome: Outcome) -> tuple[Proof | TrainProof, Enclosure]:
     """Return a proof of the answer of a solve, and the interval that the checker confirms.
 
     Raises
@@ -138,7 +140,10 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
         If there is nothing to prove, the multipliers prove nothing, or the cost lies outside the proven interval.
     """
     searched = tree_of(outcome)
-    proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
+    if outcome.method == Angles.shorthand:
+        proof, enclosure = _angle_proof(outcome)
+    else:
+        proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
     certificate = outcome.certificate
     if certificate is not None and certificate.feasible:  # an optimal cost lies in the interval, others not below it
         cost, slack = certificate.cost, certificate.allowed_gap
@@ -150,6 +155,13 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
                 outcome,
             )
     return proof, enclosure
+
+
+def _angle_proof(outcome: Outcome) -> tuple[TrainProof, Enclosure]:
+    """Return a proof of the best pulse train, by the bounds over angles."""
+    proof = train_proof(outcome)
+    enclosure = checked_enclosure(proof.lines())
+    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
 def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:

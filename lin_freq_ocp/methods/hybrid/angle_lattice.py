@@ -110,6 +110,7 @@ class LatticePoint:
 
     Without a train, steps are zero. Of trains that cost the same, each angle may be that of another.
     ``open`` are the cells (m, 2, N) that may hold an angle, with a step up or down, of a train below what is enough.
+    With ``whole``, all whole steps of each dwell between switches are kept.
     """
 
     bound: float
@@ -118,6 +119,7 @@ class LatticePoint:
     steps: Array
     angles: Array
     open: Mask
+    whole: bool
 
 
 class AngleLattice:
@@ -163,7 +165,7 @@ class AngleLattice:
         cells = np.minimum(least[:, :, 1:], least[:, :, :-1]) <= most
         bound = min(float(least[0].min(initial=np.inf)), leaving) - TRACKING_ROUNDING + q.shift(r)
         down, at = np.array([np.unravel_index(one.argmin(), one.shape) for one in least]).T
-        return LatticePoint(bound, loss, r, np.isfinite(least).any() * q.step * (1.0 - 2 * down), at * h, cells)
+        return LatticePoint(bound, loss, r, np.isfinite(least).any() * q.step * (1.0 - 2 * down), at * h, cells, whole)
 
     def _tube(self, r: Array, part: AngleRange, most: float) -> tuple[Array, float, float, float]:
         """Return the middle of a tube around -I, its half width, a bound e on |I - R|, and the least L_r outside."""

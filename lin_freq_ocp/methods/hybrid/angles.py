@@ -53,7 +53,7 @@ def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array
     if 2**m > MOST_CORNERS:
         return -np.inf
     (E, g), (b, slopes) = quarter.energy(steps, c), quarter.amplitudes(steps, c)
-    rows, x, multipliers = _multipliers(quarter, steps, c)
+    rows, x, multipliers = multipliers_of_limits(quarter, steps, c)
     D, price, nu = rows[len(k) :], multipliers[: len(k)], -multipliers[len(k) :]
     over = np.where(price == 0, 0.0, b - np.where(price > 0, quarter.high, np.where(price < 0, quarter.low, b)))
     G = g + multipliers @ rows
@@ -80,7 +80,7 @@ def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array
 
 def local_prices(quarter: Quarter, steps: Array, c: Array) -> Array:
     """Return the prices r (angle_lattice.py) with which the slope of L_r is zero at a local optimum."""
-    _, _, multipliers = _multipliers(quarter, steps, c)
+    _, _, multipliers = multipliers_of_limits(quarter, steps, c)
     return -multipliers[: len(quarter.orders)] * np.array(quarter.orders) / 2
 
 
@@ -92,7 +92,7 @@ def _curvature(steps: Array, a: Array) -> Array:
     return np.where(i == j, alone[:, :, None], both * a[:, np.minimum(i, j)])
 
 
-def _multipliers(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array, Array]:
+def multipliers_of_limits(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array, Array]:
     """Return slopes of amplitudes and dwells (k + m + 1, m), dwells above the least, and multipliers that fit best."""
     from scipy.optimize import nnls  # slow to import
 
@@ -109,11 +109,11 @@ def _multipliers(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array
 def _newton(quarter: Quarter, steps: Array, c: Array) -> Array:
     """Return the angles (m,) after steps of Newton's method with the limits that have multipliers near c."""
     k = np.array(quarter.orders, dtype=float)[:, None]
-    multipliers = _multipliers(quarter, steps, c)[2]
+    multipliers = multipliers_of_limits(quarter, steps, c)[2]
     kept, price = multipliers != 0, multipliers[: len(k)]
     limits = np.where(price > 0, quarter.high, quarter.low)
     for _ in range(NEWTON_STEPS):
-        rows, x, _ = _multipliers(quarter, steps, c)
+        rows, x, _ = multipliers_of_limits(quarter, steps, c)
         A, misses = rows[kept], np.concatenate([quarter.amplitudes(steps, c)[0] - limits, x])[kept]
         bent = np.diag(multipliers[: len(k)] @ (4 / np.pi * steps * k * np.cos(k * c)))
         system = np.block([[_curvature(steps, c[None])[0] - bent, A.T], [A, np.zeros((len(A), len(A)))]])
