@@ -879,7 +879,6 @@ class Train:
             lower, upper = ((middle + side * width) / (h * s) + side * m for side in (-1, 1))
             first, last = (int(end.floor().unique_fmpz()) for end in (lower.lower(), upper.upper()))
             waves[i] = first, last, 8 * s / arb.pi() * bent, i * h
-        print("CHK", N, loss, width, steepest)
         least, rounding = self.recursion(part, N, low, high, hold, waves, inside)
         return INFINITY if least == math.inf else arb(least) - rounding - loss + ends
 
@@ -903,6 +902,10 @@ class Train:
                 before[v] = []
                 for i in range(high[c], low[c] - 1, -1) if arms else ():
                     first, end, bent, theta = waves[i]
+                    first = max(first, min(arm.first - (v + t) * i for t, arm in arms))
+                    end = min(end, max(arm.first + arm.size - 1 - (v + t) * i for t, arm in arms))
+                    if first > end:
+                        continue
                     spend(LATTICE * (end - first + 1) * len(arms), 1)
                     best, chosen, (a, b, sign) = None, None, inside[c] if inside else part[c]
                     for t, arm in arms:
@@ -983,8 +986,8 @@ class Costs:
 
     def __init__(self, rows):
         self.rows, self.first = iter(rows), min(row[1] for row in rows)
-        size = max(row[1] + len(row[2]) for row in rows) - self.first
-        self.least, self.ahead = ([math.inf] * size, [math.inf] * size), next(self.rows)
+        self.size = max(row[1] + len(row[2]) for row in rows) - self.first
+        self.least, self.ahead = ([math.inf] * self.size, [math.inf] * self.size), next(self.rows)
 
     def add(self, start):
         """Take in the rows from ``start`` on."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 TRAIN_BITS = 128  # of balls: a quarter has few angles
 AT_LEAST = 1e-9  # distance from a limit of a dwell or an amplitude that is exactly met at the point of the proof
 MARGIN = 1e-12  # of the energy, by which curvature exceeds the level
-MOST_LINES = 1000  # of a proof, each some seconds of the checker
+MOST_LINES = 400  # of a proof, each a second of the checker, or less
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +69,9 @@ def train_proof(outcome: Outcome) -> TrainProof:
         **{"dwells": quarter.dwells, "low": end.lower[4:], "high": end.upper[4:]},
     )
     energy = level / quarter.price - quarter.offset
-    nodes = [text for text in _part_lines(quarter, energy, steps, local[0], unit)]
+    nodes = list(islice(_part_lines(quarter, energy, steps, local[0], unit), MOST_LINES + 1))
     if len(nodes) > MOST_LINES:
-        raise SolveError(f"A proof that no train is better has more than {MOST_LINES:,} parts of the angles.", outcome)
+        raise SolveError(f"A proof that no train is better has more than {MOST_LINES} parts of the angles.", outcome)
     point = _point_line(quarter, steps, local[0])
     body = [*point, line(section="nodes", level=float(level)), *nodes]
     return TrainProof(stated, Enclosure(-np.inf, np.inf), body)
@@ -132,7 +132,7 @@ def _part_lines(quarter: Quarter, energy: float, steps: Array, c: Array, unit: f
             narrow = [(max(a, Fraction(i, lattice.count)), min(b, Fraction(j, lattice.count))) for (a, b), i, j in ends]
             up, down = np.logical_or.reduce(point.open, axis=2).T
             signs = np.where(up & down, sign, np.where(up, 1, -1))
-            finer = point.loss > (enough - point.bound) / 2 and level + 1 < len(LATTICES)
+            finer = point.loss > (energy - point.bound) / 2 and level + 1 < len(LATTICES)
             fewer = float(sum(b - a for a, b in narrow)) < SMALLER * float(sum(b - a for a, b in ranges))
             if fewer or (finer and signs.all()):
                 yield line(**taken, low=low, high=high, signs=signs.tolist())

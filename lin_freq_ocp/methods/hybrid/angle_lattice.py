@@ -59,7 +59,7 @@ from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 # Roundings, on which claims rest
 TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: their rounding telescopes over the lattice
 SUM_ROUNDING = 2.0**-52  # of a sum of costs, relative: twice what one addition rounds
-WHOLE = 1e-12  # of a step, up to which a dwell is a multiple of h: it changes L_r by less than rounding
+WHOLE = 1e-12  # of a step, by which a dwell is longer than its whole steps: its rounding is smaller
 # Effort: bounds hold whatever these are
 COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above: less of them is lost
 MOST_STATES = 2**25  # of a recursion, half a gigabyte for the costs from and to each; larger parts are halved
@@ -126,10 +126,11 @@ class AngleLattice:
     """The lattice of N or some more angles for a quarter."""
 
     def __init__(self, quarter: Quarter, count: int):
-        dwells = quarter.dwells / QUARTER
-        self.count = min(range(count, count + COUNTS), key=lambda N: float(((dwells * N + WHOLE) % 1.0).max()))
+        dwells = quarter.dwells[quarter.dwells > 0] / QUARTER
+        lost = [float(((dwells * N - WHOLE) % 1.0).max(initial=0.0)) for N in range(count, count + COUNTS)]
+        self.count = count + int(np.argmin(lost))
         self.quarter, self.h = quarter, QUARTER / self.count
-        self._whole = np.floor(quarter.dwells / self.h + WHOLE).astype(np.int64)
+        self._whole = np.maximum(np.floor(quarter.dwells / self.h - WHOLE), 0).astype(np.int64)
 
     def bound(self, r: Array, part: AngleRange, enough: float = np.inf) -> LatticePoint:
         """Return the bound for some r; infinity if the part has no train. No tube is wider than ``enough`` asks for."""

@@ -1,0 +1,247 @@
+"""Proofs of pulse trains: the recursion, the curvature and the point of the checker against sums of their own."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from flint import arb, ctx, fmpq
+
+import lin_freq_ocp as lfo
+from helpers import hand_proofs
+from helpers.checks import proofs
+from helpers.mutations import mutations
+from helpers.seeds import expensive, seeds
+from lin_freq_ocp.proof import lfo_check, proof_of
+
+END = np.pi / 2
+CLASS = {"least_dwell": 0.0314159, "unipolar": True, "exactly": True}
+
+
+def pattern(M: float, k: int, **fields) -> lfo.OptimalControlProblem:
+    return lfo.library.pulse_pattern(kind="opp", modulation=M, switches=k, **fields)
+
+
+def check(lines: list[str]) -> tuple[arb, arb]:
+    return lfo_check.check(io.BytesIO("".join(lines).encode()), lambda text: None)
+
+
+@pytest.mark.parametrize(
+    ("M", "k", "fields"),
+    seeds(
+        [
+            (0.9, 8, {}),
+            (0.3, 12, {}),
+            (0.05, 16, CLASS),
+            (1.1, 16, CLASS),
+            (0.4, 12, CLASS | {"least_dwell": 0.01 * np.pi}),
+            (0.55, 20, CLASS),
+            (0.5, 32, CLASS),
+        ]
+    ),
+)
+def test_the_interval_is_narrow_and_the_file_proves_it(M, k, fields, tmp_path):
+    result = lfo.solve(pattern(M, k, **fields))
+    proven = result.enclosure
+    assert proven.lower <= result.lower_bound
+    assert proven.width <= 1.01e-6 * result.cost
+    assert result.cost == pytest.approx(proven.upper, rel=1e-9)
+    result.write_proof(tmp_path / "run.proof")
+    assert hand_proofs.check_file(tmp_path / "run.proof").status == 0  # with the usual limit of work
+
+
+@expensive
+@pytest.mark.parametrize("unit", [1e-9, 3.0, 1e9])
+def test_the_unit_of_levels_changes_nothing(unit):
+    plain = pattern(0.8, 12)
+    dynamics = lfo.dynamics.PulseTrain(step=0.5 * unit, orders=plain.dynamics.orders)
+    size = np.array([1.0, unit, unit, unit**2, unit, unit])
+    tube, ends = plain.state_boxes, plain.ends
+    scaled = replace(
+        plain,
+        dynamics=dynamics,
+        state_set=lfo.Box(tube.lower * size, tube.upper * size),
+        initial_state=lfo.Box(ends[0].lower * size, ends[0].upper * size),
+        terminal_state=lfo.Box(ends[1].lower * size, ends[1].upper * size),
+    )
+    proven = lfo.solve(scaled).enclosure
+    assert proven.upper == pytest.approx(unit**2 * lfo.solve(plain).enclosure.upper, rel=1e-9)
+
+
+@expensive
+def test_every_mutation_of_the_point_and_of_the_parts_is_rejected_or_still_true(tmp_path):
+    proof = proofs.KINDS["a pulse train"]()
+    truth, first_hash = proofs.truth_of("a pulse train", proof, tmp_path)
+    found = [one for one in mutations(proof.splitlines(keepends=True)) if one.section in ("point", "nodes")]
+    assert len(found) > 60
+    assert not [str(one) for one in found if proofs.wrong_of(one, truth, first_hash, tmp_path)]
+
+
+def test_a_solve_without_a_train_has_no_proof():
+    result = lfo.solve(pattern(1.15, 8, **CLASS), throw=False)
+    assert result.status == "infeasible"
+    with pytest.raises(lfo.errors.SolveError, match="no train to prove: the solve ended as 'infeasible'"):
+        _ = result.enclosure
+
+
+def test_amplitudes_that_start_elsewhere_are_refused():
+    problem = pattern(0.9, 8)
+    moved = np.array([0, 0, 0, 0, 0.25, 0])
+    start, end = problem.ends
+    problem = replace(
+        problem,
+        initial_state=lfo.Box(start.lower + moved, start.upper + moved),
+        terminal_state=lfo.Box(end.lower + moved, end.upper + moved),
+    )
+    with pytest.raises(lfo.errors.UnsupportedError, match="initial_state: a proof of a pulse train"):
+        proof_of(lfo.solve(problem))
+
+
+# --- the parts of the checker ----------------------------------------------------------------------------------------
+
+
+def train_of(**fields) -> lfo_check.Train:
+    """Return a train of three steps of 1, at most two up and one down, with the harmonics 1 and 3."""
+    given = {"section": "pulse train", "name": "", "switches": 3, "lowest": -1, "highest": 2, "orders": [1, 3]}
+    numbers = {"step": 1.0, "price": 1.0, "offset": 0.0, "dwells": [0.0] * 4, "low": [-2.0] * 2, "high": [2.0] * 2}
+    numbers |= {key: fields.pop(key) for key in tuple(fields) if key in numbers}
+
+    def encoded(value):
+        return list(map(encoded, value)) if isinstance(value, list) else float(value).hex()
+
+    line = given | fields | {key: encoded(value) for key, value in numbers.items()}
+    with ctx.workprec(128):
+        return lfo_check.Train(lfo_check.Lines(io.BytesIO((json.dumps(line) + "\n").encode())))
+
+
+def series(signs: np.ndarray, angles: np.ndarray, step: float = 1.0) -> tuple[float, np.ndarray]:
+    """Return E and b_1, b_3 by the sums over odd harmonics."""
+    k = np.arange(1, 40001, 2)
+    b = 4 * step / (np.pi * k) * (signs[:, None] * np.cos(k * angles[:, None])).sum(0)
+    return float(((b / k) ** 2).sum()), b[:2]
+
+
+@pytest.mark.parametrize("seed", seeds(range(5)))
+def test_energy_and_amplitudes_are_those_of_the_fourier_series(seed):
+    rng = np.random.default_rng(seed)
+    signs, angles, train = rng.choice([1, -1], 3), np.sort(rng.uniform(0, END, 3)), train_of()
+    E, b = series(signs, angles)
+    with ctx.workprec(128):
+        at = [[arb(float(x)) + h * (j == i) for j, x in enumerate(angles)] for i in range(3) for h in (0, arb(2) ** -40)]
+        found, slopes = train.energy(signs.tolist(), at[0])
+        values, by_angle, bends = train.amplitudes(signs.tolist(), at[0])
+        assert float(found) == pytest.approx(E, abs=1e-11)
+        assert [float(one) for one in values] == pytest.approx(b, abs=1e-11)
+        for i in range(3):
+            near = at[2 * i + 1]
+            moved, again = train.amplitudes(signs.tolist(), near)[:2]
+            rise = (train.energy(signs.tolist(), near)[0] - found) * 2**40
+            assert float(rise) == pytest.approx(float(slopes[i]), abs=1e-10)
+            for j in range(2):
+                assert float((moved[j] - values[j]) * 2**40) == pytest.approx(float(by_angle[j][i]), abs=1e-9)
+                assert float((again[j][i] - by_angle[j][i]) * 2**40) == pytest.approx(float(bends[j][i]), abs=1e-8)
+
+
+def lattice_trains(train: lfo_check.Train, N: int, hold: list[int]):
+    """Yield signs and indices of all trains of a lattice."""
+    for signs in product((1, -1), repeat=train.m):
+        levels = np.cumsum(signs)
+        for at in combinations(range(N + 1), train.m) if hold[1] else product(range(N + 1), repeat=train.m):
+            dwells = np.diff([0, *at, N])
+            if (dwells >= hold).all() and train.lowest <= levels.min() and levels.max() <= train.highest:
+                yield np.array(signs), np.array(at)
+
+
+@pytest.mark.parametrize("seed", seeds(range(12)))
+@pytest.mark.parametrize("hold", [[0, 0, 0, 0], [1, 2, 1, 1]])
+def test_the_recursion_is_the_least_of_all_trains_of_the_lattice(seed, hold):
+    """Of those with an angle or a sign outside of another part, and of all."""
+    rng, N, train = np.random.default_rng(seed), 8, train_of()
+    r = rng.normal(size=2)
+    with ctx.workprec(128):
+        h = train.quarter / N
+        low = [sum(hold[: j + 1]) for j in range(3)]
+        high = [N - sum(hold[j + 1 :]) for j in range(3)]
+        bent = [4 * 2 / arb.pi() * sum((arb(p) * (k * i * h).cos() / k**2 for k, p in ((1, r[0]), (3, r[1]))), arb(0)) for i in range(N + 1)]
+        waves = {i: (-40, 40, bent[i], i * h) for i in range(N + 1)}
+        part = [(fmpq(0), fmpq(1), 0)] * 3
+        inside = [(1, 4, 1), (2, 6, int(rng.choice([0, 1, -1]))), (3, 8, -1)]
+        for other in (None, inside):
+            found, rounding = train.recursion(part, N, low, high, hold, waves, other)
+            least = math.inf
+            for signs, at in lattice_trains(train, N, hold):
+                outside = other is None or any(
+                    (i <= a and a > 0) or (i >= b and b < N) or s == -sign
+                    for i, s, (a, b, sign) in zip(at, signs, other, strict=True)
+                )
+                if outside:
+                    E, b = series(signs, at * END / N)
+                    least = min(least, E - 2 * float(r @ (b / [1, 3])))
+            assert found == pytest.approx(least, abs=1e-10)
+            assert 0 < float(rounding) < 1e-12
+
+
+def random_part(rng: np.random.Generator, angles: np.ndarray, signs: np.ndarray) -> list:
+    """Return a part that has a train, some of its signs free."""
+    shares = angles / END
+    low = [fmpq(int(x * 64 * s), 64) for x, s in zip(shares, rng.uniform(0, 1, len(shares)), strict=True)]
+    high = [fmpq(min(int(x * 64) + int(rng.integers(1, 20)), 64), 64) for x in shares]
+    return [(a, b, int(s) * int(rng.integers(0, 2))) for a, b, s in zip(low, high, signs, strict=True)]
+
+
+@pytest.mark.parametrize("seed", seeds(range(20)))
+def test_no_train_of_a_part_costs_less_than_the_lattice_says(seed):
+    """Also none outside of a narrower part, whatever the prices; and the finer lattice is nearer to it."""
+    rng = np.random.default_rng(seed)
+    dwell = float(rng.choice([0.0, 0.05, 0.2]))
+    angles = np.sort(rng.uniform(0, END - 4 * dwell, 3)) + dwell * np.arange(1, 4)
+    signs = np.array([1, *[[1, -1], [-1, 1], [-1, -1]][rng.integers(3)]])
+    E, b = series(signs, angles)
+    if not -1 <= np.cumsum(signs).min() <= np.cumsum(signs).max() <= 2:
+        signs = np.array([1, -1, 1])
+        E, b = series(signs, angles)
+    wide = rng.choice([0.0, 0.1], 2)
+    train = train_of(dwells=[dwell] * 4, low=(b - wide - 1e-9).tolist(), high=(b + wide + 1e-9).tolist())
+    price = (b / [1, 3] if rng.random() < 0.5 else rng.normal(size=2)).tolist()
+    with ctx.workprec(128):
+        part = random_part(rng, angles, signs)
+        beyond = [(0, int(64 * x), 0) for x in angles / END]  # each angle is after its range
+        for N, whole in ((64, False), (64, True), (200, False)):
+            line = {"prices": [float(one).hex() for one in price], "whole": whole}
+            outside = [(a * N // 64, b * N // 64, s) for a, b, s in beyond]
+            for inside in (None, outside):
+                bound = train.least_on_lattice(part, N, line, arb(E * (1 + 1e-9)), inside)
+                assert float(bound) <= E
+
+
+@pytest.mark.parametrize("seed", seeds(range(8)))
+def test_no_train_of_a_part_costs_less_than_its_curvature_says(seed):
+    """Around angles of a random train with limits that it meets exactly, and with prices of either sign."""
+    rng = np.random.default_rng(seed)
+    signs, proven = np.array([1, -1, 1]), 0
+    c = np.sort(rng.uniform(0.2, 1.4, 3))
+    radius, (_, b) = float(rng.choice([0.01, 0.05])), series(signs, c)
+    price = rng.normal(size=2) * [1.0, 0.1]
+    side = np.where(price > 0, 1, -1)
+    train = train_of(low=np.where(side < 0, b, -3.0).tolist(), high=np.where(side > 0, b, 3.0).tolist())
+    with ctx.workprec(128):
+        E, slopes = train.energy(signs.tolist(), [arb(float(x)) for x in c])
+        part = [(fmpq(int((x - radius) / END * 4096), 4096), fmpq(int((x + radius) / END * 4096), 4096), s) for x, s in zip(c, signs.tolist(), strict=True)]
+        line = {"optimum": [float(x).hex() for x in c], "prices": [float(x).hex() for x in price], "forces": ["0x0p+0"] * 4}
+        try:
+            bound = float(train.least_by_curvature(part, line))
+            proven = 1
+        except lfo_check.Failed as failed:
+            assert "not convex" in str(failed)  # noqa: PT017
+            bound = -math.inf
+    for _ in range(200):
+        angles = np.array([rng.uniform(float(a), float(b)) * END for a, b, _ in [(float(p.p) / float(p.q), float(q.p) / float(q.q), s) for p, q, s in part]])
+        value, at = series(signs, angles)
+        if (np.diff(angles) >= 0).all() and (side * (at - b) <= 0).all():
+            assert bound <= value + 1e-11
+    assert proven in (0, 1)
