@@ -11,12 +11,14 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from flint import arb, ctx, fmpq
+from scipy.optimize import minimize
 
 import lin_freq_ocp as lfo
 from helpers import hand_proofs
 from helpers.checks import proofs
 from helpers.mutations import mutations
 from helpers.seeds import expensive, seeds
+from lin_freq_ocp.methods.hybrid import Quarter, local_angles
 from lin_freq_ocp.proof import lfo_check, proof_of
 
 END = np.pi / 2
@@ -132,7 +134,9 @@ def test_energy_and_amplitudes_are_those_of_the_fourier_series(seed):
     signs, angles, train = rng.choice([1, -1], 3), np.sort(rng.uniform(0, END, 3)), train_of()
     E, b = series(signs, angles)
     with ctx.workprec(128):
-        at = [[arb(float(x)) + h * (j == i) for j, x in enumerate(angles)] for i in range(3) for h in (0, arb(2) ** -40)]
+        at = [
+            [arb(float(x)) + h * (j == i) for j, x in enumerate(angles)] for i in range(3) for h in (0, arb(2) ** -40)
+        ]
         found, slopes = train.energy(signs.tolist(), at[0])
         values, by_angle, bends = train.amplitudes(signs.tolist(), at[0])
         assert float(found) == pytest.approx(E, abs=1e-11)
@@ -167,7 +171,10 @@ def test_the_recursion_is_the_least_of_all_trains_of_the_lattice(seed, hold):
         h = train.quarter / N
         low = [sum(hold[: j + 1]) for j in range(3)]
         high = [N - sum(hold[j + 1 :]) for j in range(3)]
-        bent = [4 * 2 / arb.pi() * sum((arb(p) * (k * i * h).cos() / k**2 for k, p in ((1, r[0]), (3, r[1]))), arb(0)) for i in range(N + 1)]
+        bent = [
+            4 * 2 / arb.pi() * sum((arb(p) * (k * i * h).cos() / k**2 for k, p in ((1, r[0]), (3, r[1]))), arb(0))
+            for i in range(N + 1)
+        ]
         waves = {i: (-40, 40, bent[i], i * h) for i in range(N + 1)}
         part = [(fmpq(0), fmpq(1), 0)] * 3
         inside = [(1, 4, 1), (2, 6, int(rng.choice([0, 1, -1]))), (3, 8, -1)]
@@ -219,29 +226,89 @@ def test_no_train_of_a_part_costs_less_than_the_lattice_says(seed):
                 assert float(bound) <= E
 
 
-@pytest.mark.parametrize("seed", seeds(range(8)))
-def test_no_train_of_a_part_costs_less_than_its_curvature_says(seed):
-    """Around angles of a random train with limits that it meets exactly, and with prices of either sign."""
-    rng = np.random.default_rng(seed)
-    signs, proven = np.array([1, -1, 1]), 0
-    c = np.sort(rng.uniform(0.2, 1.4, 3))
-    radius, (_, b) = float(rng.choice([0.01, 0.05])), series(signs, c)
-    price = rng.normal(size=2) * [1.0, 0.1]
-    side = np.where(price > 0, 1, -1)
-    train = train_of(low=np.where(side < 0, b, -3.0).tolist(), high=np.where(side > 0, b, 3.0).tolist())
+SIGNS = np.array([1, -1, 1])
+RADII = 0.3, 0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.02, 0.01
+
+
+def curvature_bound(
+    train: lfo_check.Train, c: np.ndarray, price: np.ndarray, force: np.ndarray, radius: float
+) -> float:
+    """Return the bound of the box around angles; minus infinity where the Lagrangian is not convex."""
+    low, high = (box(c, side * radius) for side in (-1, 1))
+    line = {"optimum": c, "prices": price, "forces": force}
+    line = {key: [float(one).hex() for one in values] for key, values in line.items()}
     with ctx.workprec(128):
-        E, slopes = train.energy(signs.tolist(), [arb(float(x)) for x in c])
-        part = [(fmpq(int((x - radius) / END * 4096), 4096), fmpq(int((x + radius) / END * 4096), 4096), s) for x, s in zip(c, signs.tolist(), strict=True)]
-        line = {"optimum": [float(x).hex() for x in c], "prices": [float(x).hex() for x in price], "forces": ["0x0p+0"] * 4}
+        part = [(fmpq(int(a), 4096), fmpq(int(b), 4096), s) for a, b, s in zip(low, high, SIGNS.tolist(), strict=True)]
         try:
-            bound = float(train.least_by_curvature(part, line))
-            proven = 1
-        except lfo_check.Failed as failed:
-            assert "not convex" in str(failed)  # noqa: PT017
-            bound = -math.inf
-    for _ in range(200):
-        angles = np.array([rng.uniform(float(a), float(b)) * END for a, b, _ in [(float(p.p) / float(p.q), float(q.p) / float(q.q), s) for p, q, s in part]])
-        value, at = series(signs, angles)
-        if (np.diff(angles) >= 0).all() and (side * (at - b) <= 0).all():
-            assert bound <= value + 1e-11
-    assert proven in (0, 1)
+            return float(train.least_by_curvature(part, line))
+        except lfo_check.Failed:
+            return -math.inf
+
+
+def box(c: np.ndarray, by: float) -> np.ndarray:
+    return np.clip(np.round((c + by) / END * 4096), 0, 4096)
+
+
+def quarter_of(orders: tuple[int, ...], limits: np.ndarray) -> Quarter:
+    return Quarter(1.0, -1, 2, np.zeros(4), orders, limits, limits, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", seeds(range(12)))
+def test_the_curvature_bounds_the_energy_with_prices_over_a_box(seed):
+    """Of an amplitude of a high order, whose waves make other minima near; angles are moved away from the minimum."""
+    rng, orders = np.random.default_rng(seed), (1, 21)
+    quarter, price = quarter_of(orders, np.zeros(2)), rng.normal(size=2) * [1.0, 0.3]
+
+    def lagrangian(a: np.ndarray) -> float:
+        a = np.sort(a)
+        return quarter.energy(SIGNS, a)[0] + float(price @ quarter.amplitudes(SIGNS, a)[0])
+
+    c = np.sort(minimize(lagrangian, np.sort(rng.uniform(0.3, 1.3, 3)), bounds=[(0.05, 1.5)] * 3).x)
+    c = np.sort(c + rng.choice([0.0, 0.02]) * rng.uniform(-1, 1, 3))
+    limit = quarter.amplitudes(SIGNS, c)[0]
+    low, high = np.where(price > 0, -50.0, limit), np.where(price > 0, limit, 50.0)
+    train = train_of(orders=list(orders), low=low.tolist(), high=high.tolist())
+
+    def most(a: np.ndarray) -> float:  # with the squares that prices allow, at most
+        over = quarter.amplitudes(SIGNS, a)[0] - limit
+        return quarter.energy(SIGNS, a)[0] + float(price @ over + over @ over)
+
+    for radius in RADII:
+        bound = curvature_bound(train, c, price, np.zeros(4), radius)
+        low, high = (box(c, side * radius) / 4096 * END for side in (-1, 1))
+        for start in rng.uniform(low, high, (6 if bound > -np.inf else 0, 3)):
+            a = minimize(most, start, bounds=[*zip(low, high, strict=True)]).x
+            assert bound <= most(a) + 1e-9
+
+
+@expensive
+def test_no_train_with_the_amplitude_costs_less_than_the_curvature_says():
+    """Of those with b_1 given, two angles are free; the Lagrangian alone is convex nowhere near."""
+    proven = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        start = np.sort(rng.uniform(0.2, 1.4, 3))
+        b = quarter_of((1,), np.zeros(1)).amplitudes(SIGNS, start)[0]
+        quarter = quarter_of((1,), b)
+        local = local_angles(quarter, SIGNS.astype(float), start)
+        if local is None or np.diff(local[0]).min() < 0.05:
+            continue
+        c = local[0] + rng.choice([0.0, 0.03]) * rng.uniform(-1, 1, 3)
+
+        def energy_of(a: np.ndarray, low: np.ndarray, high: np.ndarray, b=b, quarter=quarter) -> float:
+            cosine = float(b[0]) * np.pi / 4 - SIGNS[:2] @ np.cos(a)
+            a = np.append(a, np.arccos(np.clip(cosine, -1, 1)))
+            inside = abs(cosine) <= 1 and (a >= low).all() and (a <= high).all() and (np.diff(a) >= 0).all()
+            return quarter.energy(SIGNS, a)[0] if inside else 100.0
+
+        price = -np.linalg.lstsq(quarter.amplitudes(SIGNS, c)[1].T, quarter.energy(SIGNS, c)[1], rcond=None)[0]
+        train = train_of(orders=[1], low=b.tolist(), high=b.tolist())
+        for radius in RADII:
+            bound = curvature_bound(train, c, price, np.zeros(4), radius)
+            proven += bound > -np.inf
+            low, high = (box(c, side * radius) / 4096 * END for side in (-1, 1))
+            for a in rng.uniform(low[:2], high[:2], (300 if bound > -np.inf else 0, 2)):
+                assert bound <= energy_of(a, low, high) + 1e-9
+            for start in rng.uniform(low[:2], high[:2], (3 if bound > -np.inf else 0, 2)):
+                assert bound <= minimize(energy_of, start, (low, high), method="Nelder-Mead").fun + 1e-9
+    assert proven > 20
