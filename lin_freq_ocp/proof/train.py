@@ -28,7 +28,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 
 TRAIN_BITS = 128  # of balls: a quarter has few angles
 AT_LEAST = 1e-9  # distance from a limit of a dwell or an amplitude that is exactly met at the point of the proof
-MARGIN = 1e-12  # of the energy, by which curvature exceeds the level
+CURVATURE_MARGIN = 1e-12  # of the energy, by which curvature exceeds the level
 MOST_LINES = 400  # of a proof, each a second of the checker, or less
 
 
@@ -109,7 +109,8 @@ def _part_lines(quarter: Quarter, energy: float, steps: Array, c: Array, unit: f
         part = AngleRange(*(QUARTER * np.array([float(one[i]) for one in ranges]) for i in (0, 1)), sign)
         near = [one for one in optima if part.is_near(*one[:2])]
         r = near[-1][2] if near else r
-        proven = [at for s, at, _ in near if _bound_of_box(quarter, s, at, part) >= energy + MARGIN]
+        bounds = [bound_near(quarter, s, at, part.low, part.high) for s, at, _ in near] if sign.all() else []
+        proven = [one[1] for one, bound in zip(near, bounds, strict=False) if bound >= energy + CURVATURE_MARGIN]
         if proven:
             multipliers = multipliers_of_limits(quarter, quarter.step * sign, proven[0])[2]
             prices, forces = np.split(multipliers, [len(quarter.orders)])
@@ -117,7 +118,9 @@ def _part_lines(quarter: Quarter, energy: float, steps: Array, c: Array, unit: f
             continue
         lattice = lattices[level]
         with suppress(UnsupportedError):
-            enough = energy + lattice.h**2 * quarter.step * m / np.pi * _tube(quarter, r, energy)
+            slope = quarter.step * max(quarter.highest, -quarter.lowest) + float(np.abs(r) @ np.array(quarter.orders))
+            width = (3 * np.pi / 4 * slope * max(energy - quarter.shift(r), 0.0)) ** (1 / 3)  # of the checker's tube
+            enough = energy + lattice.h**2 * quarter.step * m / np.pi * width
             point = max(lattice.best(part, r, np.inf, enough), key=lambda one: one.bound)
             taken = {"lattice": lattice.count, "whole": point.whole, "prices": point.r * unit}
             cells = [np.flatnonzero(one) for one in np.logical_or.reduce(point.open, axis=1)]
@@ -150,14 +153,3 @@ def _part_lines(quarter: Quarter, energy: float, steps: Array, c: Array, unit: f
         )
         for half, s in halves:
             waiting.append(([*ranges[:i], half, *ranges[i + 1 :]], np.where(np.arange(m) == i, s, sign), level, r))
-
-
-def _bound_of_box(quarter: Quarter, steps: Array, c: Array, part: AngleRange) -> float:
-    """Return the bound by curvature, minus infinity where signs are free."""
-    return bound_near(quarter, steps, c, part.low, part.high) if part.sign.all() else -np.inf
-
-
-def _tube(quarter: Quarter, r: Array, energy: float) -> float:
-    """Return the half width of the checker's tube around -R."""
-    steepest = quarter.step * max(quarter.highest, -quarter.lowest) + np.abs(r) @ np.array(quarter.orders)
-    return float(3 * np.pi / 4 * steepest * max(energy - quarter.shift(r), 0.0)) ** (1 / 3)
