@@ -45,6 +45,8 @@ SAYS = {
     "suspension": "with the stop band: cost 6.85887",
     "scanner": "largest error 28 nm of 8000 nm",
     "gantry": "no shorter one exists: True",
+    "patterns": " 0.5  16          1.78075     1.78075   5.0e-07",
+    "shaper_from_a_test": "no shaper shorter than 26.5 ms keeps 5 %",
     "input_shaper": "no shaper shorter than 21.7 ms keeps 5 %",
     "switching_angles": "angles [deg] [24.655 29.975 40.054 48.274 55.639]",
     "swing_up": "locally_optimal: cost 42.591339; satisfied",
