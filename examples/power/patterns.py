@@ -2,7 +2,7 @@
 A table of optimal pulse patterns with proven gaps
 ==================================================
 
-How little distortion can an inverter with five levels have, for each number of switches?
+How little distortion can an inverter with five levels have, by the number of switches?
 
 The published class: exactly k switches in a period, at least 0.01 pi apart, no level
 below zero in the first half of the period, and a third harmonic of at most 0.01. Each
@@ -34,7 +34,7 @@ for i, k in enumerate(switches):
         print(f"{M:4.1f}{k:4d}{table[i, j]:17.5f}{bound:12.5f}   {gap:.1e}")
 
 # %%
-# ``result.write_proof`` writes a file from which ``lfo-check`` proves such a bound alone.
+# ``result.write_proof`` writes a file from which ``lfo-check`` proves such a bound.
 
 figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
 for j, M in enumerate(modulations):

@@ -60,7 +60,7 @@ from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: their rounding telescopes over the lattice
 SUM_ROUNDING = 2.0**-52  # of a sum of costs, relative: twice what one addition rounds
 WHOLE = 1e-12  # of a step, by which a dwell is longer than its whole steps: its rounding is smaller
-# Effort: bounds hold whatever these are
+# Effort: bounds hold whatever these are. Lattices that lose a step of a dwell have worse bounds; the rest is time
 COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above: less of them is lost
 MOST_STATES = 2**25  # of a recursion, half a gigabyte for the costs from and to each; larger parts are halved
 RADIUS = 0.05  # of the first trust region of r, in units of b_k
@@ -97,11 +97,9 @@ class AngleRange:
         where = np.arange(len(self.sign)) == (free[0] if len(free) else (self.high - self.low).argmax())
         if len(free):
             return [replace(self, sign=np.where(where, s, self.sign)) for s in (1, -1)]
-        middle = (
-            np.where(where, (self.low + self.high) / 2, self.high),
-            np.where(where, (self.low + self.high) / 2, self.low),
-        )
-        return [replace(self, high=middle[0]), replace(self, low=middle[1])]
+        middle = (self.low + self.high) / 2
+        high, low = np.where(where, middle, self.high), np.where(where, middle, self.low)
+        return [replace(self, high=high), replace(self, low=low)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,14 +36,14 @@ from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 # Roundings, on which claims rest
 ENERGY_ROUNDING = 1e-13  # of the sums of the absolute terms of E and b_k, for twelve angles: rounding is smaller
 EIGENVALUE_ROUNDING = 1e-12  # of the largest entry of M: the rounding of eigenvalues is smaller for twelve angles
-# Effort: bounds and exclusions hold whatever these are
+# Effort: bounds and exclusions hold whatever these are; with less, more parts are left to the lattice
 MOST_CORNERS = 2**12  # of a box whose curvature is asked
 SUMS, MOST_SUMS = 4000, 40  # angles of a quarter for sums of amplitudes, and how many sums are tried at most
 SUM_ACCURACY = 1e-9  # of amplitudes of order 1, by which a sum must miss its limits to be worth a try
 AT_LIMIT = 1e-7  # distance from a limit up to which an amplitude or a dwell has a multiplier at an optimum
 COST_ACCURACY = 1e-13  # change of the cost, relative to the sum of its terms, at which the search ends
 AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge, who decides
-SEARCH_STEPS = 80  # of a search: those that converge take half of them
+SEARCH_STEPS = 80  # of a search: those that converge take half of them; with a quarter, times are the same
 NEWTON_STEPS, NEWTON_REACH = 6, 1e-2  # after the search; a longer step [rad] is none from an optimum
 
 
