@@ -45,6 +45,7 @@ SAYS = {
     "suspension": "with the stop band: cost 6.85887",
     "scanner": "largest error 28 nm of 8000 nm",
     "gantry": "no shorter one exists: True",
+    "three_axes": "122 is feasible; each of 100 to 121 is proven infeasible",
     "patterns": " 0.5  16          1.78075     1.78075   5.0e-07",
     "shaper_from_a_test": "no shaper shorter than 26.5 ms keeps 5 %",
     "input_shaper": "no shaper shorter than 21.7 ms keeps 5 %",
