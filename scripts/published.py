@@ -734,7 +734,7 @@ ROWS = [
         )
     ),
     *(
-        Row(f"ubh1_{N}", CUTEST.format("UBH1"), UBH1 + str(N), printed, partial(ubh1, N), OUTSIDE)
+        Row(f"ubh1_{N}", CUTEST.format("UBH5"), UBH1 + str(N), printed, partial(ubh1, N), OUTSIDE)
         for N, printed in (
             (10, "1.14735202967"),
             (100, "1.11631518169"),
