@@ -817,7 +817,7 @@ class Train:
 
     def lower_bound(self, lines):
         """Return the level of the cost that no train is below: each part is narrowed or divided until it has none."""
-        level, whole = number(lines.section("nodes", "level")["level"]), (fmpq(0), fmpq(1))
+        level, whole = number(lines.section("nodes", "level")["level"], infinite=True), (fmpq(0), fmpq(1))
         E, parts = level / self.price - self.offset, [[(*whole, 0)] * self.m]
         while parts:
             part = parts.pop()
@@ -833,6 +833,8 @@ class Train:
                     parts.append([(*both, s or old) for both, s, (_, _, old) in zip(ends, signs, part)])
                 least = self.least_on_lattice(part, N, line, E, inside)
                 require(least >= E, f"trains may cost less: the lattice has {least.str(17)} for {E.str(17)}")
+            elif "sums" in lines.ahead:
+                self.require_no_train(part, lines.take("sums weights"))
             elif "split" in lines.ahead:
                 i = integer(lines.take("split")["split"], 0, self.m - 1)
                 low, high, sign = part[i]
@@ -862,10 +864,7 @@ class Train:
         for j in range(1, m):  # angles of one cell, or moved together
             far = apart or part[j][0] - part[j - 1][1] >= fmpq(hold[j] + 1 if whole else 1, N)
             chains = [*chains, [j]] if far else [*chains[:-1], [*chains[-1], j]]
-        low, high = [int((a * N).floor()) for a, _, _ in part], [int((b * N).ceil()) for _, b, _ in part]
-        for i in range(m):
-            low[i] = max(low[i], (low[i - 1] if i else 0) + hold[i])
-            high[-1 - i] = min(high[-1 - i], (high[-i] if i else N) - hold[-1 - i])
+        low, high = self.ranges(part, N, hold)
         most = (E - ends + total(price * price for price in r)).max(ZERO)  # of L_r
         steepest = self.most + total(abs(price) * k for price, k in zip(r, self.orders))
         width = (3 * arb.pi() / 4 * steepest * most).root(3).min(q * self.most + total(map(abs, r))).upper()
@@ -882,6 +881,50 @@ class Train:
         least, rounding = self.recursion(part, N, low, high, hold, waves, inside)
         return INFINITY if least == math.inf else arb(least) - rounding - loss + ends
 
+    def ranges(self, part, N, hold):
+        """Return the first and the last index on a lattice of each angle of a part, with its dwells."""
+        low, high = [int((a * N).floor()) for a, _, _ in part], [int((b * N).ceil()) for _, b, _ in part]
+        for i in range(self.m):
+            low[i] = max(low[i], (low[i - 1] if i else 0) + hold[i])
+            high[-1 - i] = min(high[-1 - i], (high[-i] if i else N) - hold[-1 - i])
+        return low, high
+
+    def levels(self, part):
+        """Return the levels that trains of a part may have after each number of switches."""
+        found = [{0}]
+        for _, _, sign in part:
+            after = {v + t for v in found[-1] for t in (1, -1) if sign != -t}
+            found.append({v for v in after if self.lowest <= v <= self.highest})
+        return found
+
+    def require_no_train(self, part, line):
+        """Show that a weighted sum of amplitudes misses its limits for all trains of a part.
+
+        One offset for all angles moves a train to the lattice, and the mean of the sum by h^2/8 times its bends.
+        """
+        N, m, inf = integer(line["sums"], 1, MOST_LATTICE), self.m, math.inf
+        w, h, factor = matrix(line["weights"], len(self.orders)).entries(), self.quarter / N, 4 * self.step / arb.pi()
+        hold = [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
+        low, high = self.ranges(part, N, hold)
+        ends = [one * (up if one > 0 else down) for one, down, up in zip(w, self.low, self.high) if not one.is_zero()]
+        spend(SINE * len(w) * (N + 1) + 4 * m * N * len(self.levels(part)[-1]))
+        waves = [
+            float(factor * total(one * (k * i * h).cos() / k for one, k in zip(w, self.orders))) for i in range(N + 1)
+        ]
+        rest = {v: [0.0] * (N + 1) for v in self.levels(part)[m]}
+        for c in reversed(range(m)):
+            before = {v: [inf] * (N + 1) for v in self.levels(part)[c]}
+            for v, costs in before.items():
+                ways = [(t, rest[v + t]) for t in (1, -1) if part[c][2] != -t and v + t in rest]
+                for i in range(high[c], low[c] - 1, -1):
+                    costs[i] = min((t * waves[i] + after[i + hold[c + 1]] for t, after in ways), default=inf)
+                for i in range(N - 1, -1, -1):
+                    costs[i] = min(costs[i], costs[i + 1])
+            rest = before
+        least, size = rest[0][0], (2 * m + 2) * arb(2) ** -52 * m * factor * total(map(abs, w))
+        bent = factor * m * h * h / 8 * total(abs(one) * k for one, k in zip(w, self.orders))
+        require(least == inf or arb(least) - size - bent > total(ends), "trains may meet the limits of amplitudes")
+
     def recursion(self, part, N, low, high, hold, waves, inside):
         """Return the least E - 2 sum r_k b_k / k of trains of the lattice with a switch outside, and its rounding.
 
@@ -889,10 +932,7 @@ class Train:
         it stays the same while the level lasts, and a switch from v to v + t adds what is linear in n.
         """
         m, h, factor, size = self.m, self.quarter / N, 4 * self.step**2 / arb.pi(), 0.0
-        levels = [{0}]
-        for _, _, sign in part:
-            after = {v + t for v in levels[-1] for t in (1, -1) if sign != -t}
-            levels.append({v for v in after if self.lowest <= v <= self.highest})
+        levels = self.levels(part)
         last = {v: float(factor * v * v * self.quarter**3 / 3) for v in levels[m]}
         rows, size = {v: [(N, v * N, [end], [math.inf])] for v, end in last.items()}, max(last.values(), default=0.0)
         for c in reversed(range(m)):

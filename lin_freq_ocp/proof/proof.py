@@ -39,7 +39,7 @@ from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lfo_check import Failed, check
 from lin_freq_ocp.proof.point import InteriorPoint, points
 from lin_freq_ocp.proof.statement import line, problem_lines
-from lin_freq_ocp.proof.train import TrainProof, train_proof
+from lin_freq_ocp.proof.train import NOTHING, TrainProof, train_proof
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
 from lin_freq_ocp.solving.hybrid.pulse_train import Angles
@@ -105,7 +105,6 @@ UNCHECKED_MARGIN = (2.0**-36,)  # distance to limits relative to sizes, of a poi
 UNCHECKED_SLACK = 1e-6  # by which an unchecked claim is wider than the certificate's interval, relative to the cost
 CLAIM_SLACK = 1e-9  # by which a claim is wider than the proven interval, relative to its ends
 TREE_BITS = 192  # of balls: no linear system is solved in them, and products of three doubles are exact
-NOTHING = Enclosure(-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +250,7 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
         with suppress(SolveError, Failed):
-            alone, _ = proof_of(solve_judged(sequence_problem(problem, outcome.sequence)))
+            alone, _ = _linear_proof(solve_judged(sequence_problem(problem, outcome.sequence)))
             point = alone.point and replace(alone.point, modes=outcome.sequence.tolist())
             proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
             found = proof, checked_enclosure(proof.lines())

@@ -12,15 +12,24 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice, pairwise
+from typing import cast
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import SolveError, UnsupportedError
+from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.hybrid.angle_lattice import AngleLattice, AngleRange
-from lin_freq_ocp.methods.hybrid.angles import bound_near, local_angles, local_prices, multipliers_of_limits
+from lin_freq_ocp.methods.hybrid.angles import (
+    SUMS,
+    bound_near,
+    local_angles,
+    local_prices,
+    multipliers_of_limits,
+    nearest_train,
+)
 from lin_freq_ocp.methods.hybrid.quarter import Quarter
-from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, ENERGY, LEVEL, QUARTER
+from lin_freq_ocp.problem.hybrid.pulse_train import ANGLE, ENERGY, LEVEL, QUARTER, PulseTrain
 from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.statement import line
 from lin_freq_ocp.solving.hybrid.pulse_train import GAP, LATTICES, SAME_OPTIMUM, SMALLER
@@ -29,6 +38,7 @@ from lin_freq_ocp.solving.outcome import Outcome
 TRAIN_BITS = 128  # of balls: a quarter has few angles
 AT_LEAST = 1e-9  # distance from a limit of a dwell or an amplitude that is exactly met at the point of the proof
 CURVATURE_MARGIN = 1e-12  # of the energy, by which curvature exceeds the level
+NOTHING = Enclosure(-np.inf, np.inf)
 MOST_LINES = 400  # of a proof, each a second of the checker, or less
 
 
@@ -50,31 +60,36 @@ class TrainProof:
 
 
 def train_proof(outcome: Outcome) -> TrainProof:
-    """Return a proof that the best train of a solve costs no more than the bound allows, without a claim."""
+    """Return a proof that the best train of a solve costs no more than the bound allows, or that there is none.
+
+    It has no claim yet.
+    """
     problem, certificate = outcome.problem, outcome.certificate
-    if outcome.trajectory is None or certificate is None or certificate.bound is None:
-        raise SolveError(f"There is no train to prove: the solve ended as '{outcome.status}'.", outcome)
-    quarter, (start, end) = Quarter.of_problem(problem, problem.dynamics), problem.ends
+    dynamics, (start, end) = cast("PulseTrain", problem.dynamics), problem.ends  # of the method for angles
+    quarter = Quarter.of_problem(problem, dynamics)
     if start.lower[4:].any() or start.upper[4:].any():
         raise UnsupportedError("initial_state: a proof of a pulse train states amplitudes that start at zero.")
-    steps = quarter.step * np.sign(np.diff(outcome.trajectory.x[:-1, LEVEL]))
-    local = local_angles(quarter, steps, outcome.trajectory.x[1:-1, ANGLE])
-    if local is None:
-        raise SolveError("No angles near the best train meet its limits.", outcome)
-    unit, level = problem.dynamics.step / quarter.step, min(certificate.bound.value, local[1] - GAP * abs(local[1]))
+    best, level, unit, point = None, np.inf, dynamics.step / quarter.step, list[str]()
+    if outcome.trajectory is not None and certificate is not None and certificate.bound is not None:
+        steps = quarter.step * np.sign(np.diff(outcome.trajectory.x[:-1, LEVEL]))
+        local = local_angles(quarter, steps, outcome.trajectory.x[1:-1, ANGLE])
+        if local is None:
+            raise SolveError("No angles near the best train meet its limits.", outcome)
+        best, level = (steps, local[0]), min(certificate.bound.value, local[1] - GAP * abs(local[1]))
+        point = _point_line(quarter, *best)
+    elif outcome.status != Status.INFEASIBLE:
+        raise SolveError(f"There is nothing to prove: the solve ended as '{outcome.status}'.", outcome)
     stated = line(
-        **{"section": "pulse train", "name": problem.name, "switches": len(steps), "lowest": quarter.lowest},
-        **{"highest": quarter.highest, "orders": list(quarter.orders), "step": float(quarter.step * unit)},
-        **{"price": float(problem.quadratic.p[ENERGY]), "offset": float(start.lower[ENERGY])},
-        **{"dwells": quarter.dwells, "low": end.lower[4:], "high": end.upper[4:]},
+        **{"section": "pulse train", "name": problem.name, "switches": len(quarter.dwells) - 1},
+        **{"lowest": quarter.lowest, "highest": quarter.highest, "orders": list(quarter.orders)},
+        **{"step": float(quarter.step * unit), "price": float(problem.quadratic.p[ENERGY])},
+        **{"offset": float(start.lower[ENERGY]), "dwells": quarter.dwells, "low": end.lower[4:], "high": end.upper[4:]},
     )
     energy = level / quarter.price - quarter.offset
-    nodes = list(islice(_part_lines(quarter, energy, steps, local[0], unit), MOST_LINES + 1))
+    nodes = list(islice(_part_lines(quarter, energy, best, unit), MOST_LINES + 1))
     if len(nodes) > MOST_LINES:
         raise SolveError(f"A proof that no train is better has more than {MOST_LINES} parts of the angles.", outcome)
-    point = _point_line(quarter, steps, local[0])
-    body = [*point, line(section="nodes", level=float(level)), *nodes]
-    return TrainProof(stated, Enclosure(-np.inf, np.inf), body)
+    return TrainProof(stated, NOTHING, [*point, line(section="nodes", level=float(level)), *nodes])
 
 
 def _point_line(quarter: Quarter, steps: Array, c: Array) -> list[str]:
@@ -99,25 +114,31 @@ def _point_line(quarter: Quarter, steps: Array, c: Array) -> list[str]:
     return [line(section="point", signs=signs, angles=c, least=least.tolist(), at=at, move=move)]
 
 
-def _part_lines(quarter: Quarter, energy: float, steps: Array, c: Array, unit: float) -> Iterator[str]:
+def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | None, unit: float) -> Iterator[str]:
     """Yield what leaves no train below an energy, part by part; ranges are shares of the quarter."""
-    lattices, m = [AngleLattice(quarter, N) for N in LATTICES], len(c)
-    optima = [(steps, c, local_prices(quarter, steps, c))]
-    waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, optima[0][2])]
+    lattices, m = [AngleLattice(quarter, N) for N in LATTICES], len(quarter.dwells) - 1
+    optima = [] if best is None else [(*best, local_prices(quarter, *best))]
+    waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, np.zeros(len(quarter.orders)))]
     while waiting:
         ranges, sign, level, r = waiting.pop()
         part = AngleRange(*(QUARTER * np.array([float(one[i]) for one in ranges]) for i in (0, 1)), sign)
-        near = [one for one in optima if part.is_near(*one[:2])]
+        excluded_by = nearest_train(quarter, part.low, part.high, sign).excluded_by
+        if excluded_by is not None:
+            yield line(sums=SUMS, weights=excluded_by)
+            continue
+        near = [one for one in optima if part.is_near(one[0], one[1])]
         r = near[-1][2] if near else r
         bounds = [bound_near(quarter, s, at, part.low, part.high) for s, at, _ in near] if sign.all() else []
-        proven = [one[1] for one, bound in zip(near, bounds, strict=False) if bound >= energy + CURVATURE_MARGIN]
+        proven = [one for one, bound in zip(near, bounds, strict=False) if bound >= energy + CURVATURE_MARGIN]
         if proven:
-            multipliers = multipliers_of_limits(quarter, quarter.step * sign, proven[0])[2]
+            multipliers = multipliers_of_limits(quarter, proven[0][0], proven[0][1])[2]
             prices, forces = np.split(multipliers, [len(quarter.orders)])
-            yield line(optimum=proven[0], prices=prices * unit, forces=np.maximum(-forces, 0.0) * unit**2)
+            yield line(optimum=proven[0][1], prices=prices * unit, forces=np.maximum(-forces, 0.0) * unit**2)
             continue
         lattice = lattices[level]
         with suppress(UnsupportedError):
+            if best is None:
+                raise UnsupportedError("a lattice excludes no part of a problem without a train")
             slope = quarter.step * max(quarter.highest, -quarter.lowest) + float(np.abs(r) @ np.array(quarter.orders))
             width = (3 * np.pi / 4 * slope * max(energy - quarter.shift(r), 0.0)) ** (1 / 3)  # of the checker's tube
             enough = energy + lattice.h**2 * quarter.step * m / np.pi * width

@@ -84,10 +84,22 @@ def test_every_mutation_of_the_point_and_of_the_parts_is_rejected_or_still_true(
     assert not [str(one) for one in found if proofs.wrong_of(one, truth, first_hash, tmp_path)]
 
 
-def test_a_solve_without_a_train_has_no_proof():
-    result = lfo.solve(pattern(1.15, 8, **CLASS), throw=False)
-    assert result.status == "infeasible"
-    with pytest.raises(lfo.errors.SolveError, match="no train to prove: the solve ended as 'infeasible'"):
+@pytest.mark.parametrize(("M", "k"), [(1.15, 8), (1.1, 12), (1.15, 28)])
+def test_that_no_train_meets_the_limits_is_proven(M, k, tmp_path):
+    result = lfo.solve(pattern(M, k, **CLASS), throw=False)
+    assert result.enclosure.infeasible
+    result.write_proof(tmp_path / "run.proof")
+    assert hand_proofs.check_file(tmp_path / "run.proof").last == "INFEASIBLE"
+    lines = (tmp_path / "run.proof").read_text().splitlines(keepends=True)
+    feasible = lines[1].replace(float(M).hex(), (0.9).hex())  # the amplitude of another problem, which has trains
+    assert feasible != lines[1]
+    with pytest.raises(lfo_check.Failed, match="trains may meet the limits"):
+        check([lines[0], feasible, *lines[2:]])
+
+
+def test_a_search_that_was_ended_early_has_no_proof():
+    result = lfo.solve(pattern(0.9, 20, **CLASS), throw=False, time_limit=1e-9)
+    with pytest.raises(lfo.errors.SolveError, match="nothing to prove: the solve ended as 'limit'"):
         _ = result.enclosure
 
 
@@ -191,6 +203,20 @@ def test_the_recursion_is_the_least_of_all_trains_of_the_lattice(seed, hold):
                     least = min(least, E - 2 * float(r @ (b / [1, 3])))
             assert found == pytest.approx(least, abs=1e-10)
             assert 0 < float(rounding) < 1e-12
+
+
+@pytest.mark.parametrize("seed", seeds(range(20)))
+def test_no_sum_excludes_a_part_with_a_train(seed):
+    """Whatever the weights, of a train that meets all limits without room."""
+    rng = np.random.default_rng(seed)
+    angles, signs = np.sort(rng.uniform(0, END, 3)), np.array([1, -1, 1])
+    b = series(signs, angles)[1]
+    train = train_of(low=(b - 1e-9).tolist(), high=(b + 1e-9).tolist())
+    with ctx.workprec(128):
+        part, least = random_part(rng, angles, signs), rng.normal(size=2)
+        for weights in (least, [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [0.0, 0.0]):
+            with pytest.raises(lfo_check.Failed, match="trains may meet the limits"):
+                train.require_no_train(part, {"sums": 50, "weights": [float(one).hex() for one in weights]})
 
 
 def random_part(rng: np.random.Generator, angles: np.ndarray, signs: np.ndarray) -> list:

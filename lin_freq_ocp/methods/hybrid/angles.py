@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -185,14 +186,23 @@ def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, 
     return None if misses(at) > AMPLITUDE_VIOLATION else (at, quarter.price * size * cost(at)[0])
 
 
-def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> tuple[Array, Array, float] | None:
-    """Return steps and angles (m,) of a train whose amplitudes miss their limits little, and by how much.
+class NearestTrain(NamedTuple):
+    """Steps and angles (m,) of a train, by how much its amplitudes miss their limits; or weights that exclude all."""
 
-    Angles are in a range, and steps have signs, 0 where both are allowed. None if no train meets the limits.
+    steps: Array
+    angles: Array
+    missed: float
+    excluded_by: Array | None = None
+
+
+def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> NearestTrain:
+    """Return a train whose amplitudes miss their limits little, or weights of a sum that no train meets.
+
+    Angles are in a range, and steps have signs, 0 where both are allowed.
     """
     from scipy.optimize import linprog  # slow to import
 
-    q, k, best = quarter, np.array(quarter.orders, dtype=float), (np.zeros(0), np.zeros(0), np.inf)
+    q, k, best = quarter, np.array(quarter.orders, dtype=float), NearestTrain(np.zeros(0), np.zeros(0), np.inf)
     ends = np.where(np.isfinite(q.high), q.high, 0.0), np.where(np.isfinite(q.low), q.low, 0.0)
     bounds = [(0.0, float(one)) for one in np.isfinite([q.high, q.low]).ravel()] + [(None, None)]
     curved = 4 / np.pi * q.step * len(sign) * (QUARTER / SUMS) ** 2 / 8 * k
@@ -200,14 +210,14 @@ def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> t
     for _ in range(MOST_SUMS):
         found = _least_sum(q, low, high, sign, weights)
         if found is None:
-            return None
+            return best._replace(excluded_by=weights)
         steps, angles = found
         values = q.amplitudes(steps, angles)[0]
         most = np.maximum(weights, 0.0) @ ends[0] - np.maximum(-weights, 0.0) @ ends[1]
         if weights @ values - np.abs(weights) @ curved - ENERGY_ROUNDING * len(sign) * np.abs(weights).sum() > most:
-            return None
+            return best._replace(excluded_by=weights)
         missed = float(np.maximum(q.low - values, values - q.high).max(initial=0.0))
-        best = min(best, (steps, angles, missed), key=lambda one: one[2])
+        best = min(best, NearestTrain(steps, angles, missed), key=lambda one: one.missed)
         rows.append(np.concatenate([ends[0] - values, values - ends[1], [1.0]]))
         objective = np.append(np.zeros(2 * len(k)), -1.0)
         answer = linprog(objective, np.array(rows), np.zeros(len(rows)), bounds=bounds, method="highs")
