@@ -117,7 +117,7 @@ def _point_line(quarter: Quarter, steps: Array, c: Array) -> list[str]:
 def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | None, unit: float) -> Iterator[str]:
     """Yield what leaves no train below an energy, part by part; ranges are shares of the quarter."""
     lattices, m = [AngleLattice(quarter, N) for N in LATTICES], len(quarter.dwells) - 1
-    optima = [] if best is None else [(*best, local_prices(quarter, *best))]
+    optima = [] if best is None else [(best[0], best[1], local_prices(quarter, best[0], best[1]))]
     waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, np.zeros(len(quarter.orders)))]
     while waiting:
         ranges, sign, level, r = waiting.pop()
