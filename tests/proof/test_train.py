@@ -207,16 +207,30 @@ def test_the_recursion_is_the_least_of_all_trains_of_the_lattice(seed, hold):
 
 @pytest.mark.parametrize("seed", seeds(range(20)))
 def test_no_sum_excludes_a_part_with_a_train(seed):
-    """Whatever the weights, of a train that meets all limits without room."""
-    rng = np.random.default_rng(seed)
+    """Whatever the weights, of a train that meets all limits, with room or without."""
+    rng, room = np.random.default_rng(seed), (1e-9, 2.0)[seed % 2]
     angles, signs = np.sort(rng.uniform(0, END, 3)), np.array([1, -1, 1])
     b = series(signs, angles)[1]
-    train = train_of(low=(b - 1e-9).tolist(), high=(b + 1e-9).tolist())
+    train = train_of(low=(b - room).tolist(), high=(b + room).tolist())
     with ctx.workprec(128):
         part, least = random_part(rng, angles, signs), rng.normal(size=2)
         for weights in (least, [1.0, 0.0], [-1.0, 0.0], [0.0, -1.0], [0.0, 0.0]):
             with pytest.raises(lfo_check.Failed, match="trains may meet the limits"):
                 train.require_no_train(part, {"sums": 50, "weights": [float(one).hex() for one in weights]})
+
+
+def test_a_sum_of_a_lattice_loses_no_train_between_its_angles():
+    """The train with the least b_3 has an angle of pi/3, which is no multiple of the step."""
+    least = -4 / (3 * np.pi)
+    fields = {"switches": 1, "lowest": 0, "highest": 1, "orders": [3], "dwells": [0.0, 0.0]}
+    with ctx.workprec(128):
+        part = [(fmpq(1, 2), fmpq(4, 5), 1)]
+        for N in (50, 400):
+            line, lost = {"sums": N, "weights": ["0x1p+0"]}, 4 / np.pi * (END / N) ** 2 / 8 * 3
+            with pytest.raises(lfo_check.Failed, match="trains may meet the limits"):
+                train_of(**fields, low=[least], high=[least]).require_no_train(part, line)
+            below = [least - 1.01 * lost]
+            train_of(**fields, low=below, high=below).require_no_train(part, line)
 
 
 def random_part(rng: np.random.Generator, angles: np.ndarray, signs: np.ndarray) -> list:
