@@ -121,7 +121,8 @@ def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | Non
     waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, np.zeros(len(quarter.orders)))]
     while waiting:
         ranges, sign, level, r = waiting.pop()
-        part = AngleRange(*(QUARTER * np.array([float(one[i]) for one in ranges]) for i in (0, 1)), sign)
+        low_end, high_end = (QUARTER * np.array([float(one[i]) for one in ranges]) for i in (0, 1))
+        part = AngleRange(low_end, high_end, sign)
         excluded_by = nearest_train(quarter, part.low, part.high, sign).excluded_by
         if excluded_by is not None:
             yield line(sums=SUMS, weights=excluded_by)
