@@ -734,7 +734,7 @@ ROWS = [
         )
     ),
     *(
-        Row(f"ubh1_{N}", CUTEST.format("UBH1"), UBH1 + str(N), printed, partial(ubh1, N), OUTSIDE)
+        Row(f"ubh1_{N}", CUTEST.format("UBH5"), UBH1 + str(N), printed, partial(ubh1, N), OUTSIDE)
         for N, printed in (
             (10, "1.14735202967"),
             (100, "1.11631518169"),
@@ -802,17 +802,23 @@ ROWS = [
         "0.1369230615",
         bryson_ho_154,
     ),
-    Row("ubh1_continuous", "Betts, Huffman, 1993", "UBH1 in continuous time", "1.116", ubh1_continuous),
+    Row(
+        "ubh1_continuous",
+        "Betts, Huffman, Journal of Guidance 16(1), 1993",
+        "UBH1 in continuous time",
+        "1.116",
+        ubh1_continuous,
+    ),
     Row(
         "spring",
-        "Liu, Wie 1992",
+        "Liu, Wie, Journal of Guidance 15(3), 1992",
         SPRING,
         "4.21786651",
         partial(least_time, spring(False), ([0.0] * 4, [1.0, 1.0, 0.0, 0.0]), 1.0, (4.2177, 4.2182)),
     ),
     Row(
         "spring_robust",
-        "Singh, Vadali 1994",
+        "Singh, Vadali, Journal of Guidance 17(2), 1994",
         SPRING + ", where the end does not depend on the stiffness, to first order",
         "5.86595844",
         partial(

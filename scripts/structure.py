@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 50_482,
-    "code lines": 47_059,
+    "shipped lines": 50_926,
+    "code lines": 47_215,
     "code lines, linear part": 22_404,
-    "code lines, hybrid": 8_776,
+    "code lines, hybrid": 8_781,
     SHARE_SAID: 19.5,  # at least
     "files": 343,
     "folders": 44,

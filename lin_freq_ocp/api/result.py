@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives
     from lin_freq_ocp.problem.hybrid.mode_tree import ModeTree
     from lin_freq_ocp.proof.proof import Proof
+    from lin_freq_ocp.proof.train import TrainProof
     from lin_freq_ocp.solving.hybrid.modes import TreeEvidence
 
 
@@ -244,7 +245,7 @@ class Result(Outcome):
             stream.writelines(text.encode() for text in proof.lines())
 
     @cached_property
-    def _proven(self) -> tuple[Proof, Enclosure]:
+    def _proven(self) -> tuple[Proof | TrainProof, Enclosure]:
         require_checker()
         from lin_freq_ocp.proof.proof import proof_of  # imports an extra
 

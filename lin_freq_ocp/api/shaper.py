@@ -114,7 +114,7 @@ class Shaper(Impulses):
 
     def plot(self) -> Figure:
         """Return the vibration over the natural frequency, a line for each damping ratio, with bands and limit."""
-        from lin_freq_ocp.pages.figures.shaper_figure import shaper_figure  # Matplotlib is slow to import
+        from lin_freq_ocp.pages.figures.continua import shaper_figure  # Matplotlib is slow to import
 
         return shaper_figure(self, self.modes, self.limit)
 

@@ -27,7 +27,7 @@ from lin_freq_ocp.transform.simulation import constant_radii, simulate
 
 Pair = tuple[Array, Array]
 Rows = dict[int, list[Pair]]  # per time, rows of (x_t, u_t) and how far their values can rise
-MOST_ONE_SIDED = 100  # components whose one-sided bounds are combined at once, in a second
+MOST_ONE_SIDED = 100  # components whose one-sided bounds are combined at once, in a second; of more, none are
 
 
 @dataclass(frozen=True, eq=False)

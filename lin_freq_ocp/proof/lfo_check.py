@@ -7,6 +7,7 @@ fails, or needs more operations than N (by default 2e7, and 1000 a byte); 2: not
 
 import functools
 import hashlib
+import itertools
 import json
 import math
 import os
@@ -25,6 +26,9 @@ LONGEST_LINE, MOST_STAGES, MOST_BITS, MOST_GENERATORS, HALVINGS = 2**28, 10**6, 
 TAYLOR = 20  # terms of a spectrum of N samples around a frequency: within 1/N, the rest is below 1e-22 sum |y|
 INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), arb(0, arb.pos_inf())
 LEAST_WORK, WORK_BY_BYTE = 2e7, 1000  # operations allowed: some seconds, and in proportion for long files
+MOST_SWITCHES, MOST_LEVELS, MOST_ORDER, MOST_LATTICE = 64, 64, 10**4, 10**6
+NEWTON_BITS = 40  # the box of angles in which amplitudes meet their limits is so small
+LATTICE, CURVATURE = 1, 2  # operations of a value of a recursion, and of an entry of a pivot
 STAGE, SINE, SAME_BLOCK = 24, 32, 512  # operations of a stage of lists, and of a sine; exponents within one product
 NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,6}))?")
 
@@ -705,6 +709,342 @@ def lower_bound(problem, lines):
     return -largest((-bound for bound in bounds.values()), -level)
 
 
+# ------------------------------------------------------------ pulse trains
+
+
+class Train:
+    """Steps at m angles of a quarter, s_i = +-step at a_i, and I = 0 at its end; the cost is price (E + offset)."""
+
+    def __init__(self, lines):
+        fields = "name switches lowest highest orders step price offset dwells low high"
+        head = self.head = lines.section("pulse train", fields)
+        m = self.m = integer(head["switches"], 1, MOST_SWITCHES)
+        self.lowest, self.highest = integer(head["lowest"], -MOST_LEVELS, 0), integer(head["highest"], 0, MOST_LEVELS)
+        self.orders = [integer(k, 1, MOST_ORDER) for k in head["orders"]]
+        require(all(k % 2 for k in self.orders) and len({*self.orders}) == len(self.orders), "expected odd orders")
+        self.step, self.price, self.offset = (number(head[key]) for key in ("step", "price", "offset"))
+        self.dwells, K = matrix(head["dwells"], m + 1).entries(), len(self.orders)
+        self.low, self.high = (matrix(head[key], K, infinite=True).entries() for key in ("low", "high"))
+        require(self.step > 0 and self.price > 0 and all(d >= 0 for d in self.dwells), "a step, price or dwell below 0")
+        require(all(low <= high for low, high in zip(self.low, self.high)), "empty limits of an amplitude")
+        self.quarter, self.most = arb.pi() / 2, self.step * max(self.highest, -self.lowest)
+
+    def summary(self):
+        yield ", ".join(f"{key}: {value!r}" for key, value in self.head.items())
+
+    def signs(self, given, *allowed):
+        require(isinstance(given, list) and len(given) == self.m, f"expected {self.m} signs")
+        require(all(type(sign) is int and sign in allowed for sign in given), f"signs: expected {allowed}")
+        return given
+
+    def amplitudes(self, signs, a):
+        """Return b_k, its slopes and its second derivatives by each angle, for each order."""
+        spend(SINE * self.m * len(self.orders))
+        values, slopes, bends, factor = [], [], [], 4 * self.step / arb.pi()
+        for k in self.orders:
+            turns = [(k * x).sin_cos() for x in a]
+            values.append(total(s * cosine for s, (_, cosine) in zip(signs, turns)) * factor / k)
+            slopes.append([-s * sine * factor for s, (sine, _) in zip(signs, turns)])
+            bends.append([-s * cosine * factor * k for s, (_, cosine) in zip(signs, turns)])
+        return values, slopes, bends
+
+    def energy(self, signs, a):
+        """Return E of angles in order, and its slopes."""
+        spend(20 * self.m**2)
+        q, c, factor, E, slopes = self.quarter, [self.quarter - x for x in a], 8 * self.step**2 / arb.pi(), ZERO, []
+        for i, x in enumerate(c):  # angles before have a larger c
+            before = total(signs[j] * (c[j] * q - (x * x + c[j] * c[j]) / 2) for j in range(i))
+            after = total(signs[j] * c[j] for j in range(i + 1, self.m)) * (q - x) + signs[i] * x * (q - x)
+            slopes.append(-factor * signs[i] * (before + after))
+            own = x * x * q - 2 * x**3 / 3
+            pairs = total(signs[j] * x * (c[j] * q - x * x / 6 - c[j] * c[j] / 2) for j in range(i))
+            E += factor * (own / 2 + signs[i] * pairs)
+        return E, slopes
+
+    def upper_bound(self, lines):
+        """Return an upper bound on the cost of a train near the given angles that meets all limits.
+
+        Dwells of ``least`` have their least values exactly, and amplitudes ``at`` a limit, by Krawczyk's operator: if
+        it maps a box of the angles that ``move`` into itself, a zero is inside.
+        """
+        head, m, q = lines.section("point", "signs angles least at move"), self.m, self.quarter
+        signs, given, least, moved = self.signs(head["signs"], 1, -1), matrix(head["angles"], m), head["least"], {}
+        levels = [sum(signs[: i + 1]) for i in range(m)]
+        require(all(self.lowest <= level <= self.highest for level in levels), "a level beyond its limits")
+        require(len(least) == m + 1 and all(type(one) is bool for one in least), f"least: expected {m + 1} truths")
+        equal = [(i, self.low[i] if side == "low" else self.high[i]) for i, side in enumerate(head["at"]) if side]
+        move = [integer(i, 0, m - 1) for i in head["move"]]
+        require(
+            len(head["at"]) == len(self.orders) and len(move) == len(equal), "as many angles as amplitudes at limits"
+        )
+
+        def angles(leaders):
+            a = []
+            for i in range(m):
+                a.append((a[-1] if i else ZERO) + self.dwells[i] if least[i] else leaders.get(i, given[i, 0]))
+            for i in reversed(range(m)):
+                if least[i + 1]:
+                    a[i] = (a[i + 1] if i < m - 1 else q) - self.dwells[i + 1] if all(least[i + 1 :]) else a[i]
+            return a
+
+        def misses(leaders):
+            values, slopes, _ = self.amplitudes(signs, angles(leaders))
+            follow = [[j for j in range(i, m) if all(least[i + 1 : j + 1])] for i in move]
+            rows = [[total(slopes[k][j] for j in group) for group in follow] for k, _ in equal]
+            return arb_mat(len(equal), 1, [values[k] - limit for k, limit in equal]), rows
+
+        require(not any(least[i] or all(least[i + 1 :]) for i in move), "an angle that moves is not free")
+        if equal:
+            centre, radius = {i: given[i, 0] for i in move}, arb(2) ** -NEWTON_BITS
+            miss, slopes = misses(centre)
+            inverse = arb_mat([[one.mid() for one in row] for row in slopes]).inv()
+            inverse = arb_mat([[one.mid() for one in row] for row in inverse.tolist()])
+            _, slopes = misses({i: x + radius * UNIT.union(-UNIT) for i, x in centre.items()})
+            rest = arb_mat([[arb(i == j) for j in range(len(move))] for i in range(len(move))]) - inverse * arb_mat(
+                slopes
+            )
+            steps = rest * arb_mat(len(move), 1, [radius * UNIT.union(-UNIT)] * len(move)) - inverse * miss
+            require(all(abs(one) < radius for one in steps.entries()), "no angles near these have the amplitudes")
+            moved = {i: x + one for (i, x), one in zip(centre.items(), steps.entries())}
+        a = angles(moved)
+        ends = zip([ZERO, *a], [*a, q], self.dwells, least)
+        require(all(exact or y - x >= d for x, y, d, exact in ends), "a dwell is below its least")
+        require(not all(least), "no angle is free")
+        for i, b in enumerate(self.amplitudes(signs, a)[0]):
+            inside = head["at"][i] or (self.low[i] <= b and b <= self.high[i])
+            require(inside, f"harmonic {self.orders[i]} is not within its limits")
+        return self.price * (self.energy(signs, a)[0] + self.offset)
+
+    def lower_bound(self, lines):
+        """Return the level of the cost that no train is below: each part is narrowed or divided until it has none."""
+        level, whole = number(lines.section("nodes", "level")["level"], infinite=True), (fmpq(0), fmpq(1))
+        E, parts = level / self.price - self.offset, [[(*whole, 0)] * self.m]
+        while parts:
+            part = parts.pop()
+            if "lattice" in lines.ahead:
+                line = lines.take("lattice whole prices", "low high signs")
+                N, inside = integer(line["lattice"], 1, MOST_LATTICE), None
+                if "low" in line:
+                    low, high = ([integer(i, 0, N) for i in line[side]] for side in ("low", "high"))
+                    signs = self.signs(line["signs"], -1, 0, 1)
+                    require(len(low) == len(high) == self.m, f"low, high: expected {self.m} indices")
+                    inside = [*zip(low, high, signs)]
+                    ends = [(max(p, fmpq(a, N)), min(q, fmpq(b, N))) for (p, q, _), a, b in zip(part, low, high)]
+                    parts.append([(*both, s or old) for both, s, (_, _, old) in zip(ends, signs, part)])
+                least = self.least_on_lattice(part, N, line, E, inside)
+                require(least >= E, f"trains may cost less: the lattice has {least.str(17)} for {E.str(17)}")
+            elif "sums" in lines.ahead:
+                self.require_no_train(part, lines.take("sums weights"))
+            elif "split" in lines.ahead:
+                i = integer(lines.take("split")["split"], 0, self.m - 1)
+                low, high, sign = part[i]
+                halves = [(low, high, s) for s in (-1, 1)]
+                halves = halves if sign == 0 else [((low + high) / 2, high, sign), (low, (low + high) / 2, sign)]
+                parts += [[*part[:i], half, *part[i + 1 :]] for half in halves]
+            else:
+                line = lines.take("optimum prices forces")
+                bound = self.least_by_curvature(part, line)
+                require(bound >= E, f"trains may cost less: by curvature {bound.str(17)}, not {E.str(17)}")
+        return level
+
+    def least_on_lattice(self, part, N, line, E, inside):
+        """Return a lower bound on the energy of trains of a part with an angle or a sign outside of another part.
+
+        Trains with an energy of E or more are left out: of the others, the integral is in a tube around -R.
+        """
+        m, s, q, h = self.m, self.step, self.quarter, self.quarter / N
+        r, whole, ends = matrix(line["prices"], len(self.orders)).entries(), line["whole"], ZERO
+        for price, k, low, high in zip(r, self.orders, self.low, self.high):
+            ends += ZERO if price.is_zero() else 2 * price * (low if price > 0 else high) / k
+        require(isinstance(whole, bool) and ends.is_finite(), "a price of an amplitude without a limit")
+        hold = [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
+        apart = not whole and all(d > h for d in self.dwells[1:-1])
+        hold = hold if whole else [hold[0], *(max(i - 1, 0) for i in hold[1:-1]), hold[-1]]
+        chains = [[0]]
+        for j in range(1, m):  # angles of one cell, or moved together
+            far = apart or part[j][0] - part[j - 1][1] >= fmpq(hold[j] + 1 if whole else 1, N)
+            chains = [*chains, [j]] if far else [*chains[:-1], [*chains[-1], j]]
+        low, high = self.ranges(part, N, hold)
+        most = (E - ends + total(price * price for price in r)).max(ZERO)  # of L_r
+        steepest = self.most + total(abs(price) * k for price, k in zip(r, self.orders))
+        width = (3 * arb.pi() / 4 * steepest * most).root(3).min(q * self.most + total(map(abs, r))).upper()
+        spread = total(len(one) * (part[j][1] * q + h).min(q) for one in chains for j in one)
+        loss = h * h * s / arb.pi() * (s * spread + m * width)
+        spend(SINE * len(r) * (2 + sum(max(b - a, 0) for a, b in zip(low, high))))
+        steps, waves = {i for a, b in zip(low, high) for i in range(a, b + 1)}, {}
+        for i in steps:
+            turns = [price * (k * i * h).cos() for price, k in zip(r, self.orders)]
+            middle, bent = total(turns), total(turn / k**2 for turn, k in zip(turns, self.orders))
+            lower, upper = ((middle + side * width) / (h * s) + side * m for side in (-1, 1))
+            first, last = (int(end.floor().unique_fmpz()) for end in (lower.lower(), upper.upper()))
+            waves[i] = first, last, 8 * s / arb.pi() * bent, i * h
+        least, rounding = self.recursion(part, N, low, high, hold, waves, inside)
+        return INFINITY if least == math.inf else arb(least) - rounding - loss + ends
+
+    def ranges(self, part, N, hold):
+        """Return the first and the last index on a lattice of each angle of a part, with its dwells."""
+        low, high = [int((a * N).floor()) for a, _, _ in part], [int((b * N).ceil()) for _, b, _ in part]
+        for i in range(self.m):
+            low[i] = max(low[i], (low[i - 1] if i else 0) + hold[i])
+            high[-1 - i] = min(high[-1 - i], (high[-i] if i else N) - hold[-1 - i])
+        return low, high
+
+    def levels(self, part):
+        """Return the levels that trains of a part may have after each number of switches."""
+        found = [{0}]
+        for _, _, sign in part:
+            after = {v + t for v in found[-1] for t in (1, -1) if sign != -t}
+            found.append({v for v in after if self.lowest <= v <= self.highest})
+        return found
+
+    def require_no_train(self, part, line):
+        """Show that a weighted sum of amplitudes misses its limits for all trains of a part.
+
+        One offset for all angles moves a train to the lattice, and the mean of the sum by h^2/8 times its bends.
+        """
+        N, m, inf = integer(line["sums"], 1, MOST_LATTICE), self.m, math.inf
+        w, h, factor = matrix(line["weights"], len(self.orders)).entries(), self.quarter / N, 4 * self.step / arb.pi()
+        hold = [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
+        low, high = self.ranges(part, N, hold)
+        ends = [one * (up if one > 0 else down) for one, down, up in zip(w, self.low, self.high) if not one.is_zero()]
+        spend(SINE * len(w) * (N + 1) + 4 * m * N * len(self.levels(part)[-1]))
+        waves = [
+            float(factor * total(one * (k * i * h).cos() / k for one, k in zip(w, self.orders))) for i in range(N + 1)
+        ]
+        rest = {v: [0.0] * (N + 1) for v in self.levels(part)[m]}
+        for c in reversed(range(m)):
+            before = {v: [inf] * (N + 1) for v in self.levels(part)[c]}
+            for v, costs in before.items():
+                ways = [(t, rest[v + t]) for t in (1, -1) if part[c][2] != -t and v + t in rest]
+                for i in range(high[c], low[c] - 1, -1):
+                    costs[i] = min((t * waves[i] + after[i + hold[c + 1]] for t, after in ways), default=inf)
+                for i in range(N - 1, -1, -1):
+                    costs[i] = min(costs[i], costs[i + 1])
+            rest = before
+        least, size = rest[0][0], (2 * m + 2) * arb(2) ** -52 * m * factor * total(map(abs, w))
+        bent = factor * m * h * h / 8 * total(abs(one) * k for one, k in zip(w, self.orders))
+        require(least == inf or arb(least) - size - bent > total(ends), "trains may meet the limits of amplitudes")
+
+    def recursion(self, part, N, low, high, hold, waves, inside):
+        """Return the least E - 2 sum r_k b_k / k of trains of the lattice with a switch outside, and its rounding.
+
+        The cost to go from i h, in a level v with -I = n h s, is sought with the integral from 0 along n + v i added:
+        it stays the same while the level lasts, and a switch from v to v + t adds what is linear in n.
+        """
+        m, h, factor, size = self.m, self.quarter / N, 4 * self.step**2 / arb.pi(), 0.0
+        levels = self.levels(part)
+        last = {v: float(factor * v * v * self.quarter**3 / 3) for v in levels[m]}
+        rows, size = {v: [(N, v * N, [end], [math.inf])] for v, end in last.items()}, max(last.values(), default=0.0)
+        for c in reversed(range(m)):
+            before, most = {}, 0.0
+            for v in levels[c]:
+                arms = [(t, Costs(rows[v + t])) for t in (1, -1) if part[c][2] != -t and rows.get(v + t)]
+                before[v] = []
+                for i in range(high[c], low[c] - 1, -1) if arms else ():
+                    first, end, bent, theta = waves[i]
+                    first = max(first, min(arm.first - (v + t) * i for t, arm in arms))
+                    end = min(end, max(arm.first + arm.size - 1 - (v + t) * i for t, arm in arms))
+                    if first > end:
+                        continue
+                    spend(LATTICE * (end - first + 1) * len(arms), 1)
+                    best, chosen, (a, b, sign) = None, None, inside[c] if inside else part[c]
+                    for t, arm in arms:
+                        arm.add(i + hold[c + 1])
+                        slope = float(-t * factor * h * theta**2)
+                        constant = float(-factor * theta**3 * (2 * v * t + 1) / 3 - t * bent)
+                        most = max(most, abs(slope) * max(abs(first), abs(end)) + abs(constant))
+                        out = not inside or sign == -t or (i <= a and fmpq(a, N) > part[c][0])
+                        out = out or (i >= b and fmpq(b, N) < part[c][1])
+                        any_way, left = arm.window(first + (v + t) * i, end - first + 1)
+                        any_way = [z + (slope * n + constant) for n, z in enumerate(any_way, first)]
+                        left = any_way if out else [z + (slope * n + constant) for n, z in enumerate(left, first)]
+                        best = any_way if best is None else list(map(min, best, any_way))
+                        chosen = left if chosen is None else list(map(min, chosen, left))
+                    before[v].append((i, first + v * i, best, chosen))
+            rows, size = before, size + most
+        found = min((min(chosen) for _, _, _, chosen in rows[0]), default=math.inf)
+        return found, (6 * m + 6) * arb(2) ** -52 * arb(size)
+
+    def least_by_curvature(self, part, line):
+        """Return a lower bound on the energy of trains of a part by the Lagrangian at angles, where it is convex."""
+        m, q, K = self.m, self.quarter, len(self.orders)
+        signs, c = [sign for _, _, sign in part], matrix(line["optimum"], m).entries()
+        price, force = matrix(line["prices"], K).entries(), matrix(line["forces"], m + 1).entries()
+        require(all(signs) and all(nu >= 0 for nu in force), "a sign that is free, or a force below zero")
+        E, slopes = self.energy(signs, c)
+        b, by_angle, bends = self.amplitudes(signs, c)
+        x = [after - before - d for before, after, d in zip([ZERO, *c], [*c, q], self.dwells)]
+        require(all(y - z >= 0 for y, z in zip(c[1:], c)), "the angles are not in order")
+        sides = [[q * low - y, q * high - y] for (low, high, _), y in zip(part, c)]
+        far, M0 = [abs(low).max(abs(high)) for low, high in sides], [[ZERO] * m for _ in c]
+        value, G = E, list(slopes)
+        for r, row, bend, b_k, low, high, k in zip(price, by_angle, bends, b, self.low, self.high, self.orders):
+            fixed, along = low == high, total(abs(g) * d for g, d in zip(row, far))
+            over = b_k - (low if fixed or r < 0 else high)
+            require(fixed or r.is_zero() or over.is_finite(), "a price of an amplitude without a limit")
+            over = ZERO if r.is_zero() and not fixed else over
+            steep = [abs(self.step * 4 / arb.pi() * k)] * m  # the largest second derivative of b_k
+            most = along + total(one * d * d for one, d in zip(steep, far)) / 2
+            stiff = ONE if fixed else ZERO if r.is_zero() else (abs(r) / (abs(over) + most)).min(ONE)
+            value += r * over - 2 * stiff * abs(over) * most
+            wide = stiff * total((one * d) ** 2 for one, d in zip(steep, far)) / 2
+            for i in range(m):
+                G[i] += r * row[i]
+                M0[i][i] += r * bend[i] - abs(r) * steep[i] * k * k * far[i] ** 2 / 12 - wide
+                for j in range(m):
+                    M0[i][j] += stiff * row[i] * row[j]
+        for j, (nu, gap) in enumerate(zip(force, x)):
+            ends = [i for i in (j - 1, j) if 0 <= i < m]  # x_j = a_j - a_{j-1} - d_j
+            along = total(far[i] for i in ends)
+            stiff = ZERO if nu.is_zero() else nu / (abs(gap) + along)
+            value -= nu * gap + 2 * stiff * abs(gap) * along
+            for i in ends:
+                G[i] -= nu * (1 if i == j else -1)
+                for other in ends:
+                    M0[i][other] += 2 * stiff * (1 if i == other else -1)
+        value -= total(abs(g) * d for g, d in zip(G, far))
+        spend(CURVATURE * m**3 * 2**m)
+        for corner in itertools.product(*sides):
+            a, rows = [y + d / 3 for y, d in zip(c, corner)], [list(row) for row in M0]
+            for i in range(m):
+                for r, sine, k in zip(price, by_angle, self.orders):  # b_k'' at c + d / 3
+                    rows[i][i] -= r * k * k * sine[i] * corner[i] / 3
+                rows[i][i] += 8 * self.step**2 / arb.pi() * (2 * a[i] - q)
+                for j in (j for j in range(m) if j != i):
+                    both = 8 * self.step**2 / arb.pi() * signs[i] * signs[j]
+                    rows[i][j] += both * a[min(i, j)]
+                    rows[i][i] -= both * (q - a[max(i, j)])
+            while rows:
+                (pivot, *rest), rows = rows[0], rows[1:]
+                require(pivot > 0, "the Lagrangian is not convex over the part")
+                rows = [[z - row[0] / pivot * y for z, y in zip(row[1:], rest)] for row in rows]
+        return value
+
+
+class Costs:
+    """The least costs on lines n + v i, of rows (i, first line, costs, costs of trains outside) from larger i on."""
+
+    def __init__(self, rows):
+        self.rows, self.first = iter(rows), min(row[1] for row in rows)
+        self.size = max(row[1] + len(row[2]) for row in rows) - self.first
+        self.least, self.ahead = ([math.inf] * self.size, [math.inf] * self.size), next(self.rows)
+
+    def add(self, start):
+        """Take in the rows from ``start`` on."""
+        while self.ahead is not None and self.ahead[0] >= start:
+            at = self.ahead[1] - self.first
+            for values, row in zip(self.least, self.ahead[2:]):
+                values[at : at + len(row)] = map(min, values[at : at + len(row)], row)
+            self.ahead = next(self.rows, None)
+
+    def window(self, first, count):
+        """Return the costs on lines from ``first`` on, of all trains and of those outside; infinite beyond."""
+        at = first - self.first
+        before = min(max(-at, 0), count)
+        parts = [values[max(at, 0) : max(at + count, 0)] for values in self.least]
+        return [[math.inf] * before + part + [math.inf] * (count - before - len(part)) for part in parts]
+
+
 # ------------------------------------------------------------ the whole proof
 
 
@@ -720,13 +1060,15 @@ def check(file, say=print, limit=math.inf):
     except Exception as error:
         raise ValueError(f"not a proof: {error!r}") from error
     try:
-        problem = Problem(lines)
+        train = lines.ahead.get("section") == "pulse train"
+        problem = Train(lines) if train else Problem(lines)
+        bounds = (Train.upper_bound, Train.lower_bound) if train else (upper_bound, lower_bound)
         for one in (*problem.summary(), f"sha256 of the section PROBLEM: {lines.hash.hexdigest()}"):
             say(one)
         claim = lines.section("claim", "lower upper")
         claimed = [number(claim[side], infinite=True) for side in ("lower", "upper")]
-        upper = upper_bound(problem, lines).upper() if lines.ahead.get("section") == "point" else INFINITY
-        lower = lower_bound(problem, lines)
+        upper = bounds[0](problem, lines).upper() if lines.ahead.get("section") == "point" else INFINITY
+        lower = bounds[1](problem, lines)
         lines.section("end", "")
         require(lines.text == b"", "there is something behind the end")
         shown = f"{lower.str(17)} .. {upper.str(17)}"

@@ -39,8 +39,10 @@ from lin_freq_ocp.proof.enclosure import Enclosure
 from lin_freq_ocp.proof.lfo_check import Failed, check
 from lin_freq_ocp.proof.point import InteriorPoint, points
 from lin_freq_ocp.proof.statement import line, problem_lines
+from lin_freq_ocp.proof.train import NOTHING, TrainProof, train_proof
 from lin_freq_ocp.proof.tree import TreeDual, sequence_problem, written_nodes
 from lin_freq_ocp.solving.hybrid.modes import tree_of
+from lin_freq_ocp.solving.hybrid.pulse_train import Angles
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.solving.solve import solve_judged
 from lin_freq_ocp.transform.reformulations import at_frequencies
@@ -103,7 +105,6 @@ UNCHECKED_MARGIN = (2.0**-36,)  # distance to limits relative to sizes, of a poi
 UNCHECKED_SLACK = 1e-6  # by which an unchecked claim is wider than the certificate's interval, relative to the cost
 CLAIM_SLACK = 1e-9  # by which a claim is wider than the proven interval, relative to its ends
 TREE_BITS = 192  # of balls: no linear system is solved in them, and products of three doubles are exact
-NOTHING = Enclosure(-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ class Proof:
         yield line(section="end")
 
 
-def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
+def proof_of(outcome: Outcome) -> tuple[Proof | TrainProof, Enclosure]:
     """Return a proof of the answer of a solve, and the interval that the checker confirms.
 
     Raises
@@ -138,7 +139,10 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
         If there is nothing to prove, the multipliers prove nothing, or the cost lies outside the proven interval.
     """
     searched = tree_of(outcome)
-    proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
+    if outcome.method == Angles.shorthand:
+        proof, enclosure = _angle_proof(outcome)
+    else:
+        proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
     certificate = outcome.certificate
     if certificate is not None and certificate.feasible:  # an optimal cost lies in the interval, others not below it
         cost, slack = certificate.cost, certificate.allowed_gap
@@ -150,6 +154,13 @@ def proof_of(outcome: Outcome) -> tuple[Proof, Enclosure]:
                 outcome,
             )
     return proof, enclosure
+
+
+def _angle_proof(outcome: Outcome) -> tuple[TrainProof, Enclosure]:
+    """Return a proof of the best pulse train, by the bounds over angles."""
+    proof = train_proof(outcome)
+    enclosure = checked_enclosure(proof.lines())
+    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
 def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
@@ -239,7 +250,7 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
         with suppress(SolveError, Failed):
-            alone, _ = proof_of(solve_judged(sequence_problem(problem, outcome.sequence)))
+            alone, _ = _linear_proof(solve_judged(sequence_problem(problem, outcome.sequence)))
             point = alone.point and replace(alone.point, modes=outcome.sequence.tolist())
             proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
             found = proof, checked_enclosure(proof.lines())

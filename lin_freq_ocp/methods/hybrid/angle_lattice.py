@@ -59,8 +59,8 @@ from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 # Roundings, on which claims rest
 TRACKING_ROUNDING = 1e-13  # of L_r, whose terms are of order 1: their rounding telescopes over the lattice
 SUM_ROUNDING = 2.0**-52  # of a sum of costs, relative: twice what one addition rounds
-WHOLE = 1e-12  # of a step, up to which a dwell is a multiple of h: it changes L_r by less than rounding
-# Effort: bounds hold whatever these are
+WHOLE = 1e-12  # of a step, by which a dwell is longer than its whole steps: its rounding is smaller
+# Effort: bounds hold whatever these are. Lattices that lose a step of a dwell have worse bounds; the rest is time
 COUNTS = 100  # numbers N among which one lets dwells be multiples of h, or just above: less of them is lost
 MOST_STATES = 2**25  # of a recursion, half a gigabyte for the costs from and to each; larger parts are halved
 RADIUS = 0.05  # of the first trust region of r, in units of b_k
@@ -97,11 +97,9 @@ class AngleRange:
         where = np.arange(len(self.sign)) == (free[0] if len(free) else (self.high - self.low).argmax())
         if len(free):
             return [replace(self, sign=np.where(where, s, self.sign)) for s in (1, -1)]
-        middle = (
-            np.where(where, (self.low + self.high) / 2, self.high),
-            np.where(where, (self.low + self.high) / 2, self.low),
-        )
-        return [replace(self, high=middle[0]), replace(self, low=middle[1])]
+        middle = (self.low + self.high) / 2
+        high, low = np.where(where, middle, self.high), np.where(where, middle, self.low)
+        return [replace(self, high=high), replace(self, low=low)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +108,7 @@ class LatticePoint:
 
     Without a train, steps are zero. Of trains that cost the same, each angle may be that of another.
     ``open`` are the cells (m, 2, N) that may hold an angle, with a step up or down, of a train below what is enough.
+    With ``whole``, all whole steps of each dwell between switches are kept.
     """
 
     bound: float
@@ -118,16 +117,18 @@ class LatticePoint:
     steps: Array
     angles: Array
     open: Mask
+    whole: bool
 
 
 class AngleLattice:
     """The lattice of N or some more angles for a quarter."""
 
     def __init__(self, quarter: Quarter, count: int):
-        dwells = quarter.dwells / QUARTER
-        self.count = min(range(count, count + COUNTS), key=lambda N: float(((dwells * N + WHOLE) % 1.0).max()))
+        dwells = quarter.dwells[quarter.dwells > 0] / QUARTER
+        lost = [float(((dwells * N - WHOLE) % 1.0).max(initial=0.0)) for N in range(count, count + COUNTS)]
+        self.count = count + int(np.argmin(lost))
         self.quarter, self.h = quarter, QUARTER / self.count
-        self._whole = np.floor(quarter.dwells / self.h + WHOLE).astype(np.int64)
+        self._whole = np.maximum(np.floor(quarter.dwells / self.h - WHOLE), 0).astype(np.int64)
 
     def bound(self, r: Array, part: AngleRange, enough: float = np.inf) -> LatticePoint:
         """Return the bound for some r; infinity if the part has no train. No tube is wider than ``enough`` asks for."""
@@ -163,7 +164,7 @@ class AngleLattice:
         cells = np.minimum(least[:, :, 1:], least[:, :, :-1]) <= most
         bound = min(float(least[0].min(initial=np.inf)), leaving) - TRACKING_ROUNDING + q.shift(r)
         down, at = np.array([np.unravel_index(one.argmin(), one.shape) for one in least]).T
-        return LatticePoint(bound, loss, r, np.isfinite(least).any() * q.step * (1.0 - 2 * down), at * h, cells)
+        return LatticePoint(bound, loss, r, np.isfinite(least).any() * q.step * (1.0 - 2 * down), at * h, cells, whole)
 
     def _tube(self, r: Array, part: AngleRange, most: float) -> tuple[Array, float, float, float]:
         """Return the middle of a tube around -I, its half width, a bound e on |I - R|, and the least L_r outside."""

@@ -26,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,14 +37,14 @@ from lin_freq_ocp.problem.hybrid.pulse_train import QUARTER
 # Roundings, on which claims rest
 ENERGY_ROUNDING = 1e-13  # of the sums of the absolute terms of E and b_k, for twelve angles: rounding is smaller
 EIGENVALUE_ROUNDING = 1e-12  # of the largest entry of M: the rounding of eigenvalues is smaller for twelve angles
-# Effort: bounds and exclusions hold whatever these are
+# Effort: bounds and exclusions hold whatever these are; with less, more parts are left to the lattice
 MOST_CORNERS = 2**12  # of a box whose curvature is asked
 SUMS, MOST_SUMS = 4000, 40  # angles of a quarter for sums of amplitudes, and how many sums are tried at most
 SUM_ACCURACY = 1e-9  # of amplitudes of order 1, by which a sum must miss its limits to be worth a try
 AT_LIMIT = 1e-7  # distance from a limit up to which an amplitude or a dwell has a multiplier at an optimum
 COST_ACCURACY = 1e-13  # change of the cost, relative to the sum of its terms, at which the search ends
 AMPLITUDE_VIOLATION = 1e-9  # of amplitudes of order 1: less than the tolerance of the judge, who decides
-SEARCH_STEPS = 80  # of a search: those that converge take half of them
+SEARCH_STEPS = 80  # of a search: those that converge take half of them; with a quarter, times are the same
 NEWTON_STEPS, NEWTON_REACH = 6, 1e-2  # after the search; a longer step [rad] is none from an optimum
 
 
@@ -53,7 +54,7 @@ def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array
     if 2**m > MOST_CORNERS:
         return -np.inf
     (E, g), (b, slopes) = quarter.energy(steps, c), quarter.amplitudes(steps, c)
-    rows, x, multipliers = _multipliers(quarter, steps, c)
+    rows, x, multipliers = multipliers_of_limits(quarter, steps, c)
     D, price, nu = rows[len(k) :], multipliers[: len(k)], -multipliers[len(k) :]
     over = np.where(price == 0, 0.0, b - np.where(price > 0, quarter.high, np.where(price < 0, quarter.low, b)))
     G = g + multipliers @ rows
@@ -80,7 +81,7 @@ def bound_near(quarter: Quarter, steps: Array, c: Array, low: Array, high: Array
 
 def local_prices(quarter: Quarter, steps: Array, c: Array) -> Array:
     """Return the prices r (angle_lattice.py) with which the slope of L_r is zero at a local optimum."""
-    _, _, multipliers = _multipliers(quarter, steps, c)
+    _, _, multipliers = multipliers_of_limits(quarter, steps, c)
     return -multipliers[: len(quarter.orders)] * np.array(quarter.orders) / 2
 
 
@@ -92,7 +93,7 @@ def _curvature(steps: Array, a: Array) -> Array:
     return np.where(i == j, alone[:, :, None], both * a[:, np.minimum(i, j)])
 
 
-def _multipliers(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array, Array]:
+def multipliers_of_limits(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array, Array]:
     """Return slopes of amplitudes and dwells (k + m + 1, m), dwells above the least, and multipliers that fit best."""
     from scipy.optimize import nnls  # slow to import
 
@@ -109,11 +110,11 @@ def _multipliers(quarter: Quarter, steps: Array, c: Array) -> tuple[Array, Array
 def _newton(quarter: Quarter, steps: Array, c: Array) -> Array:
     """Return the angles (m,) after steps of Newton's method with the limits that have multipliers near c."""
     k = np.array(quarter.orders, dtype=float)[:, None]
-    multipliers = _multipliers(quarter, steps, c)[2]
+    multipliers = multipliers_of_limits(quarter, steps, c)[2]
     kept, price = multipliers != 0, multipliers[: len(k)]
     limits = np.where(price > 0, quarter.high, quarter.low)
     for _ in range(NEWTON_STEPS):
-        rows, x, _ = _multipliers(quarter, steps, c)
+        rows, x, _ = multipliers_of_limits(quarter, steps, c)
         A, misses = rows[kept], np.concatenate([quarter.amplitudes(steps, c)[0] - limits, x])[kept]
         bent = np.diag(multipliers[: len(k)] @ (4 / np.pi * steps * k * np.cos(k * c)))
         system = np.block([[_curvature(steps, c[None])[0] - bent, A.T], [A, np.zeros((len(A), len(A)))]])
@@ -185,14 +186,23 @@ def local_angles(quarter: Quarter, steps: Array, angles: Array) -> tuple[Array, 
     return None if misses(at) > AMPLITUDE_VIOLATION else (at, quarter.price * size * cost(at)[0])
 
 
-def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> tuple[Array, Array, float] | None:
-    """Return steps and angles (m,) of a train whose amplitudes miss their limits little, and by how much.
+class NearestTrain(NamedTuple):
+    """Steps and angles (m,) of a train, by how much its amplitudes miss their limits; or weights that exclude all."""
 
-    Angles are in a range, and steps have signs, 0 where both are allowed. None if no train meets the limits.
+    steps: Array
+    angles: Array
+    missed: float
+    excluded_by: Array | None = None
+
+
+def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> NearestTrain:
+    """Return a train whose amplitudes miss their limits little, or weights of a sum that no train meets.
+
+    Angles are in a range, and steps have signs, 0 where both are allowed.
     """
     from scipy.optimize import linprog  # slow to import
 
-    q, k, best = quarter, np.array(quarter.orders, dtype=float), (np.zeros(0), np.zeros(0), np.inf)
+    q, k, best = quarter, np.array(quarter.orders, dtype=float), NearestTrain(np.zeros(0), np.zeros(0), np.inf)
     ends = np.where(np.isfinite(q.high), q.high, 0.0), np.where(np.isfinite(q.low), q.low, 0.0)
     bounds = [(0.0, float(one)) for one in np.isfinite([q.high, q.low]).ravel()] + [(None, None)]
     curved = 4 / np.pi * q.step * len(sign) * (QUARTER / SUMS) ** 2 / 8 * k
@@ -200,14 +210,14 @@ def nearest_train(quarter: Quarter, low: Array, high: Array, sign: Indices) -> t
     for _ in range(MOST_SUMS):
         found = _least_sum(q, low, high, sign, weights)
         if found is None:
-            return None
+            return best._replace(excluded_by=weights)
         steps, angles = found
         values = q.amplitudes(steps, angles)[0]
         most = np.maximum(weights, 0.0) @ ends[0] - np.maximum(-weights, 0.0) @ ends[1]
         if weights @ values - np.abs(weights) @ curved - ENERGY_ROUNDING * len(sign) * np.abs(weights).sum() > most:
-            return None
+            return best._replace(excluded_by=weights)
         missed = float(np.maximum(q.low - values, values - q.high).max(initial=0.0))
-        best = min(best, (steps, angles, missed), key=lambda one: one[2])
+        best = min(best, NearestTrain(steps, angles, missed), key=lambda one: one.missed)
         rows.append(np.concatenate([ends[0] - values, values - ends[1], [1.0]]))
         objective = np.append(np.zeros(2 * len(k)), -1.0)
         answer = linprog(objective, np.array(rows), np.zeros(len(rows)), bounds=bounds, method="highs")

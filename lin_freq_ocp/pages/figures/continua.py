@@ -1,6 +1,7 @@
 """Figures of semi-infinite constraints: residual vibrations, and spectra of signals with a zero-order hold.
 
-A residual vibration is drawn over the natural frequency, with its limit within the box of modes; a spectrum goes on
+A residual vibration, of moves or of an input shaper, is drawn over the natural frequency, with its limit within the
+box of modes; a spectrum goes on
 above the Nyquist frequency.
 """
 
@@ -17,6 +18,7 @@ from matplotlib.typing import LineStyleType
 
 from lin_freq_ocp.base.phrases import number, split_unit
 from lin_freq_ocp.comparison.moves import HIGHEST_LIMIT, OURS, UNSHAPED, Moves, boxes_of, frequencies_around, vibration
+from lin_freq_ocp.comparison.shapers import Impulses, Modes, eigenvalues_of
 from lin_freq_ocp.comparison.trajectories import SpectrumAxis
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.panels import FEW_BINS
@@ -33,8 +35,32 @@ LINES: tuple[LineStyleType, ...] = ((0, (5, 1.8)), (0, (3, 1.2, 1, 1.2)), (0, (7
 
 Panel = Callable[[Axes], None]  # draws into the axes
 
+SHAPER_HEIGHT = 1.3 * look.ROW_HEIGHT
+DRAWN_FREQUENCIES = 801
+BEYOND = 1.6  # times the highest frequency of a shaper: the end of the axis
+SHOWN = 5.0  # limits that fit into the picture
 PER_BIN = 8  # points for each bin
 SHOWN_DECADES = 4  # below the largest value
+
+
+def shaper_figure(impulses: Impulses, modes: Modes, limit: float) -> Figure:
+    """Return the vibration after the last impulse, relative to one impulse then, a line for each damping ratio."""
+    figure = look.new_figure(SHAPER_HEIGHT)
+    ax = figure.add_subplot()
+    frequencies = np.linspace(0.0, BEYOND * modes.bands[-1][1], DRAWN_FREQUENCIES)
+    for k, (low, high) in enumerate(modes.bands):
+        ax.axvspan(low, high, color=look.BAND, linewidth=0, zorder=0)
+        ax.hlines(100 * limit, low, high, color=look.BOUND, linewidth=2.0, zorder=4, label="" if k else "limit")
+    least, largest = modes.damping
+    for damping, color in zip(dict.fromkeys((least, (least + largest) / 2, largest)), look.COMPONENTS, strict=False):
+        values = 100 * np.abs(impulses.response(eigenvalues_of(frequencies, np.full(DRAWN_FREQUENCIES, damping))))
+        ax.plot(frequencies, values, color=color, linewidth=1.4, label=f"damping ratio {number(damping)}")
+    ax.set_xlim(0, frequencies[-1])
+    ax.set_ylim(0, 100 * min(SHOWN * limit, 1.0))
+    look.style_axes(ax, "Residual vibration", "natural frequency [Hz]", "vibration [%]")
+    handles, _ = ax.get_legend_handles_labels()
+    look.legend_above(figure, handles)
+    return figure
 
 
 def moves_figure(moves: Moves) -> Figure:

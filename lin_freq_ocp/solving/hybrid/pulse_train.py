@@ -132,16 +132,15 @@ class _TrainSearch:
         while waiting and self._best is None and now() <= end:
             part = waiting.popleft()
             found = nearest_train(self._quarter, part.low, part.high, part.sign)
-            if found is None:
+            if found.excluded_by is not None:
                 continue
-            steps, angles, missed = found
             if part is whole.part:
                 with suppress(UnsupportedError):
                     point = AngleLattice(self._quarter, FIRST_LATTICE).bound(whole.r, part)
                     self._look_once(point.steps, point.angles)
-            if missed < least / 2 or part.sign.all():
-                least = min(least, missed)
-                self._look_once(steps, angles)
+            if found.missed < least / 2 or part.sign.all():
+                least = min(least, found.missed)
+                self._look_once(found.steps, found.angles)
             waiting.extend(part.halves())
         if not waiting and self._best is None:
             self._parts.clear()
@@ -157,7 +156,7 @@ class _TrainSearch:
                     if proven >= self._cutoff:
                         self._done = min(self._done, proven)
                         return []
-        if nearest_train(quarter, part.low, part.high, part.sign) is None:
+        if nearest_train(quarter, part.low, part.high, part.sign).excluded_by is not None:
             return []
         lattice = self._lattices[node.level]
         try:

@@ -79,7 +79,7 @@ def wrong_of(mutation: Mutation, truth: Truth, first_hash: str, folder: Path) ->
     apart = {"nodes": without_point, "dual": without_point, "point": with_a_weak_dual}
     lines = apart[mutation.section](mutation.lines) if mutation.section in apart else mutation.lines
     verdict = check("".join(lines), folder)
-    if mutation.section != "problem":
+    if mutation.section not in ("problem", "pulse train"):
         return truth.denies(verdict)
     if verdict.status == 0 and hash_of(verdict) == first_hash:
         return f"the same hash: {verdict.last}"
@@ -152,8 +152,11 @@ KINDS: dict[str, Callable[[], str]] = {
     "a tree of rays": lambda: written(
         replace(lfo.library.switched_rotation(horizon=3, initial_state=(-6, 7)), terminal_state=[5.0, 5.0])
     ),
+    "a pulse train": lambda: written(
+        lfo.library.pulse_pattern("opp", modulation=1.05, switches=8, least_dwell=0.03, unipolar=True, exactly=True)
+    ),
 }
-UNKNOWN = "every frequency", "a ray, by hand", "too weak", "a tree of rays"  # to the exact solver
+UNKNOWN = "every frequency", "a ray, by hand", "too weak", "a tree of rays", "a pulse train"  # to the exact solver
 """Kinds of proofs, small enough that every number can be changed."""
 
 

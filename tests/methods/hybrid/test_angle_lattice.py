@@ -149,6 +149,16 @@ def test_without_a_compiler_the_recursion_is_the_same(seed, no_compiler):
     assert (found.open == expected.open).all()
 
 
+@pytest.mark.parametrize(("dwell", "lost"), [(0.01 * np.pi, 0.021), (0.05, 0.023), (0.02, 0.51), (0.1, 0.018)])
+def test_a_lattice_is_one_that_keeps_nearly_all_of_each_dwell(dwell, lost):
+    """In parts of a step of the lattice, at both ends too; 1000 angles would lose a whole step of the first."""
+    dwells = np.array([dwell / 2, dwell, dwell, dwell / 2])
+    lattice = AngleLattice(Quarter(1.0, 0, 1, dwells, (1,), -np.ones(1), np.ones(1), 1.0, 0.0), 1000)
+    steps = dwells / lattice.h
+    assert 1000 <= lattice.count < 1100
+    assert (steps - np.floor(steps)).max() <= lost
+
+
 def exact_tracking(quarter: Quarter, r: np.ndarray, steps: np.ndarray, angles: np.ndarray, count: int) -> arb:
     """Return L_r of a train of the lattice in balls of 200 bits, by the sums of quarter.py."""
     with ctx.workprec(200):

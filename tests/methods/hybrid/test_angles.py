@@ -173,9 +173,9 @@ def test_a_part_with_a_train_is_never_excluded(first):
         sign = np.sign(steps).astype(int) * (rng.random(len(steps)) < 0.5)
         low, high = angles - rng.choice([0.0, 1e-3, 0.3]), angles + rng.choice([0.0, 1e-3, 0.3])
         found = nearest_train(quarter, low, high, sign)
-        assert found is not None
-        values, _ = quarter.amplitudes(found[0], found[1])
-        assert found[2] == pytest.approx(max(0.0, (quarter.low - values).max(), (values - quarter.high).max()))
+        assert found.excluded_by is None
+        values, _ = quarter.amplitudes(found.steps, found.angles)
+        assert found.missed == pytest.approx(max(0.0, (quarter.low - values).max(), (values - quarter.high).max()))
         assert ((sign == 0) | (sign == np.sign(found[0]))).all()
 
 
@@ -183,11 +183,11 @@ def test_sums_lose_no_train_between_angles_of_their_lattice():
     """One train alone has the least b_3: pi/3 is no multiple of the step. Another has the least dwells."""
     least = np.array([-0.5 * 4 / (3 * np.pi)])
     quarter = Quarter(0.5, -2, 2, np.zeros(2), (3,), least, least, 1.0, 0.0)
-    assert nearest_train(quarter, np.array([0.9]), np.array([1.2]), np.array([1])) is not None
+    assert nearest_train(quarter, np.array([0.9]), np.array([1.2]), np.array([1])).excluded_by is None
     angles = np.array([0.3, 0.33, 0.36])
     quarter = Quarter(0.5, -2, 2, np.array([0.0, 0.03, 0.03, 0.0]), (), np.zeros(0), np.zeros(0), 1.0, 0.0)
-    assert nearest_train(quarter, angles, angles, np.array([1, -1, 1])) is not None
-    assert nearest_train(quarter, angles, angles - [0, 0, 0.01], np.array([1, -1, 1])) is None
+    assert nearest_train(quarter, angles, angles, np.array([1, -1, 1])).excluded_by is None
+    assert nearest_train(quarter, angles, angles - [0, 0, 0.01], np.array([1, -1, 1])).excluded_by is not None
 
 
 @pytest.mark.parametrize("first", seeds(range(0, 50, 10)))
@@ -202,8 +202,8 @@ def test_a_part_whose_amplitudes_miss_their_limits_is_excluded(first):
         k = np.array(quarter.orders)
         reach = np.abs(slopes).sum(axis=1) * (radius + END / 4000) + 2 * len(steps) * k * radius**2 + 1e-4
         outside = replace(quarter, low=values + reach, high=values + reach + 0.1)
-        assert nearest_train(outside, low, high, sign) is None
-        assert nearest_train(quarter, low, high, sign) is not None
+        assert nearest_train(outside, low, high, sign).excluded_by is not None
+        assert nearest_train(quarter, low, high, sign).excluded_by is None
 
 
 def test_dwells_narrow_ranges_of_angles():

@@ -92,7 +92,7 @@ class Filter:
 
 
 MARGIN = 1e-2  # distance of the first point to the boundary, in units in which limits are of order 1
-NEAR = 0.1  # infeasibility, in units of order 1, from which it is worth a second solver to know that a step is convex
+NEAR = 0.1  # infeasibility, in units of order 1, below which a second solver may tell that a step is convex
 # Multiples of the identity that make a Hessian convex, in units of order 1: the first and the least, the factor from
 # one to the next, that by which the next step begins lower (Waechter and Biegler, 2006), and the largest
 FIRST_SHIFT, LEAST_SHIFT, SHIFT_RISE, SHIFT_FALL, LARGEST_SHIFT = 1e-4, 1e-10, 8.0, 24.0, 1e20
