@@ -34,6 +34,8 @@ TIED = 1e-15  # on the diagonal of S, relative, so that it has a root
 SLOWEST = 1e-13  # part of the largest rate of change of a slack, below which a rate is rounding
 NAMED_PART = 0.1  # of the largest entry of a vector of the null space: rows with less are not named
 WEAK = "active with multiplier zero"
+UNSETTLED = "the active rows did not settle"
+DEPENDENT_ROWS = "active rows depend on each other, and their multipliers are not unique"
 NOT_UNIQUE = "the optimum is not unique: the cost is flat along a direction"
 
 
@@ -167,6 +169,19 @@ class Derivative(Existence):
         )
 
 
+def require_derivatives(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
+    """Raise UnsupportedError if an optimum of this kind of problem has no derivatives."""
+    _ = problem.equations  # raises UnsupportedError if there are modes
+    if multipliers.eta_C != 1:
+        raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
+    at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
+    if at_points:
+        raise UnsupportedError(
+            f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
+            "limits at bins. The derivatives of the cost, result.sensitivities, exist."
+        )
+
+
 class SolutionDerivatives:
     """The derivatives of an optimum by the data of its problem, from one factorisation.
 
@@ -188,15 +203,7 @@ class SolutionDerivatives:
     """
 
     def __init__(self, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers):
-        _ = problem.equations  # raises UnsupportedError if there are modes
-        if multipliers.eta_C != 1:
-            raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
-        at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
-        if at_points:
-            raise UnsupportedError(
-                f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
-                "limits at bins. The derivatives of the cost, result.sensitivities, exist."
-            )
+        require_derivatives(problem, multipliers)
         point = exact_point(problem, trajectory, multipliers)
         if point is None:
             raise UnsupportedError("derivatives: the active rows determine no point.")
@@ -314,7 +321,7 @@ class SolutionDerivatives:
         """Return whether a derivative exists, the rows in the way, the reason, and the error of its solve."""
         point, reason = self._point, ""
         if not point.settled:
-            reason = "the active rows did not settle"
+            reason = UNSETTLED
         elif point.kkt.singular:
             of_z, of_rows = point.kkt.weakest
             if np.linalg.norm(of_z) > np.linalg.norm(of_rows):
@@ -322,7 +329,7 @@ class SolutionDerivatives:
             else:
                 worst = np.flatnonzero(np.abs(of_rows) > NAMED_PART * np.abs(of_rows).max())
                 rows = point.describe(worst, np.where(point.kkt.active.above[worst], 1.0, -1.0))
-                reason = "active rows depend on each other, and their multipliers are not unique"
+                reason = DEPENDENT_ROWS
         elif error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         elif len(point.corners):

@@ -94,7 +94,7 @@ def deviations_from(
     problem = at_frequencies(problem, multipliers.frequencies)
     trajectory = _within_bounds(problem, trajectory.x, trajectory.u)
     linear = LinearProgram(problem, trajectory.extended)
-    columns = linear.column_units(*_deviation_units(problem, trajectory))
+    columns = linear.column_units(*deviation_units(problem, trajectory))
     scaling = scale_rows_and_cost(linear, columns, columns)
     deviations = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
     yield deviations, scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
@@ -197,7 +197,7 @@ def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajec
     return Trajectory(problem.state_tube.project(x), problem.control_tube.project(u))
 
 
-def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
+def deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 import lin_freq_ocp as lfo
 from benchmark.record import Record, build_parser
-from lin_freq_ocp.derivatives import SolutionDerivatives
+from lin_freq_ocp.derivatives import derivatives_of
 
 STEP = 1e-5  # of central differences
 
@@ -76,9 +76,9 @@ def single(problem: lfo.OptimalControlProblem, repeats: int) -> list[str]:
     """Return a row on one problem: its solve, the set-up of derivatives and a further gradient, in solves."""
     result = lfo.solve(problem)
     weights = np.ones((problem.horizon, problem.control_dim))
-    made = SolutionDerivatives(problem, result.trajectory, result.multipliers)
+    made = derivatives_of(problem, result.trajectory, result.multipliers)
     solve = least(lambda: lfo.solve(problem), repeats)
-    first = least(lambda: SolutionDerivatives(problem, result.trajectory, result.multipliers).vjp(u=weights), repeats)
+    first = least(lambda: derivatives_of(problem, result.trajectory, result.multipliers).vjp(u=weights), repeats)
     further = least(lambda: made.vjp(u=weights), repeats)
     name = problem.name or str(problem.horizon)
     return [name, str(problem.horizon), f"{solve:.1f}", f"{first / solve:.2f}", f"{further / solve:.3f}"]
@@ -95,6 +95,7 @@ def main(arguments: Sequence[str]) -> None:
         for limit in (1e4, 1.0):
             of_many.add_row(*many(limit, given.repeats))
         record.show(of_many)
-        for problem in (lfo.library.pendulum(), lfo.library.double_integrator()):
-            of_one.add_row(*single(problem, given.repeats))
+        for build, horizons in ((lfo.library.pendulum, (240, 4800)), (lfo.library.double_integrator, (200, 20_000))):
+            for horizon in horizons:  # the longer ones by adjoint problems
+                of_one.add_row(*single(build(horizon=horizon), given.repeats))
         record.show(of_one)
