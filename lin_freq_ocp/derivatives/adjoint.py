@@ -7,7 +7,7 @@ K (z, y) = (c, b) is the optimum, with its multipliers, of a problem that the me
 
 with the same matrices and stop bands, with fixed values where a bound is active, and without other bounds. Its answer
 is refined: the residual c - H z - M'y, b - M z, formed in extended precision, is the next right-hand side, and the
-last correction is the error stated, as for a factor of K. There are three right-hand sides. The data of the problem
+corrections tell the error. There are three right-hand sides. The data of the problem
 give the exact optimum on its active bounds. Weights give the adjoint (p, q). Random ones tell whether the rows are
 independent: dependent rows have no solution.
 
@@ -17,7 +17,6 @@ constraints determine the weighted sum, and methods find no units for an answer 
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,14 +40,11 @@ from lin_freq_ocp.derivatives.derivatives import (
 )
 from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
 from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
-from lin_freq_ocp.methods.correction import LONGEST_FACTOR, deviation_units
+from lin_freq_ocp.methods.correction import deviation_units
+from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
-from lin_freq_ocp.program.linear_program import dense_rows
-from lin_freq_ocp.solving.families import Options
-from lin_freq_ocp.solving.linear import Spectral, Structured
-from lin_freq_ocp.solving.solve import solve_judged
+from lin_freq_ocp.program.active_rows import EPSILON
 
 LONG = "so many bins are removed that derivatives come from adjoint problems, which have weights of x and u only"
 Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T+1, n+m), offsets of dynamics (T, n)
@@ -56,11 +52,11 @@ Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """States and controls z (T+1, n+m) with multipliers y, and the last corrections of both, in units of order 1."""
+    """States and controls z (T+1, n+m) with multipliers y, and the errors of both, estimated, in units of order 1."""
 
     z: Array
     y: Multipliers
-    last: tuple[float, float] = (np.inf, np.inf)
+    error: tuple[float, float] = (np.inf, np.inf)
 
     def plus(self, other: Point, factor: float) -> Point:
         """Return this point and a multiple of another one."""
@@ -96,8 +92,9 @@ class LongKKT:
         drawn[0, :, : self.n] = 0.0  # slopes in u move z by its units, those in x by far more
         none, self.random = np.zeros((problem.horizon, self.n)), None
         self._drawn = drawn[0] * slope_units, drawn[1] * units, none
-        found = self.solve(self._drawn, enough=MOST_SOLVE_ERROR)
-        self.random = None if found is None or max(found.last) > MOST_SOLVE_ERROR * max(self.sizes(found)) else found
+        found = self._answer(self._drawn)
+        if found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR:
+            self.random = found
 
     def sizes(self, point: Point) -> tuple[float, float]:
         """Return the largest values of z and of y, in units of order 1."""
@@ -108,60 +105,59 @@ class LongKKT:
     def solve(self, right: Sides, point: Point | None = None, enough: float = FORWARD) -> Point | None:
         """Return the solution for a right-hand side, refined from a point; None if no method finds any.
 
-        A correction that is less than ``enough``, relative to the solution, is the last one.
+        The error is that of the last correction, times the part of the correction before that it was. An error of
+        ``enough``, relative to the solution, is small enough.
         """
+        left = right if point is None else self._residual(right, point)
         if point is None:
             stops = self.problem.control_stop, self.problem.state_stop
             x, u = split_signals(np.zeros(self.held.shape), self.n)
             point = Point(np.zeros(self.held.shape), Multipliers(1.0, x[1:], x, u, *(0j * stop for stop in stops)))
         before = np.inf
         for _ in range(KKT_REFINEMENTS):
-            left = self._residual(right, point)
-            amount = max(float(np.abs(part / unit).max()) for part, unit in zip(left, self.units, strict=True))
-            if amount == 0:
-                return replace(point, last=(0.0, 0.0))
-            sides = left[0] / amount, left[1] / amount, left[2] / amount
-            if self.random is None:
-                step = self._answer(sides)
-            else:
-                step = self._answer(tuple(part + drawn for part, drawn in zip(sides, self._drawn, strict=True)))
-                step = None if step is None else step.plus(self.random, -1.0)
+            if (amount := self._amount(left)) == 0:
+                return replace(point, error=(0.0, 0.0))
+            drawn = self._drawn if self.random is not None else tuple(0 * part for part in left)
+            step = self._answer(tuple(part / amount + other for part, other in zip(left, drawn, strict=True)))
             if step is None:
                 break
-            last = tuple(amount * size for size in self.sizes(step))
-            if max(last) > 0.5 * before:  # rounding, or nothing that converges
+            step = step if self.random is None else step.plus(self.random, -1.0)
+            correction = amount * np.array(self.sizes(step))
+            contraction = float(correction.max()) / before
+            if contraction > 0.5:  # rounding, or nothing that converges
                 break
-            point, before = replace(point.plus(step, amount), last=last), max(last)
-            if before <= enough * max(self.sizes(point)):
+            point, before = point.plus(step, amount), float(correction.max())
+            sizes = np.array(self.sizes(point))
+            error = np.maximum(correction * (contraction or 1.0), EPSILON * sizes)
+            point = replace(point, error=(float(error[0]), float(error[1])))
+            if error.max() <= enough * sizes.max():
                 break
+            left = self._residual(right, point)
         return point if np.isfinite(before) else None
+
+    def _amount(self, sides: Sides, rows: bool = False) -> float:
+        """Return the size of a right-hand side, or of its part of rows, in units of order 1."""
+        return max(float(np.abs(part / unit).max()) for part, unit in [*zip(sides, self.units, strict=True)][rows:])
 
     def _residual(self, right: Sides, point: Point) -> Sides:
         """Return what a point leaves of a right-hand side."""
         at = extremal_within(self.problem, point.trajectory, point.y, self.problem.signal_bounds)
-        left = right[0] - at.slopes - point.normals, np.where(self.held, right[1] - point.z, 0.0), right[2] - at.residual
+        left = (
+            right[0] - at.slopes - point.normals,
+            np.where(self.held, right[1] - point.z, 0.0),
+            right[2] - at.residual,
+        )
         return left[0].astype(np.float64), left[1], left[2].astype(np.float64)
 
     def _answer(self, right: Sides) -> Point | None:
         """Return the answer of a method for a right-hand side; None if none finds an optimum."""
-        (of_x, of_u), far = split_signals(-right[0], self.n), np.inf
-        lower, upper = (split_signals(np.where(self.held, right[1], side), self.n) for side in (-far, far))
-        inner = np.zeros((len(of_x), 1), dtype=bool)
-        inner[1:-1] = True  # the ends are given by themselves
-        asked = self.problem.derived(
-            dynamics=replace(self.problem.linear, offset=right[2]),
-            cost=replace(self.problem.quadratic, q=of_x[:-1], r=of_u, p=of_x[-1]),
-            state_set=Box(np.where(inner, lower[0], -far), np.where(inner, upper[0], far)),
-            control_set=Box(lower[1], upper[1]),
-            initial_state=Box(lower[0][0], upper[0][0]),
-            terminal_state=Box(lower[0][-1], upper[0][-1]),
-        )
-        for method in (Spectral(), Structured()):  # neither needs dense rows
-            with suppress(UnsupportedError):
-                found = solve_judged(asked, Options(method), proof=False)
-                if found.status == Status.OPTIMAL and found.trajectory is not None and found.multipliers is not None:
-                    return Point(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
-        return None
+        of_x, of_u = split_signals(-right[0], self.n)
+        cost = replace(self.problem.quadratic, q=of_x[:-1], r=of_u, p=of_x[-1])
+        lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
+        found = solve_long(with_sides(self.problem, lower, upper, right[2], cost))
+        if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
+            return None
+        return Point(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
 
 
 def derivatives_of(
@@ -169,10 +165,8 @@ def derivatives_of(
 ) -> SolutionDerivatives:
     """Return the derivatives of an optimum: by its equations, or by adjoint problems where these are too many."""
     require_derivatives(problem, multipliers)
-    plain = problem.response is None and not problem.terms
-    if plain and dense_rows(problem).factorisation_seconds > LONGEST_FACTOR:
-        return AdjointDerivatives(problem, trajectory, multipliers)
-    return SolutionDerivatives(problem, trajectory, multipliers)
+    kind = AdjointDerivatives if is_long(problem) else SolutionDerivatives
+    return kind(problem, trajectory, multipliers)
 
 
 class AdjointDerivatives(SolutionDerivatives):
@@ -201,7 +195,7 @@ class AdjointDerivatives(SolutionDerivatives):
             if exact is None:
                 break
             at = exact
-            of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.last)
+            of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.error)
             price, over, under = np.where(above, 1, -1) * at.normals / slope_units, upper - at.z, at.z - lower
             room = np.where(active, price, np.minimum(over, under) / units)
             error = np.where(active, of_y, of_z)
@@ -250,7 +244,7 @@ class AdjointDerivatives(SolutionDerivatives):
         if found is None:
             raise UnsupportedError("derivatives: no method solves the adjoint problem.")
         size = max(self._kkt.sizes(found))
-        error = max(found.last) / size if size > 0 else 0.0
+        error = max(found.error) / size if size > 0 else 0.0
         seen = np.argwhere(self._weak & (np.abs(found.z / self._kkt.units[1]) > SEEN * size))
         rows, reason = tuple(map(self._name_bound, seen)), self._reason
         if not reason and error > MOST_SOLVE_ERROR:

@@ -23,6 +23,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.methods.long_problems import LONGEST_FACTOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON, ZERO_GAP, ActiveSystem, solve_active
@@ -35,7 +36,6 @@ from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
-LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
