@@ -153,7 +153,7 @@ class WorstCase:
         return self.holds
 
     def __getitem__(self, name: str) -> Worst:
-        return {one.name: one for one in (*self.limits, *self.leakage)}[name]
+        return entry_named("worst case", name, {one.name: one for one in (*self.limits, *self.leakage)})
 
     @property
     def closest(self) -> Worst | None:
