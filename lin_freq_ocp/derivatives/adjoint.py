@@ -102,18 +102,15 @@ class LongKKT:
         prices = np.maximum(slopes, np.abs(point.normals)) / self.slope_units
         return float(np.abs(point.z / self.units[1]).max()), float(prices.max())
 
-    def solve(self, right: Sides, point: Point | None = None, enough: float = FORWARD) -> Point | None:
-        """Return the solution for a right-hand side, refined from a point; None if no method finds any.
+    def solve(self, right: Sides) -> Point | None:
+        """Return the solution for a right-hand side; None if no method finds any.
 
-        The error is that of the last correction, times the part of the correction before that it was. An error of
-        ``enough``, relative to the solution, is small enough.
+        Its error is the last correction, times the part of the correction before that it was.
         """
-        left = right if point is None else self._residual(right, point)
-        if point is None:
-            stops = self.problem.control_stop, self.problem.state_stop
-            x, u = split_signals(np.zeros(self.held.shape), self.n)
-            point = Point(np.zeros(self.held.shape), Multipliers(1.0, x[1:], x, u, *(0j * stop for stop in stops)))
-        before = np.inf
+        stops, zero = (self.problem.control_stop, self.problem.state_stop), np.zeros(self.held.shape)
+        x, u = split_signals(zero, self.n)
+        point = Point(zero, Multipliers(1.0, x[1:], x, u, *(0j * stop for stop in stops)))
+        left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
         for _ in range(KKT_REFINEMENTS):
             if (amount := self._amount(left)) == 0:
                 return replace(point, error=(0.0, 0.0))
@@ -130,7 +127,7 @@ class LongKKT:
             sizes = np.array(self.sizes(point))
             error = np.maximum(correction * (contraction or 1.0), EPSILON * sizes)
             point = replace(point, error=(float(error[0]), float(error[1])))
-            if error.max() <= enough * sizes.max():
+            if error.max() <= FORWARD * sizes.max():
                 break
             left = self._residual(right, point)
         return point if np.isfinite(before) else None
@@ -191,7 +188,7 @@ class AdjointDerivatives(SolutionDerivatives):
         active, weak, self._reason = free & (np.abs(at.normals) / slope_units > slack / units), ~free & free, UNSETTLED
         for _ in range(POINT_STEPS):
             self._kkt = LongKKT(problem, units, slope_units, ~free | active)
-            exact = self._kkt.solve((-slope, np.where(above, upper, lower), offset), at)
+            exact = self._kkt.solve((-slope, np.where(above, upper, lower), offset))
             if exact is None:
                 break
             at = exact

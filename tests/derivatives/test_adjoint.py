@@ -75,6 +75,45 @@ def test_a_long_problem_has_those_of_differences(horizon):
         assert gradient[name][0] == pytest.approx((ahead - behind) / (2 * step), rel=1e-5)
 
 
+@pytest.mark.parametrize("build", [lfo.library.double_integrator, lfo.library.pendulum])
+def test_a_sum_that_the_ends_determine_does_not_move(build):
+    """From rest to rest the sum of the accelerations is zero: p is zero, and no unit follows from it."""
+    problem = build()
+    T = problem.horizon
+    result, adjoint, factored = both(problem)
+    one, other = (found.vjp(u=np.ones((T, 1))) for found in (adjoint, factored))
+    assert one.exists
+    assert one.error < 1e-11
+    size = max(np.abs(np.nan_to_num(values)).max(initial=0.0) for values in other.values())
+    for name in ("r", "u_ref", "offset", "initial_state", "terminal_state"):
+        np.testing.assert_allclose(one[name], other[name], atol=1e-9 * size, err_msg=name)
+
+
+@expensive
+def test_a_cotangent_of_a_long_problem_that_the_ends_determine_takes_no_dense_system():
+    problem = lfo.library.pendulum(horizon=4800)
+    derivatives = lfo.solve(problem).derivatives
+    weights = np.random.default_rng(0).standard_normal((4800, 1))
+    for found in (derivatives.vjp(u=np.ones((4800, 1))), derivatives.vjp(u=weights)):
+        assert found.exists
+        assert found.error < 1e-11  # a gap of the adjoint problem would leave 1e-6
+
+
+@pytest.mark.parametrize("called", ["free", "active"])
+def test_wrong_signs_are_exchanged(called):
+    """Multipliers call a bound free that is active, or the reverse."""
+    result = lfo.solve(regulator())
+    nu, u = result.multipliers.nu.copy(), result.trajectory.u
+    sizes = np.where(nu != 0, np.abs(nu), np.inf) if called == "free" else 1 - np.abs(np.where(nu != 0, 0.0, u))
+    t = int(np.argmin(sizes))
+    nu[t] = 0.0 if called == "free" else 0.1 * np.sign(u[t])
+    trajectory = lfo.Trajectory(result.trajectory.x, np.where(np.arange(40)[:, None] == t, 0.99 * u, u))
+    found = AdjointDerivatives(result.problem, trajectory, replace(result.multipliers, nu=nu))
+    known = SolutionDerivatives(result.problem, result.trajectory, result.multipliers)
+    np.testing.assert_allclose(found.trajectory.u, known.trajectory.u, atol=1e-12)
+    assert found.vjp(u=np.ones((40, 1))).exists
+
+
 def test_a_bound_that_is_met_with_multiplier_zero_is_named():
     free = lfo.solve(regulator(control_spectrum=None))
     u = free.control[:, 0]
@@ -124,9 +163,9 @@ def test_what_needs_the_factor_is_refused():
         derivatives.vjp(multipliers=derivatives.multipliers)
     with pytest.raises(lfo.errors.ProblemError, match=r"u: got shape \(3,\)"):
         derivatives.vjp(u=[1.0, 2.0, 3.0])
-    masked = replace(LONG, control_spectrum=lfo.MagnitudeBound(100.0, band=lfo.low_pass(cutoff=0.4)))
+    rows = replace(LONG, stage_rows=lfo.StageRows([[1.0, 0.0]], [[1.0]], [9.0], name="sum"))
     with pytest.raises(lfo.errors.UnsupportedError, match="a correction needs about"):
-        _ = lfo.solve(masked).derivatives
+        _ = lfo.solve(rows).derivatives
 
 
 def test_a_cost_without_curvature_is_refused():

@@ -143,6 +143,23 @@ class TestDirections:
         assert along is None or verified_direction(problem, along) is None
 
 
+@pytest.mark.parametrize("wave", [True, False])
+def test_a_long_problem_with_a_stop_band_is_unbounded_without_dense_rows(wave, monkeypatch):
+    """Of a slope that the ends determine, the recession cone leaves rounding alone."""
+    monkeypatch.setitem(REGISTER, "clarabel", None)  # no sparse program
+    T = 2000
+    cost = lfo.QuadraticCost(r=-np.cos(0.1 * np.arange(T))[:, None] if wave else [-1.0])
+    ends, band = {"initial_state": [0, 0], "terminal_state": [0, 0]}, lfo.low_pass(cutoff=0.5)
+    problem = lfo.OptimalControlProblem(DOUBLE, T, cost, control_spectrum=band, **ends)
+    along = steepest_recession(problem)
+    if wave:
+        assert verified_direction(problem, along).slope < 0
+        result = lfo.solve(problem, throw=False)
+        assert (result.status, result.has_trajectory) == ("unbounded", True)
+    else:
+        assert along is None
+
+
 def constant_control(bound: float | None, controls: int = 2) -> lfo.OptimalControlProblem:
     """Return a move from rest to rest with constant controls, which is impossible.
 
