@@ -22,10 +22,11 @@ from lin_freq_ocp.base.arrays import Array, Mask, brief, to_shape
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
-from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, slopes
+from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, data_of, slopes, with_data
 from lin_freq_ocp.derivatives.equations import ChangedEquations, changed_equations
 from lin_freq_ocp.derivatives.exact_point import ExactPoint, exact_point
 from lin_freq_ocp.derivatives.kkt import MOST_SOLVE_ERROR
+from lin_freq_ocp.problem.costs.quadratic import AXES
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -191,6 +192,8 @@ class SolutionDerivatives:
         The derivative of a weighted sum of the optimum by every datum.
     jvp(**change)
         The derivative of the optimum along a change of the data.
+    prices_along(**change)
+        The derivative along a change of ``prices``, those of the optimal cost by every datum.
 
     References
     ----------
@@ -308,6 +311,28 @@ class SolutionDerivatives:
             for sign, side in ((-1.0, left), (1.0, right))
         )
         return Derivative(*self._existence(rows, error, blocked), cost, below, above)
+
+    def prices_along(self, **change: ArrayLike) -> Values:
+        """Return the derivative of ``prices`` along a change of the data: second derivatives of the optimal cost.
+
+        Parameters
+        ----------
+        **change : arrays
+            As for ``jvp``; on its right side at a kink.
+
+        Raises
+        ------
+        ProblemError
+            If a datum is unknown, or a change does not fit it.
+        """
+        step, given, known = self.jvp(**change), data_for(self.problem, change), data_of(self.problem)
+        along = Variables.along(Trajectory(step.x, step.u), step.multipliers)
+        found, of_cost = slopes(self.problem, self._signals, along), [name for name in AXES if name in given]
+        for sign in (-0.5, 0.5) if of_cost else ():  # the slopes are quadratic in the cost itself: this is exact
+            there = with_data(self.problem, {name: known[name] + 2 * sign * given[name] for name in of_cost})
+            moved = slopes(there, Variables.at(there, self.trajectory, self.multipliers))
+            found |= {name: found[name] + sign * moved[name] for name in AXES}
+        return found
 
     def _side(self, p: Array, q: Array) -> Side:
         """Return a change of the optimum from one of z and of the duals, in scaled units."""

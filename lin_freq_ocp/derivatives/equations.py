@@ -90,7 +90,9 @@ def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
             pass
         elif part.map is None:
             of_states = part.block is Block.STATE_SET
-            found[:] = _bound_changes(problem, of_states, name, d)[:, part.entries - (0 if of_states else linear.states)]
+            found[:] = _bound_changes(problem, of_states, name, d)[
+                :, part.entries - (0 if of_states else linear.states)
+            ]
         elif part.block is Block.TERMS:
             found[:] = _term_changes(linear, part, d)
         else:
