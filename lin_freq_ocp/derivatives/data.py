@@ -160,7 +160,7 @@ def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Varia
 
 
 def bounds_of_ends(problem: OptimalControlProblem) -> tuple[Mask, Mask]:
-    """Return which lower and upper bounds of x_t, (T+1, n), are an end's: tighter than the state set, or fixed values."""
+    """Return which lower and upper bounds of x_t, (T+1, n), are those of an end: fixed, or tighter than the set."""
     sets, tube = problem.state_boxes, problem.state_tube
     return tube.fixed | (tube.lower > sets.lower), tube.fixed | (tube.upper < sets.upper)
 
@@ -168,7 +168,8 @@ def bounds_of_ends(problem: OptimalControlProblem) -> tuple[Mask, Mask]:
 def data_of(problem: OptimalControlProblem) -> Values:
     """Return all data with a slope, by their names.
 
-    Ends with bounds are at the lower one, or at the upper one if there is no lower one, and move as a whole. Levels of removed bins, limits of terms but joint rows, and the offset of a frequency response are zeros: changes.
+    Ends with bounds are at the lower one, or at the upper one if there is no lower one, and move as a whole. Levels of
+    removed bins, limits of terms but joint rows, and the offset of a frequency response are zeros: changes.
     """
     T, states, controls = problem.horizon, problem.state_boxes, problem.control_tube
     found: Values = {field: getattr(problem.quadratic, field) for field in AXES}
@@ -231,12 +232,13 @@ def with_data(problem: OptimalControlProblem, data: Mapping[str, Array]) -> Opti
         If a datum has no single place in the problem.
     """
     fields = dict[str, object]()
-    for end, box in zip(ENDS, (problem.initial_box, problem.terminal_box), strict=True):
-        if end in data and any(one is not None and one.members for one in (getattr(problem, end),)):
+    for end in (end for end in ENDS if end in data):
+        given = getattr(problem, end)
+        if given is not None and given.members:
             raise UnsupportedError(f"{end}: got an end that is more than a Box; expected a Box, or none.")
-        if end in data:
-            moved = data[end] - _position(box)
-            fields[end] = Box(*(np.where(box.fixed, data[end], side + moved) for side in box.bounds))
+        box = problem.initial_box if end == ENDS[0] else problem.terminal_box
+        moved = data[end] - _position(box)
+        fields[end] = Box(*(np.where(box.fixed, data[end], side + moved) for side in box.bounds))
     weights = {name: data[name] for name in AXES if name in data}
     if weights:
         quadratic, norms = replace(problem.quadratic, **weights), problem.cost.norms

@@ -80,7 +80,7 @@ def test_a_sum_that_the_ends_determine_does_not_move(build):
     """From rest to rest the sum of the accelerations is zero: p is zero, and no unit follows from it."""
     problem = build()
     T = problem.horizon
-    result, adjoint, factored = both(problem)
+    _, adjoint, factored = both(problem)
     one, other = (found.vjp(u=np.ones((T, 1))) for found in (adjoint, factored))
     assert one.exists
     assert one.error < 1e-11
