@@ -107,15 +107,16 @@ class LongKKT:
 
         Its error is the last correction, times the part of the correction before that it was.
         """
-        stops, zero = (self.problem.control_stop, self.problem.state_stop), np.zeros(self.held.shape)
-        x, u = split_signals(zero, self.n)
-        point = Point(zero, Multipliers(1.0, x[1:], x, u, *(0j * stop for stop in stops)))
+        x, u = split_signals(zero := np.zeros(self.held.shape), self.n)
+        rho_u, rho_x = 0j * self.problem.control_stop, 0j * self.problem.state_stop
+        point = Point(zero, Multipliers(1.0, x[1:], x, u, rho_u, rho_x))
         left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
         for _ in range(KKT_REFINEMENTS):
             if (amount := self._amount(left)) == 0:
                 return replace(point, error=(0.0, 0.0))
-            drawn = self._drawn if self.random is not None else tuple(0 * part for part in left)
-            step = self._answer(tuple(part / amount + other for part, other in zip(left, drawn, strict=True)))
+            share = 0.0 if self.random is None else 1.0
+            c, values, offset = (part / amount + share * drawn for part, drawn in zip(left, self._drawn, strict=True))
+            step = self._answer((c, values, offset))
             if step is None:
                 break
             step = step if self.random is None else step.plus(self.random, -1.0)
@@ -243,7 +244,7 @@ class AdjointDerivatives(SolutionDerivatives):
         size = max(self._kkt.sizes(found))
         error = max(found.error) / size if size > 0 else 0.0
         seen = np.argwhere(self._weak & (np.abs(found.z / self._kkt.units[1]) > SEEN * size))
-        rows, reason = tuple(map(self._name_bound, seen)), self._reason
+        rows, reason = tuple(self._name_bound(*place) for place in seen.tolist()), self._reason
         if not reason and error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         if not reason and rows:
@@ -256,9 +257,9 @@ class AdjointDerivatives(SolutionDerivatives):
         """Raise UnsupportedError: the derivative along a change needs the factor of K."""
         raise UnsupportedError(f"derivatives: got a change of {', '.join(change) or 'nothing'}; {LONG}.")
 
-    def _name_bound(self, place: Array) -> str:
+    def _name_bound(self, t: int, i: int) -> str:
         """Return the name of a bound with its time and component."""
-        (t, i), n, (lower, upper) = place.tolist(), self.problem.state_dim, self.problem.signal_bounds
+        n, (lower, upper) = self.problem.state_dim, self.problem.signal_bounds
         side = "upper" if upper[t, i] - self._at.z[t, i] <= self._at.z[t, i] - lower[t, i] else "lower"
         signal, component = ("state set", i) if i < n else ("control set", i - n)
         return f"{signal}, t = {t}, component {component}, {side}"

@@ -144,23 +144,31 @@ class TestDirections:
         assert along is None or verified_direction(problem, along) is None
 
 
-@pytest.mark.parametrize("wave", [True, False])
-def test_a_long_problem_with_a_stop_band_is_unbounded_without_dense_rows(wave, monkeypatch):
-    """Of a slope that the ends determine, the recession cone leaves rounding alone."""
+def from_rest_to_rest(T: int, r: object) -> lfo.OptimalControlProblem:
+    ends, band = {"initial_state": [0, 0], "terminal_state": [0, 0]}, lfo.low_pass(cutoff=0.5)
+    return lfo.OptimalControlProblem(DOUBLE, T, lfo.QuadraticCost(r=r), control_spectrum=band, **ends)
+
+
+@pytest.fixture
+def without_dense_rows(monkeypatch):
+    """Let every problem of bounds, ends and stop bands count as long."""
     monkeypatch.setitem(REGISTER, "clarabel", None)  # no sparse program
     substitute(monkeypatch, "methods.LONGEST_FACTOR", 0.0)
-    T = 80
-    cost = lfo.QuadraticCost(r=-np.cos(0.1 * np.arange(T))[:, None] if wave else [-1.0])
-    ends, band = {"initial_state": [0, 0], "terminal_state": [0, 0]}, lfo.low_pass(cutoff=0.5)
-    problem = lfo.OptimalControlProblem(DOUBLE, T, cost, control_spectrum=band, **ends)
-    along = steepest_recession(problem)
-    if wave:
-        assert verified_direction(problem, along).slope < 0
-        result = lfo.solve(problem, throw=False)
-        assert (result.status, result.has_trajectory) == ("unbounded", True)
-    else:
-        assert along is None
-        assert lfo.solve(problem, throw=False).status == "locally_optimal"
+
+
+def test_a_long_problem_with_a_stop_band_is_unbounded_without_dense_rows(without_dense_rows):
+    problem = from_rest_to_rest(80, -np.cos(0.1 * np.arange(80))[:, None])
+    assert verified_direction(problem, steepest_recession(problem)).slope < 0
+    result = lfo.solve(problem, "structured", throw=False)
+    assert (result.status, result.has_trajectory) == ("unbounded", True)
+
+
+@expensive
+def test_a_long_problem_whose_ends_determine_the_cost_has_no_direction(without_dense_rows):
+    """Of the slope, the recession cone leaves rounding alone; the sparse program is not asked for another answer."""
+    problem = from_rest_to_rest(200, [-1.0])
+    assert steepest_recession(problem) is None
+    assert lfo.solve(problem, throw=False).status == "locally_optimal"
 
 
 def constant_control(bound: float | None, controls: int = 2) -> lfo.OptimalControlProblem:
