@@ -324,6 +324,12 @@ class SolutionDerivatives:
         ------
         ProblemError
             If a datum is unknown, or a change does not fit it.
+
+        Examples
+        --------
+        >>> derivatives = lfo.solve(lfo.library.double_integrator()).derivatives
+        >>> derivatives.prices_along(initial_state=[1.0, 0.0])["offset"].shape
+        (200, 2)
         """
         step, given, known = self.jvp(**change), data_for(self.problem, change), data_of(self.problem)
         along = Variables.along(Trajectory(step.x, step.u), step.multipliers)

@@ -90,11 +90,13 @@ def test_a_sum_that_the_ends_determine_does_not_move(build):
 
 
 @expensive
-def test_a_cotangent_of_a_long_problem_that_the_ends_determine_takes_no_dense_system():
-    problem = lfo.library.pendulum(horizon=4800)
-    derivatives = lfo.solve(problem).derivatives
-    weights = np.random.default_rng(0).standard_normal((4800, 1))
-    for found in (derivatives.vjp(u=np.ones((4800, 1))), derivatives.vjp(u=weights)):
+@pytest.mark.parametrize(
+    ("build", "horizon"), [(lfo.library.pendulum, 4800), (lfo.library.double_integrator, 20_000)], ids=["4800", "20000"]
+)
+def test_a_cotangent_of_a_long_problem_that_the_ends_determine_takes_no_dense_system(build, horizon):
+    derivatives = lfo.solve(build(horizon=horizon)).derivatives
+    weights = np.random.default_rng(0).standard_normal((horizon, 1))
+    for found in (derivatives.vjp(u=np.ones((horizon, 1))), derivatives.vjp(u=weights)):
         assert found.exists
         assert found.error < 1e-11  # a gap of the adjoint problem would leave 1e-6
 

@@ -164,6 +164,13 @@ def test_a_long_problem_with_a_stop_band_is_unbounded_without_dense_rows(without
 
 
 @expensive
+def test_a_long_direction_leads_to_the_end():
+    """Rounding of 2000 controls leaves more of the end than its own terms round."""
+    problem = from_rest_to_rest(2000, -np.cos(0.1 * np.arange(2000))[:, None])
+    assert verified_direction(problem, steepest_recession(problem)).slope < 0
+
+
+@expensive
 def test_a_long_problem_whose_ends_determine_the_cost_has_no_direction(without_dense_rows):
     """Of the slope, the recession cone leaves rounding alone; the sparse program is not asked for another answer."""
     problem = from_rest_to_rest(200, [-1.0])
