@@ -51,18 +51,18 @@ Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class LongSolution:
     """States and controls z (T+1, n+m) with multipliers y, and the errors of both, estimated, in units of order 1."""
 
     z: Array
     y: Multipliers
     error: tuple[float, float] = (np.inf, np.inf)
 
-    def plus(self, other: Point, factor: float) -> Point:
+    def plus(self, other: LongSolution, factor: float) -> LongSolution:
         """Return this point and a multiple of another one."""
         parts = ("eta", "mu", "nu", "rho_u", "rho_x")
         sums = {name: getattr(self.y, name) + factor * getattr(other.y, name) for name in parts}
-        return Point(self.z + factor * other.z, Multipliers(1.0, **sums))
+        return LongSolution(self.z + factor * other.z, Multipliers(1.0, **sums))
 
     @property
     def trajectory(self) -> Trajectory:
@@ -96,20 +96,20 @@ class LongKKT:
         if found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR:
             self.random = found
 
-    def sizes(self, point: Point) -> tuple[float, float]:
+    def sizes(self, point: LongSolution) -> tuple[float, float]:
         """Return the largest values of z and of y, in units of order 1."""
         slopes = np.abs(stack_signals(np.vstack([0 * point.y.eta[:1], point.y.eta]), 0 * point.y.nu))
         prices = np.maximum(slopes, np.abs(point.normals)) / self.slope_units
         return float(np.abs(point.z / self.units[1]).max()), float(prices.max())
 
-    def solve(self, right: Sides) -> Point | None:
+    def solve(self, right: Sides) -> LongSolution | None:
         """Return the solution for a right-hand side; None if no method finds any.
 
         Its error is the last correction, times the part of the correction before that it was.
         """
         x, u = split_signals(zero := np.zeros(self.held.shape), self.n)
         rho_u, rho_x = 0j * self.problem.control_stop, 0j * self.problem.state_stop
-        point = Point(zero, Multipliers(1.0, x[1:], x, u, rho_u, rho_x))
+        point = LongSolution(zero, Multipliers(1.0, x[1:], x, u, rho_u, rho_x))
         left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
         for _ in range(KKT_REFINEMENTS):
             if (amount := self._amount(left)) == 0:
@@ -137,7 +137,7 @@ class LongKKT:
         """Return the size of a right-hand side, or of its part of rows, in units of order 1."""
         return max(float(np.abs(part / unit).max()) for part, unit in [*zip(sides, self.units, strict=True)][rows:])
 
-    def _residual(self, right: Sides, point: Point) -> Sides:
+    def _residual(self, right: Sides, point: LongSolution) -> Sides:
         """Return what a point leaves of a right-hand side."""
         at = extremal_within(self.problem, point.trajectory, point.y, self.problem.signal_bounds)
         left = (
@@ -147,7 +147,7 @@ class LongKKT:
         )
         return left[0].astype(np.float64), left[1], left[2].astype(np.float64)
 
-    def _answer(self, right: Sides) -> Point | None:
+    def _answer(self, right: Sides) -> LongSolution | None:
         """Return the answer of a method for a right-hand side; None if none finds an optimum."""
         of_x, of_u = split_signals(-right[0], self.n)
         cost = replace(self.problem.quadratic, q=of_x[:-1], r=of_u, p=of_x[-1])
@@ -155,7 +155,7 @@ class LongKKT:
         found = solve_long(with_sides(self.problem, lower, upper, right[2], cost))
         if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
             return None
-        return Point(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
+        return LongSolution(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
 
 
 def derivatives_of(
@@ -184,7 +184,7 @@ class AdjointDerivatives(SolutionDerivatives):
         slope_units = float((curvatures * units**2).max()) / units
         slope = stack_signals(*cost.gradient(*split_signals(np.zeros(lower.shape), n)))
         offset = np.broadcast_to(problem.linear.offset, (problem.horizon, n))
-        at = Point(stack_signals(trajectory.x, trajectory.u), multipliers)
+        at = LongSolution(stack_signals(trajectory.x, trajectory.u), multipliers)
         above, slack = at.normals > 0, np.minimum(upper - at.z, at.z - lower)
         active, weak, self._reason = free & (np.abs(at.normals) / slope_units > slack / units), ~free & free, UNSETTLED
         for _ in range(POINT_STEPS):
