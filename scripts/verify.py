@@ -3,6 +3,7 @@
     python scripts/verify.py [--part NAME]... [--problems N] [--seed 0] [--processes 2]
     python scripts/verify.py --part answers|presented [--save FILE] [--against FILE]
     python scripts/verify.py --part pairs [--save docs/combinations.md]
+    python scripts/verify.py --part layers [--save tests/derivatives/layers.npz]
 
 One file for each part in verify/; all run if none is named. Exit status 1 if a check fails.
 
@@ -46,6 +47,8 @@ names         hostile names through every writer: C is compiled, TOML and pages 
 jumps         states that jump to 1e30 and to no number, in loops and in generated C: controls keep hard limits exactly
 uncontrollable  problems whose controls hardly move some states, by every method, against balls of 600 bits
 robust       margins of random systems with loads, constant and varying in time, against all extreme points
+derivatives  random optima, their kinks and other units, against differences of exact optima
+layers       gradients through layers of PyTorch and JAX, as far as these are installed, against those of derivatives
 suite        the tests with all their random seeds
 
 A run of the tests takes a twelfth of their seeded samples, of long tables of cases, and of expensive tests. N is by
@@ -95,6 +98,7 @@ PARTS: dict[str, int | None] = {  # random problems of each part; None: a fixed 
     "uncontrollable": 1000,
     "robust": 1000,
     "derivatives": 300,
+    "layers": None,
     "pairs": None,
     "triples": 1000,
     "formulas_together": 300,
@@ -121,7 +125,7 @@ def main() -> int:
         if options.part is None or part in options.part:
             verify = import_module(f"verify.{part}").verify
             seeds = None if count is None else range(options.seed, options.seed + (options.problems or count))
-            if part in ("answers", "presented", "pairs"):
+            if part in ("answers", "presented", "pairs", "layers"):
                 good &= verify(console, options.save, options.against)
             else:
                 good &= verify(console) if seeds is None else verify(console, seeds, options.processes)

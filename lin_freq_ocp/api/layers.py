@@ -13,7 +13,7 @@ from lin_freq_ocp.api.solve import solve
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import NoDerivativeError, ProblemError, missing_extra
 from lin_freq_ocp.derivatives.data import data_for, data_of, with_data
-from lin_freq_ocp.derivatives.derivatives import WEAK, SolutionDerivatives
+from lin_freq_ocp.derivatives.derivatives import WEAK, Existence, SolutionDerivatives
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 
 Foreign = Any  # tensors and modules of the other package, which may be absent
@@ -75,17 +75,42 @@ class Layer:
 
     def gradients(self, data: Sequence[Array], bars: Sequence[Array]) -> tuple[Array, ...]:
         """Return the derivatives of <bars, outputs> by the data, in their shapes; NoDerivativeError where none is."""
-        count, known, parts = self.batch(data), data_of(self.problem), list[list[Array]]()
+        count, parts = self.batch(data), list[dict[str, Array]]()
         for i, one in enumerate(self.solutions(data)):
             x, u, cost = bars if count is None else (bar[i] for bar in bars)
             gradient, prices = one.vjp(x=x, u=u), one.prices
-            if not gradient.exists and not (self.kinks == "right" and gradient.reason.startswith(WEAK)):
-                raise NoDerivativeError(f"layer: no derivative: {gradient.reason}.", gradient.rows)
-            parts.append([np.nan_to_num(gradient[name] + float(cost) * prices[name]) for name in self.names])
-        found = list[Array]()
-        for name, given, values in zip(self.names, data, zip(*parts, strict=True), strict=True):
+            self._require(gradient)
+            parts.append({name: gradient[name] + float(cost) * prices[name] for name in self.names})
+        return self._in_shapes(data, parts)
+
+    def cost_curvatures(self, data: Sequence[Array], weights: Array, bars: Sequence[Array]) -> tuple[Array, ...]:
+        """Return the derivatives of <bars, slopes of the weighted cost> by the weights, then by the data."""
+        count, known, of_weights, parts = (
+            self.batch(data),
+            data_of(self.problem),
+            list[float](),
+            list[dict[str, Array]](),
+        )
+        for i, one in enumerate(self.solutions(data)):
+            entries = zip(self.names, data, bars, strict=True)
+            change = {name: bar[i] if self._has_batch(name, d, known) else bar for name, d, bar in entries}
+            step, found = one.jvp(**change), one.prices_along(**change)
+            self._require(step)
+            of_weights.append(step.cost)
+            parts.append({name: float(weights if count is None else weights[i]) * found[name] for name in self.names})
+        return np.reshape(of_weights, np.shape(weights)), *self._in_shapes(data, parts)
+
+    def _require(self, found: Existence) -> None:
+        if not found.exists and not (self.kinks == "right" and found.reason.startswith(WEAK)):
+            raise NoDerivativeError(f"layer: no derivative: {found.reason}.", found.rows)
+
+    def _in_shapes(self, data: Sequence[Array], parts: Sequence[dict[str, Array]]) -> tuple[Array, ...]:
+        """Return derivatives by the data of each problem in the shapes of the data, summed where problems share one."""
+        known, found = data_of(self.problem), list[Array]()
+        for name, given in zip(self.names, data, strict=True):
             has_batch = self._has_batch(name, given, known)
-            stacked = np.stack([_of_shape(value, given.shape[int(has_batch) :]) for value in values])
+            shape = given.shape[int(has_batch) :]
+            stacked = np.stack([_of_shape(np.nan_to_num(part[name]), shape) for part in parts])
             found.append(stacked if has_batch else stacked.sum(axis=0))
         return tuple(found)
 
@@ -113,7 +138,7 @@ def to_torch(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "
     Returns
     -------
     callable
-        Its backward pass raises NoDerivativeError where there is no derivative.
+        Its backward pass raises NoDerivativeError where there is no derivative. The cost also has second derivatives.
 
     Raises
     ------
@@ -135,18 +160,47 @@ def to_torch(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "
     """
     torch, layer = _require("torch"), Layer(problem, tuple(data), kinks)
 
-    def forward(ctx: Foreign, *tensors: Foreign) -> tuple[Foreign, ...]:
-        ctx.data = [tensor.detach().cpu().numpy() for tensor in tensors]
-        ctx.like = tensors
-        return tuple(torch.tensor(np.array(part)) for part in layer.outputs(ctx.data))
+    def arrays(tensors: Sequence[Foreign]) -> list[Array]:
+        return [tensor.detach().cpu().numpy() for tensor in tensors]
 
-    def backward(ctx: Foreign, *bars: Foreign) -> tuple[Foreign, ...]:
-        found = layer.gradients(ctx.data, [bar.detach().cpu().numpy() for bar in bars])
-        return tuple(torch.tensor(np.array(one)).to(like) for one, like in zip(found, ctx.like, strict=True))
+    def like(found: Sequence[Array], tensors: Sequence[Foreign]) -> tuple[Foreign, ...]:
+        return tuple(torch.tensor(np.array(one)).to(tensor) for one, tensor in zip(found, tensors, strict=True))
 
-    members = {"forward": staticmethod(forward)}
-    members["backward"] = staticmethod(torch.autograd.function.once_differentiable(backward))
-    return type("Optimum", (torch.autograd.Function,), members).apply
+    @torch.autograd.function.once_differentiable
+    def of_signals(_: Foreign, bars: Sequence[Array], *tensors: Foreign) -> tuple[Foreign, ...]:
+        return like(layer.gradients(arrays(tensors), bars), tensors)
+
+    class CostSlopes(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx: Foreign, weights: Foreign, *tensors: Foreign) -> tuple[Foreign, ...]:
+            ctx.save_for_backward(weights, *tensors)
+            data, (weight,), signals = arrays(tensors), arrays([weights]), layer.outputs(arrays(tensors))[:2]
+            return like(layer.gradients(data, [*map(np.zeros_like, signals), weight]), tensors)
+
+        @staticmethod
+        @torch.autograd.function.once_differentiable
+        def backward(ctx: Foreign, *bars: Foreign) -> tuple[Foreign, ...]:
+            weight, *data = arrays(ctx.saved_tensors)
+            return like(layer.cost_curvatures(data, weight, arrays(bars)), ctx.saved_tensors)
+
+    class Optimum(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx: Foreign, *tensors: Foreign) -> tuple[Foreign, ...]:
+            ctx.save_for_backward(*tensors)
+            ctx.set_materialize_grads(False)
+            return tuple(torch.tensor(np.array(part)) for part in layer.outputs(arrays(tensors)))
+
+        @staticmethod
+        def backward(ctx: Foreign, *bars: Foreign) -> tuple[Foreign, ...]:
+            tensors = ctx.saved_tensors
+            if bars[0] is None and bars[1] is None:  # the cost alone has second derivatives
+                return (None,) * len(tensors) if bars[2] is None else CostSlopes.apply(bars[2], *tensors)
+            outputs = zip(layer.outputs(arrays(tensors)), bars, strict=True)
+            return of_signals(
+                ctx, [np.zeros_like(at) if bar is None else arrays([bar])[0] for at, bar in outputs], *tensors
+            )
+
+    return Optimum.apply
 
 
 def to_jax(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "error") -> Callable[..., Foreign]:

@@ -95,9 +95,9 @@ class Result(Outcome):
         """
         if not self.status.solved or self.trajectory is None or self.multipliers is None:
             raise SolveError(f"Only an optimum has derivatives; this solve ended as '{self.status}'.", self)
-        from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives  # other uses need none of it
+        from lin_freq_ocp.derivatives.adjoint import derivatives_of  # other uses need none of it
 
-        return SolutionDerivatives(self.problem, self.trajectory, self.multipliers)
+        return derivatives_of(self.problem, self.trajectory, self.multipliers)
 
     @property
     def tree(self) -> ModeTree | None:

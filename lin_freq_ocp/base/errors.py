@@ -5,15 +5,16 @@ from __future__ import annotations
 import inspect
 import sys
 import warnings
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 NOT_OF_THE_USER = {__name__.partition(".")[0], *sys.stdlib_module_names}  # such as dataclasses, which copy problems
 ADVICE = {"solver": "backend= chooses the solver, method= the algorithm."}  # on keywords that are often guessed
+Entry = TypeVar("Entry")
 MOST_CHARACTERS = 1000  # of a message: it may repeat names, files and values of any length
 
 
@@ -56,6 +57,12 @@ class ProblemError(LinFreqOCPError, ValueError):
     def __reduce__(self) -> tuple[object, ...]:
         """Return the arguments of an equal error: pickle would call the class with the message alone."""
         return type(self), (self.field, self.got, self.expected, self.advice), self.__dict__
+
+
+class UnknownNameError(ProblemError, KeyError):
+    """A name that a mapping does not have; a mapping raises it so that ``in`` and ``get`` work."""
+
+    __str__ = Exception.__str__  # KeyError shows the repr
 
 
 class UnsupportedError(LinFreqOCPError):
@@ -232,6 +239,13 @@ def suggestion(given: object, known: Iterable[str]) -> str:
     """Return "Did you mean ...?" with the nearest known word; empty if none is near."""
     nearest = get_close_matches(given, list(known), n=1) if isinstance(given, str) else []
     return f"Did you mean {nearest[0]!r}?" if nearest else ""
+
+
+def entry_named(field: str, name: object, entries: Mapping[str, Entry]) -> Entry:
+    """Return the entry of a name; UnknownNameError, a KeyError, with the names that there are."""
+    if name not in entries:
+        raise UnknownNameError(field, repr(name), f"one of {', '.join(entries)}", suggestion(name, entries))
+    return entries[str(name)]
 
 
 OPTIONS = 3  # parameters of a method that one may misspell without noticing

@@ -14,8 +14,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, complex_array, real_array
-from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, suggestion
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, complex_array, real_array
+from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, entry_named, suggestion
 from lin_freq_ocp.problem.costs.quadratic import AXES, SYMMETRY_TOLERANCE, CostSum
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
@@ -38,7 +38,7 @@ class ByDatum(Mapping[str, Array]):
     slopes: Values
 
     def __getitem__(self, name: str) -> Array:
-        return self.slopes[name]
+        return entry_named("derivatives", name, self.slopes)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.slopes)
@@ -141,9 +141,11 @@ def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> C
 
 def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Variables | None) -> Values:
     """Return the slopes by ends, bounds, bins, and the limits of terms under their names."""
-    at, one, fixed = point.multipliers, (along or point).multipliers, problem.state_tube.fixed
-    found: Values = {name: np.where(fixed[t], -one.mu[t], np.nan) for name, t in zip(ENDS, (0, -1), strict=True)}
-    for signal, weights, changes in (("state", np.where(fixed, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
+    at, one, (lower, upper) = point.multipliers, (along or point).multipliers, bounds_of_ends(problem)
+    of_ends, either = np.where(at.mu > 0, upper, lower), lower | upper
+    prices = np.where(either, np.where(of_ends, -one.mu, 0.0), np.nan)
+    found: Values = {name: prices[t] for name, t in zip(ENDS, (0, -1), strict=True)}
+    for signal, weights, changes in (("state", np.where(of_ends, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
         found[f"{signal}_upper"] = -np.where(weights > 0, changes, 0.0)
         found[f"{signal}_lower"] = -np.where(weights < 0, changes, 0.0)
     found |= {"control_bins": cast("Array", -one.rho_u), "state_bins": cast("Array", -one.rho_x)}
@@ -157,14 +159,21 @@ def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Varia
     return found
 
 
+def bounds_of_ends(problem: OptimalControlProblem) -> tuple[Mask, Mask]:
+    """Return which lower and upper bounds of x_t, (T+1, n), are those of an end: fixed, or tighter than the set."""
+    sets, tube = problem.state_boxes, problem.state_tube
+    return tube.fixed | (tube.lower > sets.lower), tube.fixed | (tube.upper < sets.upper)
+
+
 def data_of(problem: OptimalControlProblem) -> Values:
     """Return all data with a slope, by their names.
 
-    Levels of removed bins, limits of terms but joint rows, and the offset of a frequency response are zeros: changes.
+    Ends with bounds are at the lower one, or at the upper one if there is no lower one, and move as a whole. Levels of
+    removed bins, limits of terms but joint rows, and the offset of a frequency response are zeros: changes.
     """
-    T, (first, last), (states, controls) = problem.horizon, problem.ends, (problem.state_boxes, problem.control_tube)
+    T, states, controls = problem.horizon, problem.state_boxes, problem.control_tube
     found: Values = {field: getattr(problem.quadratic, field) for field in AXES}
-    found |= {"initial_state": first.lower, "terminal_state": last.lower}
+    found |= {"initial_state": _position(problem.initial_box), "terminal_state": _position(problem.terminal_box)}
     found |= {"state_upper": states.upper, "state_lower": states.lower}
     found |= {"control_upper": controls.upper, "control_lower": controls.lower}
     for term in problem.terms:
@@ -182,6 +191,11 @@ def data_of(problem: OptimalControlProblem) -> Values:
         linear = problem.linear
         found |= {"A": linear.A, "B": linear.B, "offset": np.broadcast_to(linear.offset, (T, problem.state_dim))}
     return found
+
+
+def _position(box: Box) -> Array:
+    """Return the lower bounds, upper ones where there is none, zeros where there are neither."""
+    return np.where(np.isfinite(box.lower), box.lower, np.where(np.isfinite(box.upper), box.upper, 0.0))
 
 
 def data_for(problem: OptimalControlProblem, data: Mapping[str, ArrayLike]) -> Values:
@@ -217,7 +231,14 @@ def with_data(problem: OptimalControlProblem, data: Mapping[str, Array]) -> Opti
     UnsupportedError
         If a datum has no single place in the problem.
     """
-    fields: dict[str, object] = {end: data[end] for end in ENDS if end in data}
+    fields = dict[str, object]()
+    for end in (end for end in ENDS if end in data):
+        given = getattr(problem, end)
+        if given is not None and given.members:
+            raise UnsupportedError(f"{end}: got an end that is more than a Box; expected a Box, or none.")
+        box = problem.initial_box if end == ENDS[0] else problem.terminal_box
+        moved = data[end] - _position(box)
+        fields[end] = Box(*(np.where(box.fixed, data[end], side + moved) for side in box.bounds))
     weights = {name: data[name] for name in AXES if name in data}
     if weights:
         quadratic, norms = replace(problem.quadratic, **weights), problem.cost.norms

@@ -22,10 +22,11 @@ from lin_freq_ocp.base.arrays import Array, Mask, brief, to_shape
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import html_table, plural
 from lin_freq_ocp.certificate.hamiltonian import require_fitting
-from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, slopes
+from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, data_for, data_of, slopes, with_data
 from lin_freq_ocp.derivatives.equations import ChangedEquations, changed_equations
 from lin_freq_ocp.derivatives.exact_point import ExactPoint, exact_point
 from lin_freq_ocp.derivatives.kkt import MOST_SOLVE_ERROR
+from lin_freq_ocp.problem.costs.quadratic import AXES
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -34,6 +35,8 @@ TIED = 1e-15  # on the diagonal of S, relative, so that it has a root
 SLOWEST = 1e-13  # part of the largest rate of change of a slack, below which a rate is rounding
 NAMED_PART = 0.1  # of the largest entry of a vector of the null space: rows with less are not named
 WEAK = "active with multiplier zero"
+UNSETTLED = "the active rows did not settle"
+DEPENDENT_ROWS = "active rows depend on each other, and their multipliers are not unique"
 NOT_UNIQUE = "the optimum is not unique: the cost is flat along a direction"
 
 
@@ -167,6 +170,19 @@ class Derivative(Existence):
         )
 
 
+def require_derivatives(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
+    """Raise UnsupportedError if an optimum of this kind of problem has no derivatives."""
+    _ = problem.equations  # raises UnsupportedError if there are modes
+    if multipliers.eta_C != 1:
+        raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
+    at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
+    if at_points:
+        raise UnsupportedError(
+            f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
+            "limits at bins. The derivatives of the cost, result.sensitivities, exist."
+        )
+
+
 class SolutionDerivatives:
     """The derivatives of an optimum by the data of its problem, from one factorisation.
 
@@ -176,6 +192,8 @@ class SolutionDerivatives:
         The derivative of a weighted sum of the optimum by every datum.
     jvp(**change)
         The derivative of the optimum along a change of the data.
+    prices_along(**change)
+        The derivative along a change of ``prices``, those of the optimal cost by every datum.
 
     References
     ----------
@@ -188,15 +206,7 @@ class SolutionDerivatives:
     """
 
     def __init__(self, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers):
-        _ = problem.equations  # raises UnsupportedError if there are modes
-        if multipliers.eta_C != 1:
-            raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
-        at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
-        if at_points:
-            raise UnsupportedError(
-                f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
-                "limits at bins. The derivatives of the cost, result.sensitivities, exist."
-            )
+        require_derivatives(problem, multipliers)
         point = exact_point(problem, trajectory, multipliers)
         if point is None:
             raise UnsupportedError("derivatives: the active rows determine no point.")
@@ -302,6 +312,34 @@ class SolutionDerivatives:
         )
         return Derivative(*self._existence(rows, error, blocked), cost, below, above)
 
+    def prices_along(self, **change: ArrayLike) -> Values:
+        """Return the derivative of ``prices`` along a change of the data: second derivatives of the optimal cost.
+
+        Parameters
+        ----------
+        **change : arrays
+            As for ``jvp``; on its right side at a kink.
+
+        Raises
+        ------
+        ProblemError
+            If a datum is unknown, or a change does not fit it.
+
+        Examples
+        --------
+        >>> derivatives = lfo.solve(lfo.library.double_integrator()).derivatives
+        >>> derivatives.prices_along(initial_state=[1.0, 0.0])["offset"].shape
+        (200, 2)
+        """
+        step, given, known = self.jvp(**change), data_for(self.problem, change), data_of(self.problem)
+        along = Variables.along(Trajectory(step.x, step.u), step.multipliers)
+        found, of_cost = slopes(self.problem, self._signals, along), [name for name in AXES if name in given]
+        for sign in (-0.5, 0.5) if of_cost else ():  # the slopes are quadratic in the cost itself: this is exact
+            there = with_data(self.problem, {name: known[name] + 2 * sign * given[name] for name in of_cost})
+            moved = slopes(there, Variables.at(there, self.trajectory, self.multipliers))
+            found |= {name: found[name] + sign * moved[name] for name in AXES}
+        return found
+
     def _side(self, p: Array, q: Array) -> Side:
         """Return a change of the optimum from one of z and of the duals, in scaled units."""
         linear, scaling = self._point.deviations.linear, self._point.deviations.scaling
@@ -314,7 +352,7 @@ class SolutionDerivatives:
         """Return whether a derivative exists, the rows in the way, the reason, and the error of its solve."""
         point, reason = self._point, ""
         if not point.settled:
-            reason = "the active rows did not settle"
+            reason = UNSETTLED
         elif point.kkt.singular:
             of_z, of_rows = point.kkt.weakest
             if np.linalg.norm(of_z) > np.linalg.norm(of_rows):
@@ -322,7 +360,7 @@ class SolutionDerivatives:
             else:
                 worst = np.flatnonzero(np.abs(of_rows) > NAMED_PART * np.abs(of_rows).max())
                 rows = point.describe(worst, np.where(point.kkt.active.above[worst], 1.0, -1.0))
-                reason = "active rows depend on each other, and their multipliers are not unique"
+                reason = DEPENDENT_ROWS
         elif error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         elif len(point.corners):

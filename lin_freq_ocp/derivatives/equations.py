@@ -12,9 +12,9 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.derivatives.data import BINS, ENDS, Values, data_of, is_matrix, with_data
+from lin_freq_ocp.derivatives.data import BINS, ENDS, Values, bounds_of_ends, data_of, is_matrix, with_data
 from lin_freq_ocp.derivatives.exact_point import ExactPoint
-from lin_freq_ocp.problem.sets.box import Box
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block
 from lin_freq_ocp.program.program_rows import ProgramRows, map_rows
@@ -89,8 +89,10 @@ def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
         if name not in OF_BLOCK.get(part.block, (part.name,)):
             pass
         elif part.map is None:
-            tube = problem.state_tube if part.block is Block.STATE_SET else problem.control_tube
-            found[:] = _box_changes(part, tube, name, d, 0 if part.block is Block.STATE_SET else linear.states)
+            of_states = part.block is Block.STATE_SET
+            found[:] = _bound_changes(problem, of_states, name, d)[
+                :, part.entries - (0 if of_states else linear.states)
+            ]
         elif part.block is Block.TERMS:
             found[:] = _term_changes(linear, part, d)
         else:
@@ -102,15 +104,18 @@ def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
     return np.concatenate(changes, axis=1)
 
 
-def _box_changes(part: ProgramRows, tube: Box, name: str, d: Array, first: int) -> Array:
-    """Return the changes of the limits of bounds; a fixed value moves by the data of the ends alone."""
-    full = np.zeros((2, *tube.lower.shape))
+def _bound_changes(problem: OptimalControlProblem, of_states: bool, name: str, d: Array) -> Array:
+    """Return the changes of the bounds of states or controls, (2, values); those of ends move by these data alone."""
+    fixed = problem.control_tube.fixed
+    own = np.stack(bounds_of_ends(problem) if of_states else (fixed, fixed))  # not moved by the data of sets
+    full = np.zeros(own.shape)
     if name in ENDS:
         t = -ENDS.index(name)
-        full[:, t] = np.where(tube.fixed[t], d, 0.0)
+        full[:, t] = np.where(own[:, t], d, 0.0)
     else:
-        full[int(name.endswith("upper"))] = np.where(tube.fixed, 0.0, d)
-    return full.reshape(2, -1)[:, part.entries - first]
+        side = int(name.endswith("upper"))
+        full[side] = np.where(own[side], 0.0, d)
+    return full.reshape(2, -1)
 
 
 def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:

@@ -25,10 +25,11 @@ class Sensitivities:
     Attributes
     ----------
     initial_state, terminal_state : (n,)
-        dJ*/dx_0 and dJ*/dx_T where these are fixed, NaN elsewhere.
+        By the values of the ends where these are fixed; by a move of their bounds where these are tighter than those of
+        the state set; NaN elsewhere.
     state_upper, state_lower : (T+1, n)
-        By the bounds of x_t: at most 0 for an upper bound, at least 0 for a lower one; 0 where a bound is inactive or
-        absent. The derivatives by fixed values are in the two fields above.
+        By the bounds of the state set: at most 0 for an upper bound, at least 0 for a lower one; 0 where a bound is
+        inactive or absent, and where the bounds of an end are tighter.
     control_upper, control_lower : (T, m)
     stage_rows : mapping from name to (T, rows)
         By the limits e_t.

@@ -12,5 +12,5 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "convex.attempts": "ACCURATE_ANSWER ScaledSolver", "convex.polish": "steepest_recession zero_rounding",
     "convex.sparse_program": "MOST_PROGRAMS ProgramCache convex_candidates solve_convex",
     "fitted_multipliers": "MOST_GRADIENTS Uniqueness abnormal_multipliers fit_multipliers uniqueness",
-    "native_code": "DAY compiled_library compiler",
+    "long_problems": "LONGEST_FACTOR", "native_code": "DAY compiled_library compiler",
 })

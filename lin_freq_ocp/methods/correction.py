@@ -23,6 +23,7 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
+from lin_freq_ocp.methods.long_problems import LONGEST_FACTOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON, ZERO_GAP, ActiveSystem, solve_active
@@ -35,7 +36,6 @@ from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
-LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
@@ -94,7 +94,7 @@ def deviations_from(
     problem = at_frequencies(problem, multipliers.frequencies)
     trajectory = _within_bounds(problem, trajectory.x, trajectory.u)
     linear = LinearProgram(problem, trajectory.extended)
-    columns = linear.column_units(*_deviation_units(problem, trajectory))
+    columns = linear.column_units(*deviation_units(problem, trajectory))
     scaling = scale_rows_and_cost(linear, columns, columns)
     deviations = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
     yield deviations, scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
@@ -197,7 +197,7 @@ def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajec
     return Trajectory(problem.state_tube.project(x), problem.control_tube.project(u))
 
 
-def _deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
+def deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> tuple[Array, Array]:
     """Return the units of states, (n,), what controls of their units move in some steps, and of controls, (m,)."""
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)

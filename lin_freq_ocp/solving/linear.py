@@ -17,6 +17,7 @@ from lin_freq_ocp.certificate.rays import prove_infeasible
 from lin_freq_ocp.methods.candidate import Attempt, Candidate, Reason, SolveOptions, contradiction_at_ends
 from lin_freq_ocp.methods.convex.polish import steepest_recession
 from lin_freq_ocp.methods.convex.sparse_program import convex_candidates, solve_convex, structured_first
+from lin_freq_ocp.methods.long_problems import distance_cost, is_long, solve_long
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -100,8 +101,14 @@ class _Trial:
 
     def _judge_unbounded(self, candidate: Candidate) -> Outcome:
         """Judge a direction of descent, which proves something if the problem without its cost has a trajectory."""
-        without_cost = self.problem.derived(cost=QuadraticCost())
-        found = solve_convex(without_cost, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
+        without_cost, options = (
+            self.problem.derived(cost=QuadraticCost()),
+            SolveOptions(time_limit=seconds_left(self.end)),
+        )
+        if is_long(self.problem):
+            found = solve_long(self.problem.derived(cost=distance_cost(self.problem)), options) or candidate
+        else:
+            found = solve_convex(without_cost, PROVER, options)
         outcome = self.judge(replace(found if found.status in CLAIMS else candidate, seconds=candidate.seconds))
         return replace(outcome, has_trajectory=judge_candidate(without_cost, found, PROVER, None, None).primal)
 
@@ -271,7 +278,9 @@ class LinearAuto:
         end = now() + request.time_limit
         for method in self._methods(problem):
             try:
-                yield method.solve(problem, request.with_end(end))
+                yield (outcome := method.solve(problem, request.with_end(end)))
+                if outcome.attempt.reason in ANSWERS and is_long(problem):
+                    return  # the sparse program would take minutes, and its bound is the same
             except UnsupportedError as error:
                 yield Attempt(method.shorthand, None, Reason.REFUSED, str(error))
 

@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 
 from lin_freq_ocp.base.arrays import SAME, Array, ComplexArray, Indices, Mask, times_vectors
+from lin_freq_ocp.base.errors import entry_named
 from lin_freq_ocp.base.phrases import NOTHING, html_table, matrix, number, plural, short_name, vector
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
@@ -153,7 +154,7 @@ class WorstCase:
         return self.holds
 
     def __getitem__(self, name: str) -> Worst:
-        return {one.name: one for one in (*self.limits, *self.leakage)}[name]
+        return entry_named("worst case", name, {one.name: one for one in (*self.limits, *self.leakage)})
 
     @property
     def closest(self) -> Worst | None:

@@ -21,7 +21,19 @@ from rich.table import Table
 import lin_freq_ocp as lfo
 
 FOLDER = Path(__file__).parents[2] / "docs" / "benchmarks"
-PACKAGES = ("numpy", "scipy", "clarabel", "cvxpy", "osqp", "piqp", "pyscipopt", "casadi", "do-mpc")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "clarabel",
+    "cvxpy",
+    "osqp",
+    "piqp",
+    "pyscipopt",
+    "casadi",
+    "do-mpc",
+    "cvxpylayers",
+    "diffcp",
+)
 BUSY = 0.5  # load of other processes from which on a time may be off by more than its second digit
 WIDTH = 165  # columns where the output is no terminal
 

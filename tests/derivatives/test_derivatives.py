@@ -16,6 +16,7 @@ from helpers.checks.derivatives import (
     exact,
     inner,
     kink,
+    moved,
     random_change,
     random_problem,
     units,
@@ -218,6 +219,17 @@ def test_weights_of_multipliers_give_second_derivatives_of_the_cost():
     gradient = found.vjp(multipliers=replace_multipliers(zero, mu=mu))
     step = found.jvp(initial_state=np.array([1.0, -2.0, 0.5]))
     np.testing.assert_allclose(gradient["offset"], step.multipliers.eta, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", seeds((*LINEAR, *MATRICES), always=("x_ref", "A")))
+def test_second_derivatives_of_the_cost(name):
+    problem, rng = random_problem(7), np.random.default_rng(7)
+    found = exact(problem)
+    one, other = (random_change(found, (datum,), rng) for datum in (name, "x_ref"))
+    along, back = found.prices_along(**one), found.prices_along(**other)
+    assert inner(along, other) == pytest.approx(inner(back, one), rel=1e-9, abs=1e-14)
+    ahead, behind = (exact(moved(problem, other, h)).prices for h in (1e-3, -1e-3))
+    assert inner(back, one) == pytest.approx((inner(ahead, one) - inner(behind, one)) / 2e-3, rel=1e-6, abs=1e-10)
 
 
 def replace_multipliers(given: lfo.results.Multipliers, **fields: np.ndarray) -> lfo.results.Multipliers:

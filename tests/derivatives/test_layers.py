@@ -5,12 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import expensive
+from helpers.checks.layers import NAMES as NAMES_OF_SAMPLE
+from helpers.checks.layers import apart, by_derivatives
+from helpers.seeds import expensive, seeds
 
 T = 10
 PROBLEM = lfo.OptimalControlProblem(
@@ -40,6 +43,19 @@ def test_no_package_is_imported_unasked():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+RECORDED = Path(__file__).with_name("layers.npz")  # by scripts/verify.py --part layers --save
+
+
+@pytest.mark.parametrize("seed", seeds(range(6), always=[0]))
+@pytest.mark.parametrize("package", ["torch", "jax"])
+def test_recorded_gradients_of_layers_are_those_of_derivatives(package, seed):
+    with np.load(RECORDED) as file:
+        first = f"{package}/{seed}/"
+        found = {name.removeprefix(first): file[name] for name in file if name.startswith(first)}
+    assert {*NAMES_OF_SAMPLE} <= {*found}
+    assert apart(found, by_derivatives(seed)) < 1e-8
+
+
 class TestTorch:
     @pytest.fixture
     def torch(self):
@@ -54,6 +70,22 @@ class TestTorch:
             return layer(A, B, 0.5 * (Q + Q.mT), R, *others)
 
         assert torch.autograd.gradcheck(symmetric, tensors, eps=1e-5, atol=1e-4, rtol=1e-4)
+
+    def test_the_cost_has_second_derivatives(self, torch):
+        names = tuple(name for name in NAMES if name != "R")
+        layer = lfo.to_torch(PROBLEM, names)
+        tensors = [
+            torch.tensor(np.array(v), requires_grad=True) for n, v in zip(NAMES, VALUES, strict=True) if n != "R"
+        ]
+
+        def cost(*given):
+            A, B, Q, *others = given
+            return layer(A, B, 0.5 * (Q + Q.mT), *others)[2]
+
+        assert torch.autograd.gradgradcheck(cost, tensors, eps=1e-5, atol=1e-4, rtol=1e-4)
+        (slope,) = torch.autograd.grad(layer(*tensors)[1].sum(), tensors[:1], create_graph=True)
+        with pytest.raises(RuntimeError, match="once_differentiable"):
+            slope.sum().backward()
 
     def test_a_batch_of_states(self, torch):
         layer = lfo.to_torch(PROBLEM, ["A", "initial_state"])

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import expensive
+from lin_freq_ocp.derivatives import data_of, with_data
 
 PROBLEM = lfo.OptimalControlProblem(
     lfo.LinearDynamics([[0.9, 0.3], [-0.2, 0.85]], [[0.1], [1.0]]),
@@ -62,6 +63,66 @@ def test_a_fixed_state_moves_by_the_ends_alone():
     assert step.exists
     assert not step.x.any()
     assert step.cost == 0
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_bounds_of_an_end_are_no_bounds_of_the_state_set(side):
+    """The tighter one is the one that counts; each has the derivative by differences."""
+    sign = 1.0 if side == "lower" else -1.0
+
+    def bounded(of_end: float, of_set: float) -> lfo.OptimalControlProblem:
+        limits = np.full((13, 2), -sign * np.inf)
+        limits[-1, 0] = sign * of_set
+        end = [sign * of_end, None]
+        return replace(
+            PROBLEM,
+            cost=lfo.QuadraticCost(Q=1.0, R=0.2, x_ref=[sign, 0.0]),
+            terminal_state=lfo.Box(**{side: end}),
+            state_set=lfo.Box(**{side: limits}),
+        )
+
+    def figures(problem: lfo.OptimalControlProblem) -> np.ndarray:
+        found = lfo.solve(problem).derivatives
+        return np.array([found.trajectory.u.sum(), problem.value(found.trajectory.x, found.trajectory.u)])
+
+    def difference(first: tuple[float, float], second: tuple[float, float]) -> np.ndarray:
+        return sign * (figures(bounded(*first)) - figures(bounded(*second))) / 2e-5
+
+    h = 1e-5
+    for of_end, of_set in ((1.0, 0.9), (0.9, 1.0)):
+        found = lfo.solve(bounded(of_end, of_set)).derivatives
+        by_end = difference((of_end + h, of_set), (of_end - h, of_set))
+        by_set = difference((of_end, of_set + h), (of_end, of_set - h))
+        assert by_end.any() != by_set.any()
+        gradient = found.vjp(u=np.ones((12, 1)))
+        ends, sets = (
+            [np.nan_to_num(one["terminal_state"][0]) for one in (gradient, found.prices)],
+            [one[f"state_{side}"][-1, 0] for one in (gradient, found.prices)],
+        )
+        np.testing.assert_allclose(ends, by_end, rtol=1e-6)
+        np.testing.assert_allclose(sets, by_set, rtol=1e-6)
+        changed = np.zeros((13, 2))
+        changed[-1, 0] = 1.0
+        for move, wanted in (({"terminal_state": [1.0, 0.0]}, by_end), ({f"state_{side}": changed}, by_set)):
+            step = found.jvp(**move)
+            np.testing.assert_allclose([step.u.sum(), step.cost], wanted, rtol=1e-6, atol=1e-12)
+        known = data_of(found.problem)
+        there = with_data(found.problem, {"terminal_state": known["terminal_state"] + [sign * h, 0.0]})
+        np.testing.assert_allclose(figures(there), figures(bounded(of_end + h, of_set)), rtol=1e-9)
+
+
+def test_a_name_that_is_no_datum_is_answered(found):
+    gradient = found.vjp(u=np.ones((12, 1)))
+    with pytest.raises(KeyError, match=r"derivatives: got 'initial_stat'; expected one of Q, .* 'initial_state'\?"):
+        gradient["initial_stat"]
+    assert "initial_stat" not in gradient
+    assert gradient.get("initial_stat") is None
+
+
+def test_an_end_that_is_no_box_is_not_replaced_by_a_point():
+    ball = replace(PROBLEM, terminal_state=lfo.sets.Ball(0.5, [0.0, 0.0]))
+    with pytest.raises(lfo.errors.UnsupportedError, match="terminal_state: got an end that is more than a Box"):
+        with_data(ball, {"terminal_state": np.zeros(2)})
 
 
 def test_an_infeasible_problem():

@@ -9,6 +9,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.checks import rays
+from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp.api import raise_for
 from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
@@ -141,6 +142,40 @@ class TestDirections:
         problem = replace(self.problem(), initial_state=[1.0], control_set=lfo.Box(-1, None))
         along = steepest_recession(problem)
         assert along is None or verified_direction(problem, along) is None
+
+
+def from_rest_to_rest(T: int, r: object) -> lfo.OptimalControlProblem:
+    ends, band = {"initial_state": [0, 0], "terminal_state": [0, 0]}, lfo.low_pass(cutoff=0.5)
+    return lfo.OptimalControlProblem(DOUBLE, T, lfo.QuadraticCost(r=r), control_spectrum=band, **ends)
+
+
+@pytest.fixture
+def without_dense_rows(monkeypatch):
+    """Let every problem of bounds, ends and stop bands count as long."""
+    monkeypatch.setitem(REGISTER, "clarabel", None)  # no sparse program
+    substitute(monkeypatch, "methods.LONGEST_FACTOR", 0.0)
+
+
+def test_a_long_problem_with_a_stop_band_is_unbounded_without_dense_rows(without_dense_rows):
+    problem = from_rest_to_rest(80, -np.cos(0.1 * np.arange(80))[:, None])
+    assert verified_direction(problem, steepest_recession(problem)).slope < 0
+    result = lfo.solve(problem, "structured", throw=False)
+    assert (result.status, result.has_trajectory) == ("unbounded", True)
+
+
+@expensive
+def test_a_long_direction_leads_to_the_end():
+    """Rounding of 2000 controls leaves more of the end than its own terms round."""
+    problem = from_rest_to_rest(2000, -np.cos(0.1 * np.arange(2000))[:, None])
+    assert verified_direction(problem, steepest_recession(problem)).slope < 0
+
+
+@expensive
+def test_a_long_problem_whose_ends_determine_the_cost_has_no_direction(without_dense_rows):
+    """Of the slope, the recession cone leaves rounding alone; the sparse program is not asked for another answer."""
+    problem = from_rest_to_rest(200, [-1.0])
+    assert steepest_recession(problem) is None
+    assert lfo.solve(problem, throw=False).status == "locally_optimal"
 
 
 def constant_control(bound: float | None, controls: int = 2) -> lfo.OptimalControlProblem:

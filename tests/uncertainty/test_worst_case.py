@@ -23,6 +23,8 @@ def test_the_worst_case_of_the_example_is_that_of_the_design():
     assert found.cost == pytest.approx(212.47, abs=0.01)
     assert lfo.solve(problem).cost == pytest.approx(190.02, abs=0.01)
     speed, low = worst["x_1, upper"], worst["u_0, lower"]
+    with pytest.raises(KeyError, match=r"worst case: got 'u_0, lowre'; expected one of .* Did you mean 'u_0, lower'"):
+        worst["u_0, lowre"]
     assert (speed.limit, low.limit, low.index) == (2, -1, 8)
     assert low.planned == pytest.approx(-0.74, abs=1e-3)
     assert low.margin == pytest.approx(0.26, abs=1e-3)

@@ -137,7 +137,7 @@ class BorderedSystem:
     def _unit_signals(self) -> Array:
         """Return the signals of unit free ends and of unit coordinates of the bordering directions, (n+m, size, T)."""
         T = self.lti.horizon
-        phase = np.exp((2j * np.pi / T) * (np.outer(self.bins, np.arange(T)) % T))
+        phase = np.exp((2j * np.pi / T) * np.arange(T))[np.outer(self.bins, np.arange(T)) % T]
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:

@@ -1,0 +1,265 @@
+"""Derivatives of long problems: K (p, q) = (zbar, 0) as a problem of the package's own class.
+
+Each bin that is removed is a dense row of K, and thousands of them take hours to factor. But the solution of
+K (z, y) = (c, b) is the optimum, with its multipliers, of a problem that the methods for linear dynamics solve:
+
+    minimise  1/2 z'H z - <c, z>   subject to   M z = b,
+
+with the same matrices and stop bands, with fixed values where a bound is active, and without other bounds. Its answer
+is refined: the residual c - H z - M'y, b - M z, formed in extended precision, is the next right-hand side, and the
+corrections tell the error. There are three right-hand sides. The data of the problem
+give the exact optimum on its active bounds. Weights give the adjoint (p, q). Random ones tell whether the rows are
+independent: dependent rows have no solution.
+
+Each residual is added to the random right-hand side, whose solution is then subtracted. Otherwise p may be zero, where
+constraints determine the weighted sum, and methods find no units for an answer that is rounding alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals, to_shape
+from lin_freq_ocp.base.errors import UnsupportedError
+from lin_freq_ocp.base.phrases import plural
+from lin_freq_ocp.base.status import Status
+from lin_freq_ocp.certificate.hamiltonian import cost_curvatures, extremal_within
+from lin_freq_ocp.derivatives.data import Variables, slopes
+from lin_freq_ocp.derivatives.derivatives import (
+    DEPENDENT_ROWS,
+    SEEN,
+    UNSETTLED,
+    WEAK,
+    Derivative,
+    Gradient,
+    SolutionDerivatives,
+    require_derivatives,
+)
+from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
+from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
+from lin_freq_ocp.methods.correction import deviation_units
+from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
+from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
+from lin_freq_ocp.program.active_rows import EPSILON
+
+LONG = "so many bins are removed that derivatives come from adjoint problems, which have weights of x and u only"
+Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T+1, n+m), offsets of dynamics (T, n)
+
+
+@dataclass(frozen=True, eq=False)
+class LongSolution:
+    """States and controls z (T+1, n+m) with multipliers y, and the errors of both, estimated, in units of order 1."""
+
+    z: Array
+    y: Multipliers
+    error: tuple[float, float] = (np.inf, np.inf)
+
+    def plus(self, other: LongSolution, factor: float) -> LongSolution:
+        """Return this point and a multiple of another one."""
+        parts = ("eta", "mu", "nu", "rho_u", "rho_x")
+        sums = {name: getattr(self.y, name) + factor * getattr(other.y, name) for name in parts}
+        return LongSolution(self.z + factor * other.z, Multipliers(1.0, **sums))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the states and controls."""
+        return Trajectory(*split_signals(self.z, self.y.eta.shape[1]))
+
+    @property
+    def normals(self) -> Array:
+        """Return the multipliers of bounds, (T+1, n+m)."""
+        return stack_signals(self.y.mu, self.y.nu)
+
+
+class LongKKT:
+    """K of a problem with stop bands whose components ``held`` (T+1, n+m) have fixed values.
+
+    Units of z and of slopes are (n+m,). ``random`` is the solution for a random right-hand side; None if there is none.
+    """
+
+    def __init__(self, problem: OptimalControlProblem, units: Array, slope_units: Array, held: Mask):
+        cost, dynamics = problem.quadratic, problem.linear
+        none = {name: 0 * getattr(cost, name) for name in ("q", "r", "p", "x_ref", "u_ref")}
+        dynamics = replace(dynamics, offset=0 * dynamics.offset)
+        self.problem, self.n = problem.derived(dynamics=dynamics, cost=replace(cost, **none)), problem.state_dim
+        self.held, self.units, self.slope_units = held, (slope_units, units, units[: self.n]), slope_units
+        drawn = np.random.default_rng(0).standard_normal((2, *held.shape))
+        drawn[:, -1, self.n :] = 0.0  # there is no u_T
+        drawn[0, :, : self.n] = 0.0  # slopes in u move z by its units, those in x by far more
+        none, self.random = np.zeros((problem.horizon, self.n)), None
+        self._drawn = drawn[0] * slope_units, drawn[1] * units, none
+        found = self._answer(self._drawn)
+        if found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR:
+            self.random = found
+
+    def sizes(self, point: LongSolution) -> tuple[float, float]:
+        """Return the largest values of z and of y, in units of order 1."""
+        slopes = np.abs(stack_signals(np.vstack([0 * point.y.eta[:1], point.y.eta]), 0 * point.y.nu))
+        prices = np.maximum(slopes, np.abs(point.normals)) / self.slope_units
+        return float(np.abs(point.z / self.units[1]).max()), float(prices.max())
+
+    def solve(self, right: Sides) -> LongSolution | None:
+        """Return the solution for a right-hand side; None if no method finds any.
+
+        Its error is the last correction, times the part of the correction before that it was.
+        """
+        x, u = split_signals(zero := np.zeros(self.held.shape), self.n)
+        rho_u, rho_x = 0j * self.problem.control_stop, 0j * self.problem.state_stop
+        point = LongSolution(zero, Multipliers(1.0, x[1:], x, u, rho_u, rho_x))
+        left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
+        for _ in range(KKT_REFINEMENTS):
+            if (amount := self._amount(left)) == 0:
+                return replace(point, error=(0.0, 0.0))
+            share = 0.0 if self.random is None else 1.0
+            c, values, offset = (part / amount + share * drawn for part, drawn in zip(left, self._drawn, strict=True))
+            step = self._answer((c, values, offset))
+            if step is None:
+                break
+            step = step if self.random is None else step.plus(self.random, -1.0)
+            correction = amount * np.array(self.sizes(step))
+            contraction = float(correction.max()) / before
+            if contraction > 0.5:  # rounding, or nothing that converges
+                break
+            point, before = point.plus(step, amount), float(correction.max())
+            sizes = np.array(self.sizes(point))
+            error = np.maximum(correction * (contraction or 1.0), EPSILON * sizes)
+            point = replace(point, error=(float(error[0]), float(error[1])))
+            if error.max() <= FORWARD * sizes.max():
+                break
+            left = self._residual(right, point)
+        return point if np.isfinite(before) else None
+
+    def _amount(self, sides: Sides, rows: bool = False) -> float:
+        """Return the size of a right-hand side, or of its part of rows, in units of order 1."""
+        return max(float(np.abs(part / unit).max()) for part, unit in [*zip(sides, self.units, strict=True)][rows:])
+
+    def _residual(self, right: Sides, point: LongSolution) -> Sides:
+        """Return what a point leaves of a right-hand side."""
+        at = extremal_within(self.problem, point.trajectory, point.y, self.problem.signal_bounds)
+        left = (
+            right[0] - at.slopes - point.normals,
+            np.where(self.held, right[1] - point.z, 0.0),
+            right[2] - at.residual,
+        )
+        return left[0].astype(np.float64), left[1], left[2].astype(np.float64)
+
+    def _answer(self, right: Sides) -> LongSolution | None:
+        """Return the answer of a method for a right-hand side; None if none finds an optimum."""
+        of_x, of_u = split_signals(-right[0], self.n)
+        cost = replace(self.problem.quadratic, q=of_x[:-1], r=of_u, p=of_x[-1])
+        lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
+        found = solve_long(with_sides(self.problem, lower, upper, right[2], cost))
+        if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
+            return None
+        return LongSolution(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
+
+
+def derivatives_of(
+    problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
+) -> SolutionDerivatives:
+    """Return the derivatives of an optimum: by its equations, or by adjoint problems where these are too many."""
+    require_derivatives(problem, multipliers)
+    kind = AdjointDerivatives if is_long(problem) else SolutionDerivatives
+    return kind(problem, trajectory, multipliers)
+
+
+class AdjointDerivatives(SolutionDerivatives):
+    """The derivatives of the optimum of a long problem with bounds, fixed ends and stop bands: ``vjp`` alone.
+
+    Bounds are exchanged until no sign is wrong, as for ``SolutionDerivatives``; arrays are those of z_t = (x_t, u_t).
+    """
+
+    def __init__(self, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers):
+        self.problem, cost, n, (lower, upper) = problem, problem.quadratic, problem.state_dim, problem.signal_bounds
+        free, curvatures = lower < upper, cost_curvatures(cost, problem.horizon)
+        units = np.concatenate(deviation_units(problem, trajectory))
+        flat = free if curvatures is None else free & (curvatures <= 0)
+        if curvatures is None or flat[:, n:].any() or flat[0].any():
+            got = "a cost that is not strictly convex in the controls and in a free initial state"
+            raise UnsupportedError(f"derivatives: got {got}; expected one, as many bins are removed.")
+        slope_units = float((curvatures * units**2).max()) / units
+        slope = stack_signals(*cost.gradient(*split_signals(np.zeros(lower.shape), n)))
+        offset = np.broadcast_to(problem.linear.offset, (problem.horizon, n))
+        at = LongSolution(stack_signals(trajectory.x, trajectory.u), multipliers)
+        above, slack = at.normals > 0, np.minimum(upper - at.z, at.z - lower)
+        active, weak, self._reason = free & (np.abs(at.normals) / slope_units > slack / units), ~free & free, UNSETTLED
+        for _ in range(POINT_STEPS):
+            self._kkt = LongKKT(problem, units, slope_units, ~free | active)
+            exact = self._kkt.solve((-slope, np.where(above, upper, lower), offset))
+            if exact is None:
+                break
+            at = exact
+            of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.error)
+            price, over, under = np.where(above, 1, -1) * at.normals / slope_units, upper - at.z, at.z - lower
+            room = np.where(active, price, np.minimum(over, under) / units)
+            error = np.where(active, of_y, of_z)
+            weak, wrong = free & (np.abs(room) <= error), free & (room < -error)
+            if not wrong.any():
+                self._reason = ""
+                break
+            above, active = np.where(wrong & ~active, over < under, above), active ^ wrong
+        if weak.any():  # they are independent of the active rows and of each other, or not
+            self._kkt = LongKKT(problem, units, slope_units, self._kkt.held | weak)
+        if not self._reason and self._kkt.random is None:
+            self._reason = DEPENDENT_ROWS
+        if weak.any():
+            self._kkt = LongKKT(problem, units, slope_units, self._kkt.held & ~weak)
+        self._weak, self._at = weak, at
+        self._signals = Variables.at(problem, at.trajectory, at.y)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return the exact optimum on its active bounds."""
+        return self._at.trajectory
+
+    @property
+    def multipliers(self) -> Multipliers:
+        """Return its multipliers."""
+        return self._at.y
+
+    def vjp(
+        self, x: ArrayLike | None = None, u: ArrayLike | None = None, multipliers: Multipliers | None = None
+    ) -> Gradient:
+        """Return the derivative of sum(x * x*) + sum(u * u*) by every datum, as ``SolutionDerivatives.vjp`` does.
+
+        Raises
+        ------
+        ProblemError
+            If a weight has the wrong shape, or an entry is not a number.
+        UnsupportedError
+            If multipliers have weights, or no method solves the adjoint problem.
+        """
+        if multipliers is not None:
+            raise UnsupportedError(f"derivatives: got weights of multipliers; {LONG}.")
+        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
+        in_x = np.zeros((T + 1, n)) if x is None else to_shape("x", x, (T + 1, n))
+        zbar = stack_signals(in_x, np.zeros((T, m)) if u is None else to_shape("u", u, (T, m)))
+        found = self._kkt.solve((zbar, 0 * zbar, np.zeros((T, n))))
+        if found is None:
+            raise UnsupportedError("derivatives: no method solves the adjoint problem.")
+        size = max(self._kkt.sizes(found))
+        error = max(found.error) / size if size > 0 else 0.0
+        seen = np.argwhere(self._weak & (np.abs(found.z / self._kkt.units[1]) > SEEN * size))
+        rows, reason = tuple(self._name_bound(*place) for place in seen.tolist()), self._reason
+        if not reason and error > MOST_SOLVE_ERROR:
+            reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
+        if not reason and rows:
+            reason = f"{WEAK}: {plural(len(rows), 'row')}"
+        along = Variables.along(found.trajectory, found.y)
+        values = {name: -value for name, value in slopes(self.problem, self._signals, along).items()}
+        return Gradient(not reason, rows, reason, error, values)
+
+    def jvp(self, **change: ArrayLike) -> Derivative:
+        """Raise UnsupportedError: the derivative along a change needs the factor of K."""
+        raise UnsupportedError(f"derivatives: got a change of {', '.join(change) or 'nothing'}; {LONG}.")
+
+    def _name_bound(self, t: int, i: int) -> str:
+        """Return the name of a bound with its time and component."""
+        n, (lower, upper) = self.problem.state_dim, self.problem.signal_bounds
+        side = "upper" if upper[t, i] - self._at.z[t, i] <= self._at.z[t, i] - lower[t, i] else "lower"
+        signal, component = ("state set", i) if i < n else ("control set", i - n)
+        return f"{signal}, t = {t}, component {component}, {side}"
