@@ -17,6 +17,7 @@ from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signa
 from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_and_size
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
+    COST_ROUNDING,
     DATA_ROUNDING,
     GAP_TOLERANCE,
     HESSIAN_ROUNDING,
@@ -55,7 +56,7 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     sizes = np.maximum(known, needed)
     alone = ~anchored & (needed == 0)
     if alone.any():  # by their cost, 0 if they cost nothing
-        total = _size_of_cost(problem, trajectory) / problem.horizon
+        total = float(cost_and_size(problem, stack_signals(trajectory.x, trajectory.u))[1]) / problem.horizon
         by_cost = np.sqrt(np.divide(total, curvature, out=np.zeros(len(curvature)), where=curvature > 0))
         sizes = np.where(alone, np.maximum(sizes, by_cost), sizes)
     if not sizes.all() and problem.origin is not None:
@@ -99,29 +100,30 @@ def _anchoring_sizes(A: Array, B: Array, horizon: int, known: Array, anchored: M
     return needed
 
 
-def cost_scale(problem: OptimalControlProblem, trajectory: Trajectory, size: float | None = None) -> float:
-    """Return S, the sum of the sizes of the terms of the cost, ``size`` if it is known. Gaps are relative to S.
+def cost_scale(
+    problem: OptimalControlProblem, trajectory: Trajectory, known: tuple[float, float] | None = None
+) -> float:
+    """Return S, the sum of the sizes of the terms of the cost. Gaps are relative to S.
 
-    See ``cost_and_size`` for sizes. S is at least the cost that rounding can cause, divided by GAP_TOLERANCE. Rounding
-    of the data moves each component by DATA_ROUNDING of its own terms at its own time: squares are taken from the
-    references, all else from the trajectory. A control with levels moves by whole levels, of whose cost DATA_ROUNDING
-    counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of its entries with deviations.
+    ``known`` is what ``cost_and_size`` returns, if it is known: J and the sum. S is at least the cost that rounding can
+    cause, divided by GAP_TOLERANCE. Rounding of the data moves each component by DATA_ROUNDING of its own terms at its
+    own time: squares are taken from the references, all else from the trajectory. A control with levels moves by whole
+    levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of its
+    entries with deviations, and rounding of J and its bound COST_ROUNDING of J.
     """
     x, u = trajectory.x, trajectory.u
     quadratic, levels = problem.quadratic, problem.level_sizes
+    cost, size = known or map(float, cost_and_size(problem, stack_signals(x, u)))
     in_x, in_u = (DATA_ROUNDING * own for own in _own_terms(problem, trajectory))
-    rounding = quadratic.magnitudes.value(in_x, in_u) + HESSIAN_ROUNDING * quadratic.products(x, u)
+    rounding = COST_ROUNDING * abs(cost) + HESSIAN_ROUNDING * quadratic.products(x, u)
+    rounding += quadratic.magnitudes.value(in_x, in_u)
     if levels.any():
         rounding += DATA_ROUNDING * quadratic.magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     for term in problem.terms:
         given = term.cost(x, u)
         for sign in (-1, 1):
             rounding += float(np.abs(term.cost(x + sign * in_x, u + sign * in_u) - given).sum())
-    return max(_size_of_cost(problem, trajectory) if size is None else size, rounding / GAP_TOLERANCE)
-
-
-def _size_of_cost(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
-    return float(cost_and_size(problem, stack_signals(trajectory.x, trajectory.u))[1])
+    return max(size, rounding / GAP_TOLERANCE)
 
 
 @lru_cache(maxsize=2)  # for the scale of the cost and those of slopes
@@ -141,23 +143,21 @@ def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
 
 
 class Scales(NamedTuple):
-    """Sizes of states (n,) and controls (m,), S, how far bounds let components reach, and slopes of costs by formulas.
+    """Sizes of states (n,) and controls (m,), S, and slopes of costs by formulas.
 
-    ``reach`` is (T+1, n + m), None if it is not known. ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with
-    zeros for u_T.
+    ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with zeros for u_T.
     """
 
     sizes: Sizes
     cost: float
-    reach: Array | None = None
     slopes: Callable[[Array], Array] | None = None
 
 
-def scales_of(problem: OptimalControlProblem, trajectory: Trajectory, size: float | None = None) -> Scales:
-    """Return the scales along a trajectory; ``size`` as for ``cost_scale``."""
-    return Scales(
-        trajectory_sizes(problem, trajectory), cost_scale(problem, trajectory, size), reach_of_bounds(problem)
-    )
+def scales_of(
+    problem: OptimalControlProblem, trajectory: Trajectory, known: tuple[float, float] | None = None
+) -> Scales:
+    """Return the scales along a trajectory; ``known`` as for ``cost_scale``."""
+    return Scales(trajectory_sizes(problem, trajectory), cost_scale(problem, trajectory, known))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     with modes, that is only the average over modes.
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
-    (x, u), cost, reach, slopes_at = scales
+    (x, u), cost, slopes_at = scales
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     at = np.abs(extremal.trajectory.x)
@@ -225,7 +225,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
         priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(steep * (size if reach is None else np.minimum(size, reach))).ravel(), *priced])
+        costs = np.concatenate([(steep * size).ravel(), *priced])
         costs, stage = np.sort(costs[costs > 0]), 0.0
         if len(costs):  # their median
             stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)

@@ -17,6 +17,7 @@ DATA_ROUNDING = (
     1e-12  # deviations, relative to sizes, that solvers and printed data leave; gaps below their cost do not count
 )
 
+COST_ROUNDING = 160 * sys.float_info.epsilon  # of J: ten times what a rigorous bound loses to rounding
 HESSIAN_ROUNDING = 4 * sys.float_info.epsilon  # of entries of Q, R, S, P: these may be products of rounded data
 STATE_ROUNDING = 4 * sys.float_info.epsilon  # of x and of A x + B u + d, relative to their terms
 

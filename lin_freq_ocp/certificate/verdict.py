@@ -369,7 +369,7 @@ def _judge_linear(problem: OptimalControlProblem, trajectory: Trajectory, multip
         raise ProblemError("multipliers.weights", f"shape {multipliers.weights.shape}", "None: the dynamics are linear")
     extremal = extremal_at(problem, trajectory, multipliers)
     cost, size = map(float, extremal.cost_and_size)
-    scales = scales_of(problem, trajectory, size)
+    scales = scales_of(problem, trajectory, (cost, size))
     conditions = all_conditions(extremal, floors(extremal, scales))
     return Judgement(conditions, None, float(extremal.cost_of_residuals), extremal, scales.cost, cost)
 

@@ -128,7 +128,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
     cost = cost_scale(stripped, trajectory) + float(values.sum())
-    return Scales((np.append(x, stage), u), cost, slopes=slopes)
+    return Scales((np.append(x, stage), u), cost, slopes)
 
 
 def judged_modes(
