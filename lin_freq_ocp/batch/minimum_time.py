@@ -27,7 +27,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
-from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
+from lin_freq_ocp.batch.sweep import Row, collect_band_warnings, failed_point, row_of
 from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -255,6 +255,12 @@ def checked_horizons(given: object) -> tuple[int, int]:
 
 
 def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
+    """Return the problem at a horizon, which is one of many: its bands do not warn."""
+    with collect_band_warnings([]):
+        return _stated_at(source, horizon)
+
+
+def _stated_at(source: Source, horizon: int) -> OptimalControlProblem:
     """Return the problem at a horizon: the value of a function, or a problem with the same data."""
     if callable(source):
         problem = problem_at(source, {"horizon": horizon})
