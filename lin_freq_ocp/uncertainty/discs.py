@@ -18,15 +18,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    ComplexArray,
-    brief,
-    complex_array,
-    positive_integer,
-    positive_number,
-    real_array,
-)
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, brief, complex_array, positive_integer, real_array
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.phrases import join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -214,15 +206,20 @@ def radius_of_coherence(
     [0.1358, 0.0819]
     """
     estimate, c = complex_array("G", G), real_array("coherence", coherence)
-    count, number_of_bins = positive_integer("averages", averages), positive_integer("bins", bins)
+    number_of_bins = positive_integer("bins", bins)
     if c.shape != estimate.shape or not ((c > 0) & (c <= 1)).all():
         got = brief(coherence) if c.shape == estimate.shape else f"shape {c.shape}"
-        raise ProblemError("coherence", got, f"shape {estimate.shape}, above 0 and at most 1")
-    if count < FEWEST_AVERAGES:
-        raise ProblemError("averages", brief(averages), f"at least {FEWEST_AVERAGES}")
-    if not 0 < positive_number("confidence", confidence) < 1:
-        raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1")
-    surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (count - 1))
+        expected, advice = f"shape {estimate.shape}, above 0 and at most 1", "It is |Gxy|^2 / (Gxx Gyy) of each bin."
+        raise ProblemError("coherence", got, expected, advice)
+    whole = isinstance(averages, (int, np.integer)) and not isinstance(averages, bool)
+    if not whole or averages < FEWEST_AVERAGES:
+        expected = f"a whole number of independent records, at least {FEWEST_AVERAGES}"
+        raise ProblemError("averages", brief(averages), expected, "One record has coherence 1 whatever the noise.")
+    one = isinstance(confidence, (float, int, np.floating, np.integer))
+    if not one or not 0 < confidence < 1:
+        advice = "State 95 % as 0.95."
+        raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1", advice)
+    surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (averages - 1))
     return np.abs(estimate) * np.sqrt((1 - c) / c * surplus)
 
 

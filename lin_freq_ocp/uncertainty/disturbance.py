@@ -101,8 +101,8 @@ class Disturbance(Uncertainty):
         require_bool("disturbance.forever", forever)
         if start is not None and (not isinstance(start, ConvexSet) or forever):
             got = f"{brief(start)}{', with forever=True' if forever else ''}"
-            expected, advice = "a set such as Box, or None", "forever=True has its own start."
-            raise ProblemError("disturbance.start", got, expected, advice)
+            advice = "forever=True has its own start." if forever else "The error of the start is in lfo.Box(-e, e)."
+            raise ProblemError("disturbance.start", got, "a set such as Box, or None", advice)
         E = None if input is None else real_array("disturbance.input", input)
         if E is not None and (E.ndim not in (2, 3) or not E.any()):
             got = "zeros" if E.ndim in (2, 3) else f"shape {E.shape}"
@@ -125,7 +125,7 @@ class Disturbance(Uncertainty):
         if loads.horizon not in (None, T):
             expected = f"one load for each of the {T} steps of the horizon"
             raise ProblemError("Records.loads", f"loads of {loads.horizon} steps", expected)
-        start = None if self.start is None else loads_of(self.start, n)
+        start = None if self.start is None else loads_of(self.start, n, "disturbance.start", "state")
         A, B, shape = problem.linear.A, problem.linear.B, (problem.control_dim, n)
         K = best_regulator(problem, loads, E) if isinstance(self.gain, str) else self.gain
         K = np.zeros(shape) if K is None else to_shape("disturbance.gain", K, shape)

@@ -101,7 +101,7 @@ class Worst:
     def __str__(self) -> str:
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
-        shown = (NOTHING if np.isnan(value) else f"{value:.5g}" for value in values)
+        shown = (NOTHING if np.isnan(value) else f"{value + 0.0:.5g}" for value in values)  # no negative zero
         case = f"  plant {self.plant}" if isinstance(self.plant, int) else ""
         acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
         if acting is not None and acting.any():

@@ -260,8 +260,18 @@ def test_a_disc_of_a_coherence_contains_the_response_as_often_as_stated():
         (lambda: lfo.robust(lfo.library.pendulum(), lfo.Discs(0.1)), "dynamics: got LinearDynamics; expected a Freq"),
         (lambda: radius_of_coherence([1.0], [1.2], 8), "coherence: got .1.2.; expected"),
         (lambda: radius_of_coherence([1.0], [0.9, 0.8], 8), r"coherence: got shape \(2,\)"),
-        (lambda: radius_of_coherence([1.0], [0.9], 1), "averages: got 1; expected at least 2"),
-        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence=1.0), "confidence: got 1.0; expected a probability"),
+        (
+            lambda: radius_of_coherence([1.0], [0.9], 1),
+            "averages: got 1; expected a whole number of independent records, at least 2. One record has coherence 1",
+        ),
+        (lambda: radius_of_coherence([1.0], [0.9], 2.5), "averages: got 2.5; expected a whole number of independent"),
+        (lambda: radius_of_coherence([1.0], [0.9], True), "averages: got True; expected a whole number of independent"),
+        (
+            lambda: radius_of_coherence([1.0], [0.9], 8, confidence=95),
+            "confidence: got 95; expected a probability between 0 and 1. State 95 % as 0.95",
+        ),
+        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence="high"), "confidence: got 'high'; expected a probab"),
+        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence=np.nan), "confidence: got nan; expected a probab"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_field(make, message):

@@ -262,3 +262,9 @@ def test_an_input_of_the_plant_fits_filtered_controls_but_no_state_of_the_plant_
         lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"
     ):
         lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.01, 0.01), E[1:]))
+
+
+def test_no_zero_of_a_table_is_negative():
+    one = replace(lfo.worst_case(tube(), LOAD, lfo.solve(tube())).limits[0], planned=-0.0, margin=0.0, attained=-0.0)
+    assert "-0 " not in str(one)
+    assert str(one).split()[5:7] == ["0", "0"]

@@ -142,8 +142,8 @@ class ConvexSet(ABC):
 
         |y|'error bounds how much larger the exact value is; infinite along components without a bound.
         """
-        expected = "a Box, Ball, Ellipsoid or Polyhedron, Records, Gaussian, or an array of measured loads"
-        raise ProblemError("disturbance.set", f"a set of the kind {type(self).__name__}", expected)
+        got, expected = f"a set of the kind {type(self).__name__}", "a Box, Ball, Ellipsoid or Polyhedron"
+        raise ProblemError("disturbance.set", got, expected, "State a polyhedron, or bounds, around it.")
 
     def violation(self, v: Array) -> Array:
         """Return the largest violation of a constraint of the set by each v (..., n); 0 inside."""
