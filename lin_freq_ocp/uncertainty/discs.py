@@ -11,7 +11,7 @@ ordinary one, with an ordinary certificate (docs/robust.md).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Literal, cast
 
@@ -129,6 +129,7 @@ class Discs(Uncertainty):
         translation = translation_of(problem)
         problem = translation.problem
         response, nominal = _response(problem), simulate(problem, u)
+        cost = problem.value(nominal.x, u) + translation.cost
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
         for rows in hard_rows(problem, True, margin > 0):
@@ -162,7 +163,8 @@ class Discs(Uncertainty):
             if judged or of_x.any():
                 (limits if judged else leaks).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
-        return WorstCase(f"every plant within discs of radii up to {largest}; u = v", tuple(limits), tuple(leaks))
+        words = f"every plant within discs of radii up to {largest}; u = v"
+        return WorstCase(words, tuple(limits), tuple(leaks), cost=cost)
 
 
 def radius_of_coherence(
@@ -221,6 +223,34 @@ def radius_of_coherence(
         raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1", advice)
     surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (averages - 1))
     return np.abs(estimate) * np.sqrt((1 - c) / c * surplus)
+
+
+def discs_of(
+    radius: ArrayLike | None = None,
+    cost: Literal["nominal", "worst"] = "nominal",
+    coherence: ArrayLike | None = None,
+    averages: int | None = None,
+    confidence: float = 0.95,
+) -> Callable[[OptimalControlProblem], Discs]:
+    """Return what makes the discs for a problem: of radii, or of the coherence at all bins of its response."""
+    if (radius is None) == (coherence is None) or (averages is None) != (coherence is None):
+        given = {"radius": radius, "coherence": coherence, "averages": averages}
+        stated = [name for name, value in given.items() if value is not None]
+        raise ProblemError("discs", join_words(stated) if stated else "nothing", "radius, or coherence with averages")
+
+    def make(problem: OptimalControlProblem) -> Discs:
+        if radius is not None or problem.response is None:
+            return Discs(0.0 if radius is None else radius, cost)
+        G = _plant(problem).G
+        c = real_array("discs.coherence", coherence)
+        c = c[:, None, None] if c.ndim == 1 and G.shape[1:] == (1, 1) else c
+        try:
+            return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
+        except ProblemError as error:
+            field = f"discs.{error.field.removeprefix('discs.')}"
+            raise ProblemError(field, error.got, error.expected, error.advice) from None
+
+    return make
 
 
 class DiscLimits(FrequencyConstraint):

@@ -64,6 +64,11 @@ class Plants(Uncertainty):
             raise ProblemError("plants.shares", brief(shares), expected)
         self.shares = weights / weights.sum()
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return the plants, and their shares if they differ, by the keys of problem files."""
+        return {"plants": self.plants, "plant_shares": self.shares if np.ptp(self.shares) else None}
+
     def _require(self, problem: OptimalControlProblem) -> None:
         own = problem.dynamics
         for k, plant in enumerate(self.plants):
@@ -121,18 +126,20 @@ class Plants(Uncertainty):
         n, u, found = problem.state_dim, plan.u, dict[str, list[Worst]]()
         if plan.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
             problem.require(plan)
-        starts = plan.x[0].reshape(-1, n)
+        starts, cost = plan.x[0].reshape(-1, n), 0.0
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)
             start = starts[min(k, len(starts) - 1)] if own.response is None else None
-            for one in _closest_values(own, simulate(own, u, start)):
+            moved = simulate(own, u, start)
+            cost += self.shares[k] * own.value(moved.x, u)
+            for one in _closest_values(own, moved):
                 found.setdefault(one.name, []).append(replace(one, plant=k + 1))
         limits = list[Worst]()
         for cases in found.values():  # the plan of the first plant, and what the worst one adds
             first, most = cases[0], max(cases, key=lambda case: case.violation)
             added = most.sign * (most.planned - first.planned)
             limits.append(replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0)))
-        return WorstCase(f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits))
+        return WorstCase(f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits), cost=cost)
 
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:

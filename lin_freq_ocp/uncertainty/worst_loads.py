@@ -183,7 +183,7 @@ class WorstCase:
         if self.nominal and self.cost is not None:
             share = (self.cost - self.nominal) / abs(self.nominal)
             more = number(100 * share if abs(share) > SAME else 0.0, 3)
-            costs = f"The cost is {number(self.cost)}; that of the plan for no loads {number(self.nominal)}"
+            costs = f"The cost is {number(self.cost)}; that of the plan without margins {number(self.nominal)}"
             lines.append(f"{costs}: {more} % more.")
         return "\n".join(line.rstrip() for line in lines)
 
