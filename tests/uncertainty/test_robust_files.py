@@ -303,7 +303,7 @@ def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
             "discs.averages: got 1; expected a whole number of independent",
         ),
         (
-            "[discs]\nradius = 0.1\n[[plants]]\nA = 1.0\nB = 1.0",
+            "[discs]\nradius = 0.1\n[[plants]]\nA = [[1.0]]\nB = [[1.0]]",
             "plants: got discs, too; expected one of .disturbance.",
         ),
         ("[[plants]]\nA = [[1.0]]\nB = [[1.0]]", r"plants\[0\]: got .*; expected a FrequencyResponse"),
