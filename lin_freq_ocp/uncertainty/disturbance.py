@@ -29,7 +29,7 @@ from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.sizes import stated_sizes
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 from lin_freq_ocp.uncertainty.invariant import invariant_end, lasting_rows
-from lin_freq_ocp.uncertainty.leakage import tightened_spectra
+from lin_freq_ocp.uncertainty.leakage import largest_spectra, tightened_spectra
 from lin_freq_ocp.uncertainty.loads import Loads, loads_of
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
 from lin_freq_ocp.uncertainty.worst_loads import WorstCase, worst_loads
@@ -140,6 +140,10 @@ class Disturbance(Uncertainty):
             expected = "dynamics, input and a bounded set of loads that are the same at all times"
             raise UnsupportedError(f"disturbance.forever: got True; expected {expected}.")
         return ErrorLoop(loads, start, A_K, a, K, E, T, self.forever)
+
+    def largest_spectra(self, problem: OptimalControlProblem, plan: Trajectory) -> Array | None:
+        """Return the largest magnitude of each bin of the controls u = v + K e, (bins, m); None without bounds."""
+        return largest_spectra(self.error_loop(problem), plan)
 
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the limits of the plan: those of a problem less their margins; see ``robust``."""

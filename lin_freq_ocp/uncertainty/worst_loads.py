@@ -98,15 +98,19 @@ class Worst:
         """Whether the limit holds in the worst case, up to rounding of solvers."""
         return self.violation <= HOLDS_WITHIN * self.size
 
-    def __str__(self) -> str:
+    @property
+    def cells(self) -> list[str]:
+        """Return the cells of a table: name, place, value of the plan, margin, limit and attained value."""
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
-        shown = (NOTHING if np.isnan(value) else f"{value + 0.0:.5g}" for value in values)  # no negative zero
+        return [self.name, at, *(NOTHING if np.isnan(value) else f"{value + 0.0:.5g}" for value in values)]
+
+    def __str__(self) -> str:
         case = f"  plant {self.plant}" if isinstance(self.plant, int) else ""
         acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
         if acting is not None and acting.any():
             case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"
-        return LINE.format(self.name, at, *shown) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
+        return LINE.format(*self.cells) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +130,7 @@ class WorstCase:
     price : float or None
         The derivative of the optimal cost by the size of the loads, at 1 of it; with a plan of ``lfo.solve`` only.
     cost, nominal : float or None
-        The costs of the plan, and of that for no loads.
+        The costs of the plan, and of that without margins.
 
     Examples
     --------

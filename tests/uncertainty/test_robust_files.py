@@ -211,6 +211,45 @@ def test_the_figure_has_the_worst_load_beside_the_plan_and_margins_as_bands(file
     assert "margin for loads" not in [text.get_text() for text in plain.legends[0].get_texts()]
 
 
+def test_the_largest_bins_for_all_loads_are_drawn_and_no_load_exceeds_them(file):
+    found = lfo.solve(lfo.read_problem(file()))
+    figure = found.plot()
+    assert "largest bin for all loads" in [text.get_text() for text in figure.legends[0].get_texts()]
+    (drawn,) = [
+        line for line in figure.axes[1].get_lines() if line.get_marker() in ("None", "") and len(line.get_ydata()) == 6
+    ]
+    rng = np.random.default_rng(0)
+    w = rng.choice([-0.15, 0.15], (5000, 10, 2))
+    _, u = simulate(tube(), LOAD.feedback(tube()), found.trajectory, np.eye(2), w)
+    reached = np.abs(np.fft.rfft(u[..., 0], axis=1)).max(axis=0)
+    assert (reached <= drawn.get_ydata() * (1 + 1e-12)).all()
+    assert (reached > 0.6 * drawn.get_ydata()).all()
+    without = lfo.Disturbance(lfo.Box(-0.05, 0.05), gain=None).largest_spectra(tube(), found.trajectory)
+    gaussian = lfo.Disturbance(lfo.uncertainty.Gaussian(1e-4 * np.eye(2), 0.9))
+    assert without is None is gaussian.largest_spectra(tube(), found.trajectory)
+
+
+@pytest.mark.parametrize("text", ["tube", "plants", "measured"])
+def test_the_page_of_a_robust_plan_has_its_worst_case(file, tmp_path, text):
+    if text == "tube":
+        path = file()
+    else:
+        path = tmp_path / f"{text}.toml"
+        plants = TEXT.replace("[disturbance]", PLANTS).replace("[-7.0, -2.0]", "[-5.0, 0.0]")
+        path.write_text(plants if text == "plants" else f"{RESPONSE}[discs]\nradius = 0.05\n")
+    said = call("compare", path, "--out", tmp_path / "report")
+    assert said.return_value == 0
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    problem = lfo.read_problem(path)
+    worst = lfo.worst_case(problem.given, problem.uncertainty, lfo.solve(problem))
+    assert "<h2>The worst case</h2>" in page
+    assert worst.verdict in page
+    assert all(one.cells[5] in page for one in worst.limits)
+    assert (tmp_path / "report" / "worst_case.svg").exists()
+    shown = {"tube": "worst load", "plants": "x_0 of plant 1", "measured": "worst plant"}
+    assert shown[text] in (tmp_path / "report" / "worst_case.svg").read_text(encoding="utf-8")
+
+
 PLANTS = """
 [[plants]]
 A = [[1.0, 1.0], [0.0, 1.0]]
