@@ -94,7 +94,7 @@ def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> File
 
 def _worst_case(worst: WorstCase) -> FileTable:
     """Return a worst case by the names of its attributes."""
-    parts = {"limits": worst.limits, "leakage": worst.leakage}
+    parts = {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}
     tables = {
         part: [asdict(one) | {"holds": one.holds, "plant": _plant(one.plant)} for one in given]
         for part, given in parts.items()

@@ -36,7 +36,7 @@ from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
@@ -123,7 +123,7 @@ class Discs(Uncertainty):
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         radius, T = self.radii(problem), problem.horizon
-        u, limits, leaks = plan.u, list[Worst](), list[Worst]()
+        u, limits, soft, leaks = plan.u, list[Worst](), list[Worst](), list[Worst]()
         if u.shape != (T, problem.control_dim):
             raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
         translation = translation_of(problem)
@@ -132,7 +132,8 @@ class Discs(Uncertainty):
         cost = problem.value(nominal.x, u) + translation.cost
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
-        for rows in hard_rows(problem, True, margin > 0):
+        hard = [*hard_rows(problem, True, margin > 0)]
+        for rows in (*hard, *term_rows(problem, soft=True)):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
                 k = np.arange(len(radius))
                 wave = np.exp(-2j * np.pi * (k * one.index % response.record) / response.record)
@@ -140,7 +141,7 @@ class Discs(Uncertainty):
                 under = simulate(replace(problem, dynamics=other), u)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
                 found = replace(one, attained=one.sign * value, trajectory=under, plant=other.G)
-                limits.append(found.of_given(translation, c))
+                (limits if rows in hard else soft).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
             levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
@@ -164,7 +165,7 @@ class Discs(Uncertainty):
                 (limits if judged else leaks).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
         words = f"every plant within discs of radii up to {largest}; u = v"
-        return WorstCase(words, tuple(limits), tuple(leaks), cost=cost)
+        return WorstCase(words, tuple(limits), tuple(leaks), cost=cost, soft=tuple(soft))
 
 
 def radius_of_coherence(

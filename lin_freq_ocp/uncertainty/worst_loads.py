@@ -122,9 +122,11 @@ class WorstCase:
     words : str
         The uncertainty in words.
     limits : tuple of Worst
-        Hard bounds, rows, polyhedra, and masks at bins; soft limits are not judged.
+        Hard bounds, rows, polyhedra, and masks at bins.
     leakage : tuple of Worst
         The largest magnitudes in stop bands and energy bounds, which hold for the plan only.
+    soft : tuple of Worst
+        Soft bounds, rows and polyhedra, which may be violated at a price.
     end : (n,) or None
         How far loads move the end of the plan.
     price : float or None
@@ -147,6 +149,7 @@ class WorstCase:
     price: float | None = None
     cost: float | None = None
     nominal: float | None = None
+    soft: tuple[Worst, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -157,7 +160,7 @@ class WorstCase:
         return self.holds
 
     def __getitem__(self, name: str) -> Worst:
-        return {one.name: one for one in (*self.limits, *self.leakage)}[name]
+        return {one.name: one for one in (*self.limits, *self.soft, *self.leakage)}[name]
 
     @property
     def closest(self) -> Worst | None:
@@ -178,6 +181,7 @@ class WorstCase:
     def __str__(self) -> str:
         head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"
         lines = [self.words, head, *map(str, self.limits)]
+        lines += [f"{one}  (soft)" for one in self.soft]
         lines += [f"for the plan only: {one}" for one in self.leakage]
         if self.end is not None and self.end.any():
             lines.append(f"end of the plan: loads move it by up to {vector(self.end)}")
@@ -195,7 +199,9 @@ class WorstCase:
         return f"WorstCase({self.words}: {self.verdict})"
 
     def _repr_html_(self) -> str:
-        return html_table(self.words, [(one.name, str(one)[len(one.name) :]) for one in (*self.limits, *self.leakage)])
+        return html_table(
+            self.words, [(one.name, str(one)[len(one.name) :]) for one in (*self.limits, *self.soft, *self.leakage)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,8 +264,14 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
     names, others = [f"end of {name}" for name in states], np.where(by_end, np.inf, -np.inf)
     yield LimitRows(names, C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n), others=others)
+    yield from term_rows(problem)
+
+
+def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[LimitRows]:
+    """Yield the hard, or the soft, rows and polyhedra of a problem."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     for term in problem.terms:
-        found = term.polyhedron(n, m)
+        found = term.polyhedron(n, m, soft)
         if found is None or term.kind.is_link:
             continue
         limits, count = np.full((T + 1, found.e.shape[1]), np.inf), found.e.shape[1]
@@ -281,16 +293,17 @@ def worst_loads(
     problem, trajectory = translation.judged_at(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     plan = simulate_loop(problem, loop, trajectory)
-    x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
+    x, u, limits, soft, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
-    for rows in hard_rows(problem, loop.start is not None or loop.forever, end > 0):
+    hard = [*hard_rows(problem, loop.start is not None or loop.forever, end > 0)]
+    for rows in (*hard, *term_rows(problem, soft=True)):
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
             t, case = one.index, loop.worst(c, d, one.index)
             under = simulate_loop(problem, loop, trajectory, case)
             worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
-            limits.append(worst.of_given(translation, c))
+            (limits if rows in hard else soft).append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
         bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
@@ -304,7 +317,8 @@ def worst_loads(
         (limits if judged else leaks).append(one.of_given(translation, np.zeros(n)))
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
-    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price, cost)
+    prices = None if multipliers is None else price
+    return WorstCase(words, tuple(limits), tuple(leaks), end, prices, cost, soft=tuple(soft))
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:

@@ -172,6 +172,7 @@ def worst_case_table(comparison: ComparisonOutcome) -> PageTable | None:
         return None
     worst = problem.uncertainty.worst(problem.given, plan, None)
     rows = [[*one.cells, "" if np.isnan(one.limit) else "holds" if one.holds else "violated"] for one in worst.limits]
+    rows += [[*one.cells, "soft"] for one in worst.soft]
     rows += [[*one.cells, "for the plan only"] for one in worst.leakage]
     note = f"{worst.words[:1].upper()}{worst.words[1:]}. {worst.verdict}"
     return PageTable(
