@@ -490,13 +490,9 @@ def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     made: FileTable = {}
-    if isinstance(problem, RobustProblem) and problem.as_made:  # others are written with the limits that they have
-        table = {Disturbance: "disturbance", Discs: "discs"}.get(type(problem.uncertainty))
-        if isinstance(problem.uncertainty, Plants):
-            made, problem = problem.uncertainty.stated, problem.given
-        elif table is not None:
-            made = {table: problem.uncertainty, "robust": problem if problem.end else None}
-            problem = problem.given
+    if isinstance(problem, RobustProblem) and problem.as_made and problem.uncertainty.stated:
+        made = {**problem.uncertainty.stated, "robust": problem if problem.end else None}
+        problem = problem.given  # one with other limits is written with the limits that it has
     # a rate limit is written as its states and rows
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in (*MADE_OF, "schema")} | made
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):

@@ -23,7 +23,7 @@ from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, Program
 from lin_freq_ocp.program.program_rows import ProgramRows, real_rows
 
-BYTES_PER_ENTRY = 40.0  # of the basis at the peak: as a matrix, as rows of the program, and scaled
+BYTES_OF_BASIS = 40.0  # of the basis at the peak: as a matrix, as rows of the program, and scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def passed_bins(linear: LinearProgram, response: Response, units: Array) -> Pass
     count = 2 * int((~linear.problem.control_stop).sum())
     require_memory(
         f"{count} coefficients of the bins that controls pass, over {T} samples of {signals // T} signals,",
-        BYTES_PER_ENTRY * count * (signals + count),
+        BYTES_OF_BASIS * count * (signals + count),
         "Choose a shorter record, a longer sampling time, or a stop band that removes more bins of the controls.",
     )
     start, N = response_basis(linear, units[:signals])

@@ -81,6 +81,11 @@ class Discs(Uncertainty):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
         self.cost = cost
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys."""
+        return {"discs": self}
+
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
         if problem.response is None:

@@ -112,6 +112,11 @@ class Disturbance(Uncertainty):
         K = gain if gain is None or isinstance(gain, str) else real_array("disturbance.gain", gain)
         assign(self, set=set, input=E, gain=K, start=start, forever=forever)
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys."""
+        return {"disturbance": self}
+
     def feedback(self, problem: OptimalControlProblem) -> Array:
         """Return K, (m, n), of u = v + K (x - z) for a problem."""
         return self.error_loop(problem).K

@@ -22,7 +22,7 @@ from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
-MOST_ENTRIES = 2**22  # steps of bins of loads, up to which the spectra of all bins are bounded
+MOST_GENERATORS = 2**22  # steps of bins of loads, up to which the spectra of all bins are bounded
 
 
 def bin_values(spectrum: SpectrumMap, trajectory: Trajectory) -> ComplexArray:
@@ -52,7 +52,7 @@ def largest_spectra(loop: ErrorLoop, plan: Trajectory) -> Array | None:
     The plan is as the model has it, without loads.
     """
     T, m = plan.u.shape
-    if not loop.K.any() or T * T * loop.E.shape[-1] > MOST_ENTRIES:
+    if not loop.K.any() or T * T * loop.E.shape[-1] > MOST_GENERATORS:
         return None
     maps = [SpectrumMap(None, unit, np.ones(T), T, np.arange(T // 2 + 1)) for unit in np.eye(m)]
     largest = np.column_stack([leakage(loop, spectrum, bin_values(spectrum, plan))[0] for spectrum in maps])

@@ -18,12 +18,10 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, box_of, map_sets
-from lin_freq_ocp.problem.sets.convex import Soft
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
-from lin_freq_ocp.problem.terms.penalty import HARD
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection
@@ -68,7 +66,7 @@ class Plants(Uncertainty):
 
     @property
     def stated(self) -> dict[str, object]:
-        """Return the plants, and their shares if they differ, by the keys of problem files."""
+        """Return what problem files say of it, by their keys."""
         return {"plants": self.plants, "plant_shares": self.shares if np.ptp(self.shares) else None}
 
     def _require(self, problem: OptimalControlProblem) -> None:
@@ -122,7 +120,13 @@ class Plants(Uncertainty):
             state_set=map_sets(problem.state_set, every),
             initial_state=every(problem.initial_state),
             terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
-            stage_rows=[rows(one, k) for one in problem.stage_rows for k in _counted(one.penalty, self.shares)] or None,
+            stage_rows=[
+                rows(one, k)
+                for one in problem.stage_rows
+                for k in range(K)
+                if self.shares[k] > 0 or one.penalty is None
+            ]
+            or None,
             state_spectrum=spectra or None,
             output_spectrum=[
                 own for one in entries_of(problem.output_spectrum) for k in range(K) for own in outputs(one, k)
@@ -172,11 +176,6 @@ def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> I
         yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
 
 
-def _counted(penalty: float | None, shares: Array) -> list[int]:
-    """Return the plants whose limit with a price counts: a share of zero has none."""
-    return [k for k, share in enumerate(shares.tolist()) if penalty is None or share > 0]
-
-
 def _at_share(one: FrequencyConstraint, share: float) -> FrequencyConstraint | None:
     """Return the constraint, of a soft one with its part of the price; None if that is zero."""
     if one.penalty is None:
@@ -190,14 +189,8 @@ def _on_every_plant(place: Sequence[Array], shares: Array, given: ConvexSet) -> 
     """Return the set of (x^1, .., x^K) with every x^k in a set; prices are the mean over the plants."""
     n = len(place[0])
     box = box_of(given).at_dimension(n, "state_set")
-    members = list[ConvexSet]()
-    for member in given.members:
-        hard = member.soft_set.soft_parts(n, HARD) if isinstance(member, Soft) else member.parts(n)
-        penalty = member.penalty if isinstance(member, Soft) else None
-        for k in _counted(penalty, shares):
-            parts = tuple(Part(part.F @ place[k], part.c, part.penalty) for part in hard)
-            own = PartSet(parts, len(place) * n, f"set {k + 1}")
-            members.append(own if penalty is None else Soft(own, penalty * shares[k]))
+    pairs = [(member, k) for member in given.members for k in range(len(place)) if shares[k] > 0 or not member.soft]
+    members = [member.preimage(place[k], float(shares[k])) for member, k in pairs]
     repeated = (np.tile(side, len(place)) for side in box.bounds)
     return intersection(Box(*repeated), members)
 

@@ -37,9 +37,11 @@ REVISIONS = 2  # of the units by the size of the answer, at most
 MOST_PROGRAMS = 32  # in a cache
 FIRST_ROWS = 2  # rows of single times per coefficient of a passed bin, in the first round
 GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are spread evenly
-NEAR = 0.1  # distance of a row of order 1 from its limit, from which on it is left out again
-LEFT_VIOLATION = 1e-10  # of rows of order 1 that are left out
-RESTING = 1e-6  # least unit of a signal, relative to the one before
+NEAR_ROW = 0.1  # distance of a row of order 1 from its limit, from which on it is left out again
+ROW_VIOLATION = 1e-9  # of rows of order 1 that are left out
+LAST_LEAVING = 20  # round
+FIRST_ROUNDS = 1  # of the exchange in units of the data
+LEAST_UNIT = 1e-6  # least unit of a signal, relative to the one before
 # The sparse program has a dense row for every frequency constraint, and its time grows with the entries of these rows;
 # the structured method has none, but needs more time for a small problem. Measured by scripts/benchmark.py choice.
 DENSE_ENTRIES = 3e4  # of dense rows, above which the structured method is faster; both take 0.2 s there
@@ -134,34 +136,44 @@ def convex_candidates(
 def _response_candidates(
     problem: OptimalControlProblem, response: Response, solver: Solver, options: SolveOptions
 ) -> Iterator[Candidate]:
-    """Yield the answer of a frequency response in the passed bins of its controls, then those in units of its size."""
+    """Yield the answer of a frequency response in the passed bins of its controls, in units of its size.
+
+    The first round, in units of the data, finds the size.
+    """
     started, linear = now(), LinearProgram(problem)
     end = np.inf if options.time_limit is None else started + options.time_limit
     units, setup = stated_sizes(problem), 0.0
-    for _ in range(1 + REVISIONS):
+    for attempt in range(1 + REVISIONS):
         bins = passed_bins(linear, response, linear.column_units(*units))
         setup = setup or now() - started
-        solution = _exchange_rows(bins, solver, options.tolerance or DEFAULT_TOLERANCE, end)
-        candidate = _candidate_in_bins(bins, solution)
-        yield replace(candidate, seconds={"setup": setup, "solve": now() - started - setup})
-        if candidate.trajectory is None or now() >= end or candidate.interrupted:
-            return
+        tolerance = options.tolerance or DEFAULT_TOLERANCE
+        solution, final = _exchange_rows(bins, solver, tolerance, end, FIRST_ROUNDS if attempt == 0 else np.inf)
+        if final:
+            candidate = _candidate_in_bins(bins, solution)
+            yield replace(candidate, seconds={"setup": setup, "solve": now() - started - setup})
+            if candidate.trajectory is None or now() >= end or candidate.interrupted:
+                return
         change = linear.direction(bins.point(solution.z))
         sizes = zip((change.x, change.u), units, strict=True)
-        units = tuple(np.maximum(np.abs(part).max(axis=0), RESTING * unit) for part, unit in sizes)
+        units = tuple(np.maximum(np.abs(part).max(axis=0), LEAST_UNIT * unit) for part, unit in sizes)
 
 
-def _exchange_rows(bins: PassedBins, solver: Solver, tolerance: float, end: float) -> Solution:
+def _exchange_rows(
+    bins: PassedBins, solver: Solver, tolerance: float, end: float, most_rounds: float
+) -> tuple[Solution, bool]:
     """Solve with few of the rows that stand alone, and with more where these are violated most, until none is.
 
+    Return the solution, with duals of all rows, and whether it is final: no row is violated, or there is no optimum.
     The first rows are spread evenly. Of rows next to each other, which are those of one time or the next, the most
-    violated one joins. The duals are those of all rows.
+    violated one joins; rows far from their limits leave, at first.
     """
     single = np.flatnonzero(bins.single)
     wanted = min(len(single), FIRST_ROWS * bins.basis.shape[1])
     chosen = ~bins.single
     chosen[single[np.unique((len(single) * (np.arange(wanted) * GOLDEN % 1)).astype(int))]] = True
+    rounds = 0
     while True:
+        rounds += 1
         solution = solver(bins.program(chosen), tolerance, seconds_left(end))
         y = None if solution.y is None else np.zeros(len(chosen))
         if y is not None:
@@ -171,14 +183,14 @@ def _exchange_rows(bins: PassedBins, solver: Solver, tolerance: float, end: floa
             chosen[:] = True
         elif solution.claim is Claim.SOLVED:
             violation = bins.violations(solution.z)
-            near, violation = violation > -NEAR, np.where(chosen, -np.inf, violation)
+            near, violation = violation > -NEAR_ROW, np.where(chosen, -np.inf, violation)
             around = np.pad(violation, 1, constant_values=-np.inf)
-            most = (violation > LEFT_VIOLATION) & (violation >= np.maximum(around[:-2], around[2:]))
-            if not most.any():
-                return solution
-            chosen = most | ~bins.single | (chosen & near)
+            most = (violation > ROW_VIOLATION) & (violation >= np.maximum(around[:-2], around[2:]))
+            if not most.any() or rounds >= most_rounds:
+                return solution, not most.any()
+            chosen = most | ~bins.single | (chosen & (near | (rounds > LAST_LEAVING)))  # so that the rounds end
         else:
-            return solution
+            return solution, True
 
 
 def _candidate_in_bins(bins: PassedBins, solution: Solution) -> Candidate:

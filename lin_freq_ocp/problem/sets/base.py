@@ -112,6 +112,11 @@ class ConvexSet(ABC):
         parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
+    def preimage(self, F: Array, share: float) -> ConvexSet:
+        """Return the points z with F z in the set, without bounds; a soft one at a share of its price."""
+        parts = tuple(Part(part.F @ F, part.c, part.penalty) for part in self.parts(len(F)))
+        return PartSet(parts, F.shape[1], self.describe([f"x[{i}]" for i in range(len(F))], "x"))
+
     def relaxed(self, amount: float, dimension: int) -> ConvexSet:
         """Return the set with hard limits, bounds apart, that are higher by an amount; soft limits do not change."""
         parts = [Part(p.F, *p.penalty.relaxed(p.c, amount)) if p.penalty.hard else p for p in self.parts(dimension)]
