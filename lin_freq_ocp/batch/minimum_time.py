@@ -255,15 +255,13 @@ def checked_horizons(given: object) -> tuple[int, int]:
 
 
 def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
-    """Return the problem at a horizon, which is one of many: its bands do not warn."""
-    with collect_band_warnings([]):
-        return _stated_at(source, horizon)
+    """Return the problem at a horizon: the value of a function, or a problem with the same data.
 
-
-def _stated_at(source: Source, horizon: int) -> OptimalControlProblem:
-    """Return the problem at a horizon: the value of a function, or a problem with the same data."""
+    It is one of many: its bands do not warn.
+    """
     if callable(source):
-        problem = problem_at(source, {"horizon": horizon})
+        with collect_band_warnings([]):
+            problem = problem_at(source, {"horizon": horizon})
         if problem.horizon != horizon:
             expected = f"a problem of the horizon {horizon}"
             raise ProblemError("problem", f"a function that returns the horizon {problem.horizon}", expected)
@@ -271,7 +269,8 @@ def _stated_at(source: Source, horizon: int) -> OptimalControlProblem:
     if horizon == source.horizon:
         return source
     try:
-        return replace(source, horizon=horizon)
+        with collect_band_warnings([]):
+            return replace(source, horizon=horizon)
     except ProblemError as error:
         advice = f"The problem cannot be stated at the horizon {horizon}; give a function of the horizon instead."
         raise ProblemError(error.field, error.got, error.expected, advice) from None

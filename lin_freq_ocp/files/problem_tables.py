@@ -47,7 +47,7 @@ from lin_freq_ocp.uncertainty.discs import Discs, discs_of
 from lin_freq_ocp.uncertainty.disturbance import Disturbance
 from lin_freq_ocp.uncertainty.loads import Gaussian, Records
 from lin_freq_ocp.uncertainty.plants import Plants
-from lin_freq_ocp.uncertainty.protocol import RobustProblem
+from lin_freq_ocp.uncertainty.protocol import RobustProblem, Uncertainty
 from lin_freq_ocp.uncertainty.protocol import robust as tightened
 
 FORMULA_KEYS = ("f", "region", "domain")
@@ -476,14 +476,14 @@ def _problem(
             problem = rate_limited(problem, **rate_limit)
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
-    tables = {"disturbance": disturbance, "discs": discs and discs(problem)}
+    tables: dict[str, Uncertainty | None] = {"disturbance": disturbance, "discs": discs and discs(problem)}
     tables["plants"] = None if plants is None else Plants(plants, plant_shares)
     stated = {key: uncertainty for key, uncertainty in tables.items() if uncertainty is not None}
     if len(stated) > 1:
         raise ProblemError(
             list(stated)[1], f"{next(iter(stated))}, too", "one of [disturbance], [discs] and [[plants]]"
         )
-    return tightened(problem, *stated.values(), **(robust or {})) if stated else problem
+    return tightened(problem, next(iter(stated.values())), **(robust or {})) if stated else problem
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:

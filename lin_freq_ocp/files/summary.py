@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import ComplexArray
 from lin_freq_ocp.base.atomic import write_text
 from lin_freq_ocp.certificate.conditions import Condition
 from lin_freq_ocp.certificate.rays import Direction
@@ -94,17 +93,13 @@ def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> File
 
 def _worst_case(worst: WorstCase) -> FileTable:
     """Return a worst case by the names of its attributes."""
-    parts = {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}
-    tables = {
-        part: [asdict(one) | {"holds": one.holds, "plant": _plant(one.plant)} for one in given]
-        for part, given in parts.items()
-    }
+    tables = dict[str, list[FileTable]]()
+    for part, given in {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}.items():
+        tables[part] = [asdict(one) | {"holds": one.holds} for one in given]
+        for one in tables[part]:
+            if isinstance(plant := one["plant"], np.ndarray):  # a response, by the keys of problem files
+                one["plant"] = {"G_real": plant.real, "G_imag": plant.imag}
     return {"holds": worst.holds, "verdict": worst.verdict, **asdict(worst), **tables}
-
-
-def _plant(plant: int | ComplexArray | None) -> int | FileTable | None:
-    """Return the number of a plant, or its frequency response by the keys of problem files."""
-    return {"G_real": plant.real, "G_imag": plant.imag} if isinstance(plant, np.ndarray) else plant
 
 
 def comparison_summary(comparison: ComparisonOutcome) -> FileTable:

@@ -84,8 +84,8 @@ class PassedBins:
         curved = N.T @ (self.units[:n, None] * (P[:n, :n] @ (self.units[:n, None] * N)))
         q = np.append(moved, (self.units * slope)[n:])
         unit = max(float(np.abs(q).max()), float(np.abs(curved).max())) or 1.0
-        slacks = sp.csc_array((len(q) - len(curved),) * 2)
-        return sp.csc_array(sp.block_diag((curved / unit, slacks))), q / unit, unit
+        k = len(q) - len(curved)
+        return sp.csc_array(sp.block_diag((curved / unit, sp.csc_array((k, k))))), q / unit, unit
 
     def program(self, chosen: Mask) -> Program:
         """Return the program of some rows, all of those in cones among them."""

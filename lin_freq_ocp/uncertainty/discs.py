@@ -107,7 +107,7 @@ class Discs(Uncertainty):
             wide, radius = _with_worst_cost(problem, radius), np.pad(radius, ((0, 0), (0, 1), (0, 0)))
         fixed = [end.fixed.any() for end in problem.ends]
         soft = [term.hard or term.map.stage_form(n, problem.control_dim) is None for term in problem.terms]
-        masks = {name: mask for name, *mask in limited_spectra(wide) if _is_mask(*mask) and _is_of_bins(wide, mask[0])}
+        masks = {one[0]: one[1:] for one in limited_spectra(wide) if _is_of_bins(wide, *one[1:])}
         rest = np.ones((problem.horizon + 1, n)), np.zeros((problem.horizon, problem.control_dim))
         spectra = [term for term in problem.terms if term.kind.is_spectrum and term.name not in masks]
         kept = {
@@ -150,7 +150,7 @@ class Discs(Uncertainty):
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
             levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-            if of_x.any() and not _is_of_bins(problem, spectrum):
+            if of_x.any() and not _is_of_bins(problem, replace(spectrum, joint=False)):
                 got = "a spectrum of outputs with a window, between bins, or of a zero-padded response"
                 raise UnsupportedError(f"{name}: got {got}; expected bins of a periodic one.")
             values = bin_values(spectrum, nominal)
@@ -341,16 +341,12 @@ class DiscMask(FrequencyConstraint):
         return [self]
 
 
-def _is_mask(spectrum: SpectrumMap, levels: Array) -> bool:
-    """Whether a spectrum is one of outputs, of which each bin has a limit."""
-    return spectrum.C is not None and not spectrum.joint and not np.isnan(levels).any()
-
-
-def _is_of_bins(problem: OptimalControlProblem, spectrum: SpectrumMap) -> bool:
-    """Whether a spectrum of outputs is that of bins of one period, without a window."""
+def _is_of_bins(problem: OptimalControlProblem, spectrum: SpectrumMap, levels: Array | None = None) -> bool:
+    """Whether a spectrum of outputs is that of bins of one period, without a window, and has these levels."""
     response = _response(problem)
+    limited = levels is None or not np.isnan(levels).any()
     whole = response.closed and spectrum.points == response.record == len(spectrum.window)
-    return whole and bool((spectrum.window == 1).all())
+    return whole and limited and spectrum.C is not None and not spectrum.joint and bool((spectrum.window == 1).all())
 
 
 def _mask_of_all(radius: Array, spectrum: SpectrumMap, levels: Array) -> OutputSpectrum:

@@ -16,7 +16,7 @@ from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import absorb_cost
 from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, ScaledAnswer, ScaledSolver, better_of
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, DIVERGED_SIZE, ScaledAnswer, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
 from lin_freq_ocp.problem.dynamics.response import Response
@@ -41,7 +41,7 @@ NEAR_ROW = 0.1  # distance of a row of order 1 from its limit, from which on it 
 ROW_VIOLATION = 1e-9  # of rows of order 1 that are left out
 LAST_LEAVING = 20  # round
 FIRST_ROUNDS = 1  # of the exchange in units of the data
-LEAST_UNIT = 1e-6  # least unit of a signal, relative to the one before
+OTHER_UNIT = 1e6  # largest factor between the units of a signal before and after a revision
 # The sparse program has a dense row for every frequency constraint, and its time grows with the entries of these rows;
 # the structured method has none, but needs more time for a small problem. Measured by scripts/benchmark.py choice.
 DENSE_ENTRIES = 3e4  # of dense rows, above which the structured method is faster; both take 0.2 s there
@@ -153,9 +153,10 @@ def _response_candidates(
             yield replace(candidate, seconds={"setup": setup, "solve": now() - started - setup})
             if candidate.trajectory is None or now() >= end or candidate.interrupted:
                 return
+        assert solution.z is not None
         change = linear.direction(bins.point(solution.z))
         sizes = zip((change.x, change.u), units, strict=True)
-        units = tuple(np.maximum(np.abs(part).max(axis=0), LEAST_UNIT * unit) for part, unit in sizes)
+        units = tuple(np.clip(np.abs(part).max(axis=0), unit / OTHER_UNIT, unit * OTHER_UNIT) for part, unit in sizes)
 
 
 def _exchange_rows(
@@ -181,7 +182,7 @@ def _exchange_rows(
         solution = replace(solution, y=y)
         if solution.claim is Claim.UNBOUNDED and not chosen.all():
             chosen[:] = True
-        elif solution.claim is Claim.SOLVED:
+        elif solution.claim is Claim.SOLVED and solution.z is not None:
             violation = bins.violations(solution.z)
             near, violation = violation > -NEAR_ROW, np.where(chosen, -np.inf, violation)
             around = np.pad(violation, 1, constant_values=-np.inf)
@@ -197,14 +198,15 @@ def _candidate_in_bins(bins: PassedBins, solution: Solution) -> Candidate:
     """Return a solver's answer in w as a trajectory with multipliers, a ray or a direction."""
     claim, message, w, y = solution.claim, solution.message, solution.z, solution.y
     if claim is Claim.INFEASIBLE:
-        ray = None if y is None else bins.multipliers(y, None)
+        size = 0.0 if y is None else float(np.abs(y).max(initial=0.0))  # a ray has no size of its own
+        ray = bins.multipliers(y / size, None) if y is not None and 0 < size < np.inf else None
         return Candidate(Status.INFEASIBLE, ray=ray, message=message)
     if claim is Claim.UNBOUNDED:
         along = None if w is None else bins.linear.direction(bins.units * bins.change(w))
         return Candidate(Status.UNBOUNDED, message=message, descent=along)
     status = {Claim.SOLVED: Status.OPTIMAL, Claim.FAILED: Status.NUMERICAL_ERROR}.get(claim, Status.LIMIT)
     interrupted = claim is Claim.INTERRUPTED
-    if w is None or y is None:
+    if w is None or y is None or not max(np.abs(w).max(), np.abs(y).max()) < DIVERGED_SIZE:
         return Candidate(status, message=message, interrupted=interrupted)
     z = bins.point(w)
     found = bins.linear.trajectory(z), bins.multipliers(y, z)
