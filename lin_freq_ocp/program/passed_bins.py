@@ -83,7 +83,7 @@ class PassedBins:
         moved = N.T @ (self.units * (slope + P @ (self.units * start)))[:n]
         curved = N.T @ (self.units[:n, None] * (P[:n, :n] @ (self.units[:n, None] * N)))
         q = np.append(moved, (self.units * slope)[n:])
-        unit = max(float(np.abs(q).max()), float(np.abs(curved).max())) or 1.0
+        unit = max(float(np.abs(part).max(initial=0.0)) for part in (q, curved)) or 1.0
         k = len(q) - len(curved)
         return sp.csc_array(sp.block_diag((curved / unit, sp.csc_array((k, k))))), q / unit, unit
 
@@ -163,6 +163,8 @@ def response_basis(linear: LinearProgram, units: Array) -> tuple[Array, Array]:
     for j, part in enumerate(waves):
         of_u[:, j, last : last + part.shape[1]] = part
         last += part.shape[1]
-    of_x = np.stack([response.linear(of_u[..., k]).ravel() for k in range(last)], axis=-1)
+    of_x = np.zeros(((T + 1) * response.base.shape[1], last))
+    for k in range(last):
+        of_x[:, k] = response.linear(of_u[..., k]).ravel()
     N = np.vstack([of_x, of_u.reshape(T * m, -1)]) / units[:, None]
     return np.append(response.states(u) - origin.x, u - origin.u) / units, N / np.abs(N).max(axis=0)

@@ -204,9 +204,10 @@ def _candidate_in_bins(bins: PassedBins, solution: Solution) -> Candidate:
     if claim is Claim.UNBOUNDED:
         along = None if w is None else bins.linear.direction(bins.units * bins.change(w))
         return Candidate(Status.UNBOUNDED, message=message, descent=along)
+    message = f"time limit: {message}" if claim is Claim.TIME_LIMIT else message
     status = {Claim.SOLVED: Status.OPTIMAL, Claim.FAILED: Status.NUMERICAL_ERROR}.get(claim, Status.LIMIT)
     interrupted = claim is Claim.INTERRUPTED
-    if w is None or y is None or not max(np.abs(w).max(), np.abs(y).max()) < DIVERGED_SIZE:
+    if w is None or y is None or not np.abs(np.append(w, y)).max(initial=0.0) < DIVERGED_SIZE:
         return Candidate(status, message=message, interrupted=interrupted)
     z = bins.point(w)
     found = bins.linear.trajectory(z), bins.multipliers(y, z)
