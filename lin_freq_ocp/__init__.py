@@ -17,15 +17,16 @@ The names of everyday use stand here; all names stand in namespaces by subject:
 Nothing is imported before it is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-from lin_freq_ocp.base import lazy_exports
-from lin_freq_ocp.base.errors import answering_misspelt
 from lin_freq_ocp.base.interrupts import leave_silently
-from lin_freq_ocp.base.kinds import register_later
 
-leave_silently()
+leave_silently()  # before the other imports: Ctrl-C during these would show a traceback
+
+from importlib import import_module  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
+
+from lin_freq_ocp.base import lazy_exports  # noqa: E402
+from lin_freq_ocp.base.errors import answering_misspelt  # noqa: E402
+from lin_freq_ocp.base.kinds import register_later  # noqa: E402
 
 if TYPE_CHECKING:
     from lin_freq_ocp import (

@@ -28,6 +28,7 @@ from lin_freq_ocp.batch.minimum_time import (
 )
 from lin_freq_ocp.batch.sweep import sweep_head
 from lin_freq_ocp.files.batch_files import SweepFile
+from lin_freq_ocp.problem.description import warn_of_bands
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.solving.families import Options
 from lin_freq_ocp.solving.method import Method
@@ -191,6 +192,8 @@ def minimum_time(
         search = search_horizons(low, high, monotone, solve_at, report, executor, record)
     horizon, proven = search.horizon, search.proven
     outcome, last = (search.last, high) if horizon is None else (search.best, horizon - 1)
+    if outcome is not None:
+        warn_of_bands(outcome.problem)
     # If feasibility is monotone, a proof at one horizon proves all shorter ones infeasible.
     first = max(proven, default=low - 1) + 1 if monotone else low
     unproven = [T for T in range(first, last + 1) if T not in proven]

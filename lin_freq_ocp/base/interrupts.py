@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import PurePath
 from types import FrameType
 
 INTERRUPTED = 130  # exit status after Ctrl-C, as of shells
@@ -29,7 +28,7 @@ def leave_silently() -> None:
     The command line is ``lin-freq-ocp`` or ``python -m lin_freq_ocp``.
     """
     program = sys.argv[0] if sys.argv else ""
-    command = PurePath(program).stem == "lin-freq-ocp"
+    command = os.path.splitext(os.path.basename(program))[0] == "lin-freq-ocp"  # pathlib is slow to import
     if program == "-m":  # a package is imported before Python knows the path of the module that it will run
         arguments = sys.orig_argv
         command = "lin_freq_ocp" in (arguments[arguments.index("-m") + 1 :] if "-m" in arguments else [])[:1]

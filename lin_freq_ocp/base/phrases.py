@@ -25,7 +25,7 @@ def number(value: float | None, digits: int = 5) -> str:
         return NOTHING
     if not isfinite(value):
         return str(value)
-    size = abs(value)
+    size, value = abs(value), value + 0.0  # of a negative zero, zero
     if size != 0 and (size < SMALL or size >= LARGE):
         return power(value)
     return f"{value:.0f}" if size >= 10 ** (digits - 1) else f"{value:.{digits}g}"

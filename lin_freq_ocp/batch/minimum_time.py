@@ -27,7 +27,7 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.batch.grid import Source, fingerprint, point_key, problem_at, require_parameters
-from lin_freq_ocp.batch.sweep import Row, failed_point, row_of
+from lin_freq_ocp.batch.sweep import Row, collect_band_warnings, failed_point, row_of
 from lin_freq_ocp.batch.tasks import Record, Work, finish_run, finish_tasks
 from lin_freq_ocp.certificate.bound import NUMERICAL, RIGOROUS
 from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
@@ -255,9 +255,13 @@ def checked_horizons(given: object) -> tuple[int, int]:
 
 
 def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
-    """Return the problem at a horizon: the value of a function, or a problem with the same data."""
+    """Return the problem at a horizon: the value of a function, or a problem with the same data.
+
+    It is one of many: its bands do not warn.
+    """
     if callable(source):
-        problem = problem_at(source, {"horizon": horizon})
+        with collect_band_warnings([]):
+            problem = problem_at(source, {"horizon": horizon})
         if problem.horizon != horizon:
             expected = f"a problem of the horizon {horizon}"
             raise ProblemError("problem", f"a function that returns the horizon {problem.horizon}", expected)
@@ -265,7 +269,8 @@ def problem_at_horizon(source: Source, horizon: int) -> OptimalControlProblem:
     if horizon == source.horizon:
         return source
     try:
-        return replace(source, horizon=horizon)
+        with collect_band_warnings([]):
+            return replace(source, horizon=horizon)
     except ProblemError as error:
         advice = f"The problem cannot be stated at the horizon {horizon}; give a function of the horizon instead."
         raise ProblemError(error.field, error.got, error.expected, advice) from None

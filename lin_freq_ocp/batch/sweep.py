@@ -182,7 +182,7 @@ def solve_point(source: Source, options: Options, parameters: Parameters, attemp
     """
     started, bands = now(), list[str]()
     try:
-        with _band_warnings(bands):
+        with collect_band_warnings(bands):
             problem = problem_at(source, parameters)
         result = solve_judged(problem, options)
     except LinFreqOCPError as error:
@@ -213,7 +213,7 @@ def row_of(result: Outcome, parameters: Parameters, seconds: float, notes: Seque
 
 
 @contextmanager
-def _band_warnings(messages: list[str]) -> Generator[None]:
+def collect_band_warnings(messages: list[str]) -> Generator[None]:
     """Collect the warnings on frequency bands, which belong to the point; other warnings are issued again."""
     with _BUILD_LOCK, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", BandWarning)

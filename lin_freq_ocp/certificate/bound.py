@@ -109,11 +109,12 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         return None
     cost = extremal.cost
     proven, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-    for around in (nearby_bounds, partial(nearby_bounds, mistrusted=True), level_bounds):
+    mistrusting = partial(nearby_bounds, mistrusted=True)
+    for around in (partial(nearby_bounds, allowed=allowed), partial(mistrusting, allowed=allowed), level_bounds):
         if cost - proven.value <= allowed:
             break
         deviations = _deviations(found, curvatures, problem.state_dim)
-        nearby = around(problem, extremal.trajectory, deviations, cost, allowed)
+        nearby = around(problem, extremal.trajectory, deviations, cost)
         if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
             proven = of_nearby if of_nearby.value > proven.value else proven
@@ -129,7 +130,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
 
 
 def level_bounds(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float, _: float
+    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float
 ) -> Region | None:
     """Return the same box by the inverse Z of the Hessian H on all changes that keep the equations M, or None.
 
@@ -202,7 +203,7 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
         farther = replace(deviations, left=deviations.left + allowed)
         nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
-        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level, allowed)
+        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level)
         if nearby is not None:
             return nearby
     return reachable_bounds(problem)

@@ -210,7 +210,7 @@ def worst_case_command(problem: str, plan: str, settings: tuple[str, ...], as_js
 
     description = build(problem, settings)
     if not isinstance(description, RobustProblem):
-        raise ProblemError("disturbance", "nothing", "a table [disturbance] or [discs] in the problem file")
+        raise ProblemError("disturbance", "nothing", "a table [disturbance], [discs] or [[plants]] in the problem file")
     worst = worst_case(description.given, description.uncertainty, load_trajectory(plan, description)[0])
     console.print_json(worst_case_summary(description, worst)) if as_json else console.print_lines(str(worst))
     return console.PROVEN if worst.holds else console.NOT_PROVEN

@@ -43,10 +43,11 @@ from lin_freq_ocp.problem.spectrum.bounds import NO_LOWER_MASK, EnergyBound, Mag
 from lin_freq_ocp.problem.spectrum.residual_vibration import ResidualVibration
 from lin_freq_ocp.problem.spectrum.spectrogram import Spectrogram
 from lin_freq_ocp.transform.reformulations import rate_limited
-from lin_freq_ocp.uncertainty.discs import Discs
+from lin_freq_ocp.uncertainty.discs import Discs, discs_of
 from lin_freq_ocp.uncertainty.disturbance import Disturbance
 from lin_freq_ocp.uncertainty.loads import Gaussian, Records
-from lin_freq_ocp.uncertainty.protocol import RobustProblem
+from lin_freq_ocp.uncertainty.plants import Plants
+from lin_freq_ocp.uncertainty.protocol import RobustProblem, Uncertainty
 from lin_freq_ocp.uncertainty.protocol import robust as tightened
 
 FORMULA_KEYS = ("f", "region", "domain")
@@ -443,7 +444,7 @@ LOAD_SET = Value(  # a table, or an array of measured loads
     lambda location, given: LOADS.read(location, given) if isinstance(given, Mapping) else given,
     lambda location, value: value if isinstance(value, (list, np.ndarray)) else LOADS.write(location, value),
 )
-MADE_OF = "rate_limit", "disturbance", "discs", "robust"  # tables that change the problem of the others
+MADE_OF = "rate_limit", "disturbance", "discs", "plants", "plant_shares", "robust"  # what changes the problem of others
 NO_FEEDBACK = "none"  # TOML has no null
 ANY: FileValue = None  # in place of the problem of the other tables
 GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
@@ -463,7 +464,9 @@ def _problem(
     schema: int,
     rate_limit: FileTable | None = None,
     disturbance: Disturbance | None = None,
-    discs: Discs | None = None,
+    discs: Callable[[OptimalControlProblem], Discs] | None = None,
+    plants: Sequence[Dynamics] | None = None,
+    plant_shares: FileValue = None,
     robust: FileTable | None = None,
     **fields: FileValue,
 ) -> OptimalControlProblem:
@@ -473,22 +476,23 @@ def _problem(
             problem = rate_limited(problem, **rate_limit)
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
-    if disturbance is not None and discs is not None:
-        raise ProblemError("discs", "a disturbance, too", "one of [disturbance] and [discs]")
-    uncertainty = discs or disturbance
-    return problem if uncertainty is None else tightened(problem, uncertainty, **(robust or {}))
+    tables: dict[str, Uncertainty | None] = {"disturbance": disturbance, "discs": discs and discs(problem)}
+    tables["plants"] = None if plants is None else Plants(plants, plant_shares)
+    stated = {key: uncertainty for key, uncertainty in tables.items() if uncertainty is not None}
+    if len(stated) > 1:
+        raise ProblemError(
+            list(stated)[1], f"{next(iter(stated))}, too", "one of [disturbance], [discs] and [[plants]]"
+        )
+    return tightened(problem, next(iter(stated.values())), **(robust or {})) if stated else problem
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:
     """Return the keys of a problem in the order of the file; a list of boxes becomes one box with bounds per time."""
     keys = ("name", "horizon", "initial_state", "terminal_state", *PROBLEM.required, *PROBLEM.optional)
     made: FileTable = {}
-    if isinstance(problem, RobustProblem) and problem.as_made:  # others are written with the limits that they have
-        tables: dict[type, str] = {Disturbance: "disturbance", Discs: "discs"}
-        table = tables.get(type(problem.uncertainty))
-        if table is not None:
-            made = {table: problem.uncertainty, "robust": problem if problem.end else None}
-            problem = problem.given
+    if isinstance(problem, RobustProblem) and problem.as_made and problem.uncertainty.stated:
+        made = {**problem.uncertainty.stated, "robust": problem if problem.end else None}
+        problem = problem.given  # one with other limits is written with the limits that it has
     # a rate limit is written as its states and rows
     fields = {"schema": SCHEMA} | {key: getattr(problem, key) for key in keys if key not in (*MADE_OF, "schema")} | made
     for key, boxes in (("control_set", problem.control_tube), ("state_set", problem.state_boxes)):
@@ -516,7 +520,8 @@ PROBLEM = TableRecord(
     output_spectrum=Tables(OUTPUTS),
     rate_limit=TableRecord(_keys, like=partial(rate_limited, ANY)),
     disturbance=DISTURBANCE,
-    discs=TableRecord(Discs, own="discs", values=vars),
+    discs=TableRecord(discs_of, own="discs", values=vars),
+    plants=Tables(DYNAMICS, single=False),
     robust=TableRecord(_keys, like=partial(tightened, ANY, ANY)),
 )
 

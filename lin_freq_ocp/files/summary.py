@@ -93,8 +93,12 @@ def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> File
 
 def _worst_case(worst: WorstCase) -> FileTable:
     """Return a worst case by the names of its attributes."""
-    parts = {"limits": worst.limits, "leakage": worst.leakage}
-    tables = {part: [asdict(one) | {"holds": one.holds} for one in given] for part, given in parts.items()}
+    tables = dict[str, list[FileTable]]()
+    for part, given in {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}.items():
+        tables[part] = [asdict(one) | {"holds": one.holds} for one in given]
+        for one in tables[part]:
+            if isinstance(plant := one["plant"], np.ndarray):  # a response, by the keys of problem files
+                one["plant"] = {"G_real": plant.real, "G_imag": plant.imag}
     return {"holds": worst.holds, "verdict": worst.verdict, **asdict(worst), **tables}
 
 

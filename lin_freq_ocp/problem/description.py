@@ -11,10 +11,10 @@ import numpy as np
 
 from lin_freq_ocp.base.errors import BandWarning, warn_user
 from lin_freq_ocp.base.phrases import interval, intervals, join_words, number, plural, runs_in_words, short_name
-from lin_freq_ocp.problem.problem_data import ProblemData
+from lin_freq_ocp.problem.problem_data import ProblemData, frequency_constraints
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.bands import band_remarks
-from lin_freq_ocp.problem.spectrum.base import Constraints, entries_of, named_entries
+from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.terms.term import Term
 
 LONGEST_FACT = 300  # characters of a fact; names of any length could make it longer
@@ -62,10 +62,8 @@ def problem_facts(problem: ProblemData, gap: str | None = None) -> list[Fact]:
 
 def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
     """Return what limits nothing, or everything, and which references lie outside the bounds of their signals."""
-    quadratic, spectra = problem.quadratic, list(_limited_spectra(problem))
-    remarks = [text.removesuffix(".") for one in spectra for text in band_remarks(*one, problem.sampling_time)]
-    entries = [entry for field, given, *_ in spectra for entry in named_entries(field, given)]
-    levels = [(where, one.levels) for where, one in entries]
+    quadratic, remarks = problem.quadratic, [text.removesuffix(".") for text in _band_remarks(problem)]
+    levels = [(where, one.levels) for _, where, one, _ in frequency_constraints(problem)]
     remarks += [f"{where}: its limit is infinite" for where, at in levels if at is not None and np.isposinf(at).all()]
     references = quadratic.x_ref, quadratic.u_ref
     weighed = [np.where(weighs, reference, 0.0) for weighs, reference in zip(quadratic.weighs, references, strict=True)]
@@ -79,17 +77,15 @@ def problem_remarks(problem: ProblemData, terms: Sequence[Term]) -> list[str]:
 
 def warn_of_bands(problem: ProblemData) -> None:
     """Warn of bands that remove or bound no bin, or remove every bin."""
-    for one in _limited_spectra(problem):
-        for text in band_remarks(*one, problem.sampling_time):
-            warn_user(text, BandWarning)
+    for text in _band_remarks(problem):
+        warn_user(text, BandWarning)
 
 
-def _limited_spectra(problem: ProblemData) -> Iterator[tuple[str, Constraints, int, Sequence[str]]]:
-    """Yield the frequency constraints of each signal with their field, its samples and its components."""
-    yield "control_spectrum", problem.control_spectrum, problem.horizon, problem.control_names
-    yield "state_spectrum", problem.state_spectrum, problem.state_samples, problem.state_names
-    for where, one in named_entries("output_spectrum", problem.output_spectrum):
-        yield f"{where}.constraints", one.constraints, problem.horizon + (one.D is None), one.output_names
+def _band_remarks(problem: ProblemData) -> Iterator[str]:
+    """Yield the remarks on the bands of each signal: those of one signal belong together."""
+    for signal, entries in groupby(frequency_constraints(problem), key=itemgetter(3)):
+        named = ((where, one) for _, where, one, _ in entries)
+        yield from band_remarks(named, signal.length, signal.names, signal.sampling_time)
 
 
 def _limits_never_reached(problem: ProblemData, terms: Sequence[Term]) -> Iterator[str]:

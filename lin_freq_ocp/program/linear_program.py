@@ -204,8 +204,7 @@ class LinearProgram:
         problem, origin = self.problem, self.origin
         response = problem.response
         if response is not None:  # x_{t+1} is a sum over all controls
-            through_u = response.matrix[problem.state_dim :] @ origin.u.ravel()
-            return response.base[1:] + through_u.reshape(origin.x[1:].shape) - origin.x[1:]
+            return response.states(origin.u)[1:] - origin.x[1:]
         return problem.linear.successors(origin.x, origin.u) - origin.x[1:]
 
     def trajectory(self, z: Array) -> Trajectory:
@@ -360,21 +359,16 @@ def dense_rows(problem: OptimalControlProblem) -> DenseRows:
     for term in problem.terms:
         rows, size = term.map.dense_size
         count, entries = count + rows, entries + size
-    passed = None if problem.response is None else DenseRows(max(T * m - of_u, 0), entries, variables)
-    return DenseRows(count, entries, variables, passed)
+    return DenseRows(count, entries, variables)
 
 
 @dataclass(frozen=True)
 class DenseRows:
-    """The numbers of dense rows, of their entries, and of the variables of the program.
-
-    ``passed`` is the program in the passed bins of a frequency response, which is solved instead.
-    """
+    """The numbers of dense rows, of their entries, and of the variables of the program."""
 
     count: int
     entries: int
     variables: int
-    passed: DenseRows | None = None
 
     @property
     def size(self) -> float:
@@ -390,8 +384,7 @@ class DenseRows:
     @property
     def seconds(self) -> float:
         """Return the least time to an answer, estimated."""
-        solved = self.passed or self
-        return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * solved.factorisation_seconds
+        return SECONDS_PER_ENTRY * self.entries + LEAST_FACTORISATIONS * self.factorisation_seconds
 
 
 def _same_recursion(new: OptimalControlProblem, old: OptimalControlProblem) -> bool:

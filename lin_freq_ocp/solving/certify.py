@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from lin_freq_ocp.base.activity import activity
-from lin_freq_ocp.base.arrays import Array, real_array
+from lin_freq_ocp.base.arrays import Array, brief, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
@@ -102,6 +102,9 @@ def certify(
             got = f"a result without one, which ended as {getattr(result, 'status', None)!r}"
             raise ProblemError("trajectory", got, expected)
         multipliers = getattr(result, "multipliers", None) if multipliers is None else multipliers
+    if not (multipliers is None or isinstance(multipliers, Multipliers)):
+        advice = "Those of a result are result.multipliers."
+        raise ProblemError("multipliers", brief(multipliers), "Multipliers, or None", advice)
     if not isinstance(trajectory, Trajectory):
         trajectory = _trajectory_of(problem, real_array("u", trajectory))
     problem.require(trajectory)

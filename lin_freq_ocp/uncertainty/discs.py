@@ -11,22 +11,14 @@ ordinary one, with an ordinary certificate (docs/robust.md).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import (
-    Array,
-    ComplexArray,
-    brief,
-    complex_array,
-    positive_integer,
-    positive_number,
-    real_array,
-)
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, brief, complex_array, positive_integer, real_array
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
 from lin_freq_ocp.base.phrases import join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -44,7 +36,7 @@ from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
@@ -89,6 +81,11 @@ class Discs(Uncertainty):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
         self.cost = cost
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys."""
+        return {"discs": self}
+
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
         if problem.response is None:
@@ -110,52 +107,70 @@ class Discs(Uncertainty):
             wide, radius = _with_worst_cost(problem, radius), np.pad(radius, ((0, 0), (0, 1), (0, 0)))
         fixed = [end.fixed.any() for end in problem.ends]
         soft = [term.hard or term.map.stage_form(n, problem.control_dim) is None for term in problem.terms]
+        masks = {one[0]: one[1:] for one in limited_spectra(wide) if _is_of_bins(wide, *one[1:])}
+        rest = np.ones((problem.horizon + 1, n)), np.zeros((problem.horizon, problem.control_dim))
+        spectra = [term for term in problem.terms if term.kind.is_spectrum and term.name not in masks]
         kept = {
             "fixed and linked ends": any(fixed) or bool(problem.terminal_state.links(n, problem.horizon)),
             "soft limits": not all(soft),
-            "limits of spectra of outputs": bool(problem.state_spectrum or problem.output_spectrum),
+            "stop bands, energies and masks between bins of outputs": bool(
+                problem.state_stop.any() or any(term.map.sizes(*rest).any() for term in spectra)
+            ),
         }
         if any(kept.values()):
             named = join_words([words for words, there in kept.items() if there])
-            text = f"robust: {named} hold for the plan. lfo.worst_case says what other plants do to them."
+            text = f"robust: {named} hold for the plan. lfo.worst_case says what other plants do to bins of a period."
             warn_user(text, ClosedLoopWarning)
-        found = _limits_of_all(wide, radius)
+        found = [*_limits_of_all(wide, radius), *(_mask_of_all(radius, *mask) for mask in masks.values())]
         same: dict[str, object] = {field.name: getattr(wide, field.name) for field in fields(OptimalControlProblem)}
         return same | {"output_spectrum": [*entries_of(wide.output_spectrum), *found] or None}
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         radius, T = self.radii(problem), problem.horizon
-        u, limits, leaks = plan.u, list[Worst](), list[Worst]()
+        u, limits, soft, leaks = plan.u, list[Worst](), list[Worst](), list[Worst]()
         if u.shape != (T, problem.control_dim):
             raise ProblemError("plan", f"controls {u.shape}", f"shape {(T, problem.control_dim)}")
         translation = translation_of(problem)
         problem = translation.problem
         response, nominal = _response(problem), simulate(problem, u)
+        cost = problem.value(nominal.x, u) + translation.cost
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
-        for rows in hard_rows(problem, True, margin > 0):
+        hard = [*hard_rows(problem, True, margin > 0)]
+        for rows in (*hard, *term_rows(problem, soft=True)):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
-                other = _worst_plant(problem, radius, u, c, one.index)
+                k = np.arange(len(radius))
+                wave = np.exp(-2j * np.pi * (k * one.index % response.record) / response.record)
+                other = _worst_plant(problem, radius, u, c, wave)
                 under = simulate(replace(problem, dynamics=other), u)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
                 found = replace(one, attained=one.sign * value, trajectory=under, plant=other.G)
-                limits.append(found.of_given(translation, c))
+                (limits if rows in hard else soft).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
-            if of_x.any() and not response.closed:
-                raise UnsupportedError(f"{name}: got a spectrum of a zero-padded response; expected a periodic one.")
             levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-            planned = np.abs(bin_values(spectrum, nominal))
+            if of_x.any() and not _is_of_bins(problem, replace(spectrum, joint=False)):
+                got = "a spectrum of outputs with a window, between bins, or of a zero-padded response"
+                raise UnsupportedError(f"{name}: got {got}; expected bins of a periodic one.")
+            values = bin_values(spectrum, nominal)
+            planned = np.abs(values)
             added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else 0 * planned
             judged = not np.isnan(levels).any()
             k = int(np.argmin(levels - planned - added) if judged else np.argmax(added))
-            values = (float(part[k]) for part in (planned, added, levels))
-            one = Worst(name, int(spectrum.bins[k]), *values, size=float(planned[k] + added[k]), in_spectrum=True)
+            figures = (float(part[k]) for part in (planned, added, levels))
+            one = Worst(name, int(spectrum.bins[k]), *figures, size=float(planned[k] + added[k]), in_spectrum=True)
+            if of_x.any():
+                wave = np.exp(1j * np.angle(values[k])) * (np.arange(len(radius)) == spectrum.bins[k])
+                other = _worst_plant(problem, radius, u, np.asarray(spectrum.C), wave)
+                under = simulate(replace(problem, dynamics=other), u)
+                one = replace(one, attained=float(np.abs(bin_values(spectrum, under)[k])), plant=other.G)
+                one = replace(one, trajectory=translation.trajectory(under))
             if judged or of_x.any():
                 (limits if judged else leaks).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
-        return WorstCase(f"every plant within discs of radii up to {largest}; u = v", tuple(limits), tuple(leaks))
+        words = f"every plant within discs of radii up to {largest}; u = v"
+        return WorstCase(words, tuple(limits), tuple(leaks), cost=cost, soft=tuple(soft))
 
 
 def radius_of_coherence(
@@ -199,16 +214,49 @@ def radius_of_coherence(
     [0.1358, 0.0819]
     """
     estimate, c = complex_array("G", G), real_array("coherence", coherence)
-    count, number_of_bins = positive_integer("averages", averages), positive_integer("bins", bins)
+    number_of_bins = positive_integer("bins", bins)
     if c.shape != estimate.shape or not ((c > 0) & (c <= 1)).all():
         got = brief(coherence) if c.shape == estimate.shape else f"shape {c.shape}"
-        raise ProblemError("coherence", got, f"shape {estimate.shape}, above 0 and at most 1")
-    if count < FEWEST_AVERAGES:
-        raise ProblemError("averages", brief(averages), f"at least {FEWEST_AVERAGES}")
-    if not 0 < positive_number("confidence", confidence) < 1:
-        raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1")
-    surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (count - 1))
+        expected, advice = f"shape {estimate.shape}, above 0 and at most 1", "It is |Gxy|^2 / (Gxx Gyy) of each bin."
+        raise ProblemError("coherence", got, expected, advice)
+    whole = isinstance(averages, (int, np.integer)) and not isinstance(averages, bool)
+    if not whole or averages < FEWEST_AVERAGES:
+        expected = f"a whole number of independent records, at least {FEWEST_AVERAGES}"
+        raise ProblemError("averages", brief(averages), expected, "One record has coherence 1 whatever the noise.")
+    one = isinstance(confidence, (float, int, np.floating, np.integer))
+    if not one or not 0 < confidence < 1:
+        advice = "State 95 % as 0.95."
+        raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1", advice)
+    surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (averages - 1))
     return np.abs(estimate) * np.sqrt((1 - c) / c * surplus)
+
+
+def discs_of(
+    radius: ArrayLike | None = None,
+    cost: Literal["nominal", "worst"] = "nominal",
+    coherence: ArrayLike | None = None,
+    averages: int | None = None,
+    confidence: float = 0.95,
+) -> Callable[[OptimalControlProblem], Discs]:
+    """Return what makes the discs for a problem: of radii, or of the coherence at all bins of its response."""
+    if (radius is None) == (coherence is None) or (averages is None) != (coherence is None):
+        given = {"radius": radius, "coherence": coherence, "averages": averages}
+        stated = [name for name, value in given.items() if value is not None]
+        raise ProblemError("discs", join_words(stated) if stated else "nothing", "radius, or coherence with averages")
+
+    def make(problem: OptimalControlProblem) -> Discs:
+        if radius is not None or problem.response is None:
+            return Discs(0.0 if radius is None else radius, cost)
+        G = _plant(problem).G
+        c = real_array("discs.coherence", coherence)
+        c = c[:, None, None] if c.ndim == 1 and G.shape[1:] == (1, 1) else c
+        try:
+            return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
+        except ProblemError as error:
+            field = f"discs.{error.field.removeprefix('discs.')}"
+            raise ProblemError(field, error.got, error.expected, error.advice) from None
+
+    return make
 
 
 class DiscLimits(FrequencyConstraint):
@@ -257,6 +305,59 @@ class DiscLimits(FrequencyConstraint):
         return [self]
 
 
+class DiscMask(FrequencyConstraint):
+    """|yhat_k| + sum_j radius_kj |uhat_kj| <= level_k at bins of an output of one period: a mask for every plant.
+
+    Parameters
+    ----------
+    levels, bins : (bins,)
+    radii : (bins, controls)
+        By how much one unit of uhat_kj moves the bin at most.
+    record : int
+        N.
+    """
+
+    label = "mask for every plant"
+
+    def __init__(self, levels: Array, bins: Indices, radii: Array, record: int):
+        self.limits, self.bins, self.radii, self.record = levels, bins, radii, record
+
+    def describe(self, names: Sequence[str]) -> str:
+        """Return the constraint in words."""
+        return f"mask of {names[0]} at {plural(len(self.bins), 'bin')} for every plant of the discs"
+
+    def terms(self, signal: Signal, field: str, source: tuple[str, int]) -> Iterator[Term]:
+        """Yield the only term; the values beside the norms are zero."""
+        C, D = (None if part is None else part[0] for part in (signal.C, signal.D))
+        controls = [(None, unit) for unit in np.eye(self.radii.shape[1])]
+        spectra = [SpectrumMap(*row, np.ones(self.record), self.record, self.bins) for row in [(C, D), *controls]]
+        none = StageMap(0 * self.bins, None if C is None else 0 * C[None], None, np.zeros(1))
+        share = np.hstack([np.eye(len(self.bins)), *(np.diag(radii) for radii in self.radii.T)])
+        rows = NormRows(self.limits, share, np.arange(len(self.bins)))
+        yield Term(self.label, TermKind.OUTPUT_LIMITS, JoinedMap((none, *spectra)), rows, source)
+
+    def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
+        """Return itself: it is on an output."""
+        return [self]
+
+
+def _is_of_bins(problem: OptimalControlProblem, spectrum: SpectrumMap, levels: Array | None = None) -> bool:
+    """Whether a spectrum of outputs is that of bins of one period, without a window, and has these levels."""
+    response = _response(problem)
+    limited = levels is None or not np.isnan(levels).any()
+    whole = response.closed and spectrum.points == response.record == len(spectrum.window)
+    return whole and limited and spectrum.C is not None and not spectrum.joint and bool((spectrum.window == 1).all())
+
+
+def _mask_of_all(radius: Array, spectrum: SpectrumMap, levels: Array) -> OutputSpectrum:
+    """Return a mask of an output at bins, for every plant."""
+    limited = np.flatnonzero(np.isfinite(levels))
+    bins, C = spectrum.bins[limited], cast("Array", spectrum.C)
+    radii = np.einsum("i,kij->kj", np.abs(C), radius[bins][:, : len(C)])
+    mask = DiscMask(levels[limited], bins, radii, spectrum.points)
+    return OutputSpectrum(C[None], None if spectrum.D is None else spectrum.D[None], mask)
+
+
 def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[OutputSpectrum]:
     """Return the hard limits of outputs, for every plant; none without such limits."""
     response, T, found = _response(problem), problem.horizon, list[OutputSpectrum]()
@@ -293,16 +394,16 @@ def _with_worst_cost(problem: OptimalControlProblem, radius: Array) -> OptimalCo
     return replace(wide, cost=replace(wide.quadratic, S=np.vstack([cost.S, np.ones((1, 1))])))
 
 
-def _worst_plant(problem: OptimalControlProblem, radius: Array, u: Array, c: Array, t: int) -> FrequencyResponse:
-    """Return the plant of the discs for which c'y_t is largest: every bin adds to it with the same sign."""
+def _worst_plant(
+    problem: OptimalControlProblem, radius: Array, u: Array, c: Array, wave: ComplexArray
+) -> FrequencyResponse:
+    """Return the plant of the discs which adds to each bin of c'y in the direction of a wave (bins,); 0: nothing."""
     plant, response = _plant(problem), _response(problem)
-    k = np.arange(len(radius))
-    turned: ComplexArray = np.conj(np.fft.rfft(u, n=response.record, axis=0))
-    turned *= np.exp(-2j * np.pi * (k * t % response.record) / response.record)[:, None]
+    turned = np.conj(np.fft.rfft(u, n=response.record, axis=0)) * wave[:, None]
     size = np.abs(turned)
-    phase: ComplexArray = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 1.0)
+    phase: ComplexArray = np.where(size > 0, turned / np.where(size > 0, size, 1.0), np.abs(wave)[:, None])
     real = response.weight == 1
-    phase[real] = np.where(phase[real].real >= 0, 1.0, -1.0)
+    phase[real] = np.sign(phase[real].real)
     return replace(plant, G=plant.G + np.sign(c)[:, None] * radius * phase[:, None, :])
 
 

@@ -29,7 +29,7 @@ from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.sizes import stated_sizes
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 from lin_freq_ocp.uncertainty.invariant import invariant_end, lasting_rows
-from lin_freq_ocp.uncertainty.leakage import tightened_spectra
+from lin_freq_ocp.uncertainty.leakage import largest_spectra, tightened_spectra
 from lin_freq_ocp.uncertainty.loads import Loads, loads_of
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
 from lin_freq_ocp.uncertainty.worst_loads import WorstCase, worst_loads
@@ -101,8 +101,8 @@ class Disturbance(Uncertainty):
         require_bool("disturbance.forever", forever)
         if start is not None and (not isinstance(start, ConvexSet) or forever):
             got = f"{brief(start)}{', with forever=True' if forever else ''}"
-            expected, advice = "a set such as Box, or None", "forever=True has its own start."
-            raise ProblemError("disturbance.start", got, expected, advice)
+            advice = "forever=True has its own start." if forever else "The error of the start is in lfo.Box(-e, e)."
+            raise ProblemError("disturbance.start", got, "a set such as Box, or None", advice)
         E = None if input is None else real_array("disturbance.input", input)
         if E is not None and (E.ndim not in (2, 3) or not E.any()):
             got = "zeros" if E.ndim in (2, 3) else f"shape {E.shape}"
@@ -111,6 +111,11 @@ class Disturbance(Uncertainty):
             raise ProblemError("disturbance.gain", brief(gain), "'auto', a matrix (m, n), or None")
         K = gain if gain is None or isinstance(gain, str) else real_array("disturbance.gain", gain)
         assign(self, set=set, input=E, gain=K, start=start, forever=forever)
+
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys."""
+        return {"disturbance": self}
 
     def feedback(self, problem: OptimalControlProblem) -> Array:
         """Return K, (m, n), of u = v + K (x - z) for a problem."""
@@ -125,7 +130,7 @@ class Disturbance(Uncertainty):
         if loads.horizon not in (None, T):
             expected = f"one load for each of the {T} steps of the horizon"
             raise ProblemError("Records.loads", f"loads of {loads.horizon} steps", expected)
-        start = None if self.start is None else loads_of(self.start, n)
+        start = None if self.start is None else loads_of(self.start, n, "disturbance.start", "state")
         A, B, shape = problem.linear.A, problem.linear.B, (problem.control_dim, n)
         K = best_regulator(problem, loads, E) if isinstance(self.gain, str) else self.gain
         K = np.zeros(shape) if K is None else to_shape("disturbance.gain", K, shape)
@@ -140,6 +145,10 @@ class Disturbance(Uncertainty):
             expected = "dynamics, input and a bounded set of loads that are the same at all times"
             raise UnsupportedError(f"disturbance.forever: got True; expected {expected}.")
         return ErrorLoop(loads, start, A_K, a, K, E, T, self.forever)
+
+    def largest_spectra(self, problem: OptimalControlProblem, plan: Trajectory) -> Array | None:
+        """Return the largest magnitude of each bin of the controls u = v + K e, (bins, m); None without bounds."""
+        return largest_spectra(self.error_loop(problem), plan)
 
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None = None) -> dict[str, object]:
         """Return the limits of the plan: those of a problem less their margins; see ``robust``."""

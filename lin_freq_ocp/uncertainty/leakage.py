@@ -22,6 +22,8 @@ from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
 
+MOST_GENERATORS = 2**22  # steps of bins of loads, up to which the spectra of all bins are bounded
+
 
 def bin_values(spectrum: SpectrumMap, trajectory: Trajectory) -> ComplexArray:
     """Return the complex values of a spectrum, (bins,)."""
@@ -42,6 +44,19 @@ def leakage(loop: ErrorLoop, spectrum: SpectrumMap, planned: ComplexArray) -> tu
     M = loop.leakage(pairs[:, 0] + 1j * pairs[:, 1], row)
     found = None if loop.forever or loop.start is not None else loop.loads.modulus(M, planned)
     return found or (np.full(len(planned), np.inf), None)
+
+
+def largest_spectra(loop: ErrorLoop, plan: Trajectory) -> Array | None:
+    """Return the largest magnitude of each bin of the controls over all loads, (bins, m); None without such bounds.
+
+    The plan is as the model has it, without loads.
+    """
+    T, m = plan.u.shape
+    if not loop.K.any() or T * T * loop.E.shape[-1] > MOST_GENERATORS:
+        return None
+    maps = [SpectrumMap(None, unit, np.ones(T), T, np.arange(T // 2 + 1)) for unit in np.eye(m)]
+    largest = np.column_stack([leakage(loop, spectrum, bin_values(spectrum, plan))[0] for spectrum in maps])
+    return largest if np.isfinite(largest).all() else None
 
 
 def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:

@@ -199,16 +199,22 @@ class Gaussian(Loads):
         return NormalDist().inv_cdf(self.probability) * np.sqrt(total)
 
 
-def loads_of(given: object, dimension: int) -> Loads:
-    """Return the loads of a set, of measured samples (samples, k), or of a kind of their own, for k columns of E."""
+def loads_of(given: object, dimension: int, field: str = SET, each: str = "column of the input") -> Loads:
+    """Return the loads of a set, of measured samples (samples, k), or of a kind of their own, for k columns of E.
+
+    Errors name the field, and say what there is one component for.
+    """
     if isinstance(given, Loads):
         loads = given
     elif isinstance(given, ConvexSet):
         if given.dimension not in (None, dimension):
-            expected = f"{dimension}, one per column of the input"
-            raise ProblemError(SET, f"a set in {given.dimension} dimensions", expected)
+            raise ProblemError(field, f"a set in {given.dimension} dimensions", f"{dimension}, one per {each}")
         kind, words = LoadSet if given.members else BoxLoads, f"a {type(given).__name__}"
-        loads = kind(*given.farthest(dimension), f"every load of {words} of {plural(dimension, 'component')}")
+        try:
+            loads = kind(*given.farthest(dimension), f"every load of {words} of {plural(dimension, 'component')}")
+        except ProblemError as error:
+            where = field + error.field.removeprefix(SET)
+            raise ProblemError(where, error.got, error.expected, error.advice) from None
     else:
         samples = real_array(SET, given)
         if samples.ndim != 2 or 0 in samples.shape:

@@ -18,17 +18,17 @@ from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.phrases import plural, split_unit
 from lin_freq_ocp.problem.dynamics.base import Dynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.base import ConvexSet, Part, PartSet
+from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import Box, box_of, map_sets
 from lin_freq_ocp.problem.sets.stage_rows import StageRows
-from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, component_indices, entries_of
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, component_indices, entries_of
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
 
 
 class Plants(Uncertainty):
@@ -64,6 +64,11 @@ class Plants(Uncertainty):
             raise ProblemError("plants.shares", brief(shares), expected)
         self.shares = weights / weights.sum()
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys."""
+        return {"plants": self.plants, "plant_shares": self.shares if np.ptp(self.shares) else None}
+
     def _require(self, problem: OptimalControlProblem) -> None:
         own = problem.dynamics
         for k, plant in enumerate(self.plants):
@@ -85,20 +90,25 @@ class Plants(Uncertainty):
         if any(not link.repeats for link in periodic):
             raise UnsupportedError("terminal_state: got linked ends; expected a set, or Periodic().")
         place = [np.eye(K * n)[k * n : (k + 1) * n] for k in range(K)]  # x^k = place x
-        every, names = partial(_on_every_plant, place), problem.state_names
+        every, names = partial(_on_every_plant, place, self.shares), problem.state_names
 
-        def outputs(given: OutputSpectrum, k: int) -> OutputSpectrum:
+        def outputs(given: OutputSpectrum, k: int) -> Iterator[OutputSpectrum]:
             C = None if given.C is None else given.C @ place[k]
-            return OutputSpectrum(C, given.D, given.constraints, [_of_plant(name, k) for name in given.output_names])
+            constraints = [_at_share(one, self.shares[k]) for one in given.constraints]
+            counted = [one for one in constraints if one is not None]
+            if counted:
+                yield OutputSpectrum(C, given.D, counted, [_of_plant(name, k) for name in given.output_names])
 
         def rows(given: StageRows, k: int) -> StageRows:
-            return StageRows(given.C @ place[k], given.D, given.e, _of_plant(given.name, k), given.penalty)
+            price = None if given.penalty is None else given.penalty * self.shares[k]  # a part of the cost, too
+            return StageRows(given.C @ place[k], given.D, given.e, _of_plant(given.name, k), price)
 
         spectra = [
-            one.changed(component=k * n + i)
+            priced.changed(component=k * n + i)
             for one in entries_of(problem.state_spectrum)
             for i in component_indices("state_spectrum", one.component, names)
             for k in range(K)
+            if (priced := _at_share(one, self.shares[k])) is not None
         ]
         cost, shares = problem.quadratic, self.shares
         weights = {key: np.kron(np.diag(shares), getattr(cost, key)) for key in "QP"}
@@ -110,9 +120,18 @@ class Plants(Uncertainty):
             state_set=map_sets(problem.state_set, every),
             initial_state=every(problem.initial_state),
             terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
-            stage_rows=[rows(one, k) for one in problem.stage_rows for k in range(K)] or None,
+            stage_rows=[
+                rows(one, k)
+                for one in problem.stage_rows
+                for k in range(K)
+                if self.shares[k] > 0 or one.penalty is None
+            ]
+            or None,
             state_spectrum=spectra or None,
-            output_spectrum=[outputs(one, k) for one in entries_of(problem.output_spectrum) for k in range(K)] or None,
+            output_spectrum=[
+                own for one in entries_of(problem.output_spectrum) for k in range(K) for own in outputs(one, k)
+            ]
+            or None,
         )
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
@@ -121,18 +140,24 @@ class Plants(Uncertainty):
         n, u, found = problem.state_dim, plan.u, dict[str, list[Worst]]()
         if plan.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
             problem.require(plan)
-        starts = plan.x[0].reshape(-1, n)
+        starts, cost = plan.x[0].reshape(-1, n), 0.0
         for k, plant in enumerate(self.plants):
             own = replace(problem, dynamics=plant)
             start = starts[min(k, len(starts) - 1)] if own.response is None else None
-            for one in _closest_values(own, simulate(own, u, start)):
+            moved = simulate(own, u, start)
+            cost += self.shares[k] * own.value(moved.x, u)
+            for one in _closest_values(own, moved):
                 found.setdefault(one.name, []).append(replace(one, plant=k + 1))
-        limits = list[Worst]()
+        limits, soft = list[Worst](), list[Worst]()
+        prices = {name for rows in term_rows(problem, soft=True) for name in rows.names}
         for cases in found.values():  # the plan of the first plant, and what the worst one adds
             first, most = cases[0], max(cases, key=lambda case: case.violation)
             added = most.sign * (most.planned - first.planned)
-            limits.append(replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0)))
-        return WorstCase(f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits))
+            worst = replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0))
+            (soft if worst.name in prices else limits).append(worst)
+        return WorstCase(
+            f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits), cost=cost, soft=tuple(soft)
+        )
 
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
@@ -140,7 +165,8 @@ def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> I
     translation = translation_of(problem)
     problem, trajectory = translation.judged_at(trajectory)
     x, u = trajectory.x, trajectory.u
-    for rows in hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
+    hard = hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool))
+    for rows in (*hard, *term_rows(problem, soft=True)):
         yield from (one.of_given(translation, c) for one, c, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
     for name, spectrum, limits in limited_spectra(problem):
         sizes, levels = np.linalg.norm(spectrum.values(x, u), axis=1), np.nan_to_num(limits)
@@ -150,19 +176,21 @@ def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> I
         yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
 
 
-def _on_every_plant(place: Sequence[Array], given: ConvexSet) -> ConvexSet:
-    """Return the set of (x^1, .., x^K) with every x^k in a set."""
+def _at_share(one: FrequencyConstraint, share: float) -> FrequencyConstraint | None:
+    """Return the constraint, of a soft one with its part of the price; None if that is zero."""
+    if one.penalty is None:
+        return one
+    if one.remembers:
+        raise UnsupportedError("spectrum: got a soft Spectrogram with Plants; expected a hard one.")
+    return one.changed(penalty=one.penalty * share) if share > 0 else None
+
+
+def _on_every_plant(place: Sequence[Array], shares: Array, given: ConvexSet) -> ConvexSet:
+    """Return the set of (x^1, .., x^K) with every x^k in a set; prices are the mean over the plants."""
     n = len(place[0])
     box = box_of(given).at_dimension(n, "state_set")
-    if any(member.soft for member in given.members):
-        raise UnsupportedError("state_set: got a soft set with Plants; expected hard sets, or soft stage rows.")
-    members = [
-        PartSet(
-            tuple(Part(part.F @ one, part.c, part.penalty) for part in member.parts(n)), one.shape[1], f"set {k + 1}"
-        )
-        for member in given.members
-        for k, one in enumerate(place)
-    ]
+    pairs = [(member, k) for member in given.members for k in range(len(place)) if shares[k] > 0 or not member.soft]
+    members = [member.preimage(place[k], float(shares[k])) for member, k in pairs]
     repeated = (np.tile(side, len(place)) for side in box.bounds)
     return intersection(Box(*repeated), members)
 

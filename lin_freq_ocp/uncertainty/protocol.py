@@ -29,6 +29,11 @@ class Uncertainty(ABC):
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst case does to a plan, by the given limits; with the outcome that it is of, if any."""
 
+    @property
+    def stated(self) -> dict[str, object]:
+        """Return what problem files say of it, by their keys; empty if they cannot hold it."""
+        return {}
+
     def require_plain(self, problem: OptimalControlProblem, end: object) -> None:
         """Raise UnsupportedError unless cost and rows are quadratic and linear, and no invariant end is asked for."""
         if end is not None:

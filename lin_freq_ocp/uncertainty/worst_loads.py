@@ -99,15 +99,19 @@ class Worst:
         """Whether the limit holds in the worst case, up to rounding of solvers."""
         return self.violation <= HOLDS_WITHIN * self.size
 
-    def __str__(self) -> str:
+    @property
+    def cells(self) -> list[str]:
+        """Return the cells of a table: name, place, value of the plan, margin, limit and attained value."""
         at = f"{'bin' if self.in_spectrum else 't ='} {self.index}"
         values = (self.planned, self.margin, self.limit, self.attained)
-        shown = (NOTHING if np.isnan(value) else f"{value:.5g}" for value in values)
+        return [self.name, at, *(NOTHING if np.isnan(value) else f"{value + 0.0:.5g}" for value in values)]
+
+    def __str__(self) -> str:
         case = f"  plant {self.plant}" if isinstance(self.plant, int) else ""
         acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
         if acting is not None and acting.any():
             case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"
-        return LINE.format(self.name, at, *shown) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
+        return LINE.format(*self.cells) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,15 +123,17 @@ class WorstCase:
     words : str
         The uncertainty in words.
     limits : tuple of Worst
-        Hard bounds, rows, polyhedra, and masks at bins; soft limits are not judged.
+        Hard bounds, rows, polyhedra, and masks at bins.
     leakage : tuple of Worst
         The largest magnitudes in stop bands and energy bounds, which hold for the plan only.
+    soft : tuple of Worst
+        Soft bounds, rows and polyhedra, which may be violated at a price.
     end : (n,) or None
         How far loads move the end of the plan.
     price : float or None
         The derivative of the optimal cost by the size of the loads, at 1 of it; with a plan of ``lfo.solve`` only.
     cost, nominal : float or None
-        The costs of the plan, and of that for no loads.
+        The costs of the plan, and of that without margins.
 
     Examples
     --------
@@ -144,6 +150,7 @@ class WorstCase:
     price: float | None = None
     cost: float | None = None
     nominal: float | None = None
+    soft: tuple[Worst, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -154,7 +161,7 @@ class WorstCase:
         return self.holds
 
     def __getitem__(self, name: str) -> Worst:
-        return entry_named("worst case", name, {one.name: one for one in (*self.limits, *self.leakage)})
+        return entry_named("worst case", name, {one.name: one for one in (*self.limits, *self.soft, *self.leakage)})
 
     @property
     def closest(self) -> Worst | None:
@@ -175,6 +182,7 @@ class WorstCase:
     def __str__(self) -> str:
         head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"
         lines = [self.words, head, *map(str, self.limits)]
+        lines += [f"{one}  (soft)" for one in self.soft]
         lines += [f"for the plan only: {one}" for one in self.leakage]
         if self.end is not None and self.end.any():
             lines.append(f"end of the plan: loads move it by up to {vector(self.end)}")
@@ -184,7 +192,7 @@ class WorstCase:
         if self.nominal and self.cost is not None:
             share = (self.cost - self.nominal) / abs(self.nominal)
             more = number(100 * share if abs(share) > SAME else 0.0, 3)
-            costs = f"The cost is {number(self.cost)}; that of the plan for no loads {number(self.nominal)}"
+            costs = f"The cost is {number(self.cost)}; that of the plan without margins {number(self.nominal)}"
             lines.append(f"{costs}: {more} % more.")
         return "\n".join(line.rstrip() for line in lines)
 
@@ -192,7 +200,9 @@ class WorstCase:
         return f"WorstCase({self.words}: {self.verdict})"
 
     def _repr_html_(self) -> str:
-        return html_table(self.words, [(one.name, str(one)[len(one.name) :]) for one in (*self.limits, *self.leakage)])
+        return html_table(
+            self.words, [(one.name, str(one)[len(one.name) :]) for one in (*self.limits, *self.soft, *self.leakage)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,8 +265,14 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
     names, others = [f"end of {name}" for name in states], np.where(by_end, np.inf, -np.inf)
     yield LimitRows(names, C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n), others=others)
+    yield from term_rows(problem)
+
+
+def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[LimitRows]:
+    """Yield the hard, or the soft, rows and polyhedra of a problem."""
+    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     for term in problem.terms:
-        found = term.polyhedron(n, m)
+        found = term.polyhedron(n, m, soft)
         if found is None or term.kind.is_link:
             continue
         limits, count = np.full((T + 1, found.e.shape[1]), np.inf), found.e.shape[1]
@@ -278,16 +294,17 @@ def worst_loads(
     problem, trajectory = translation.judged_at(trajectory)
     n, m, T = problem.state_dim, problem.control_dim, problem.horizon
     plan = simulate_loop(problem, loop, trajectory)
-    x, u, limits, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), 0.0
+    x, u, limits, soft, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
-    for rows in hard_rows(problem, loop.start is not None or loop.forever, end > 0):
+    hard = [*hard_rows(problem, loop.start is not None or loop.forever, end > 0)]
+    for rows in (*hard, *term_rows(problem, soft=True)):
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
             t, case = one.index, loop.worst(c, d, one.index)
             under = simulate_loop(problem, loop, trajectory, case)
             worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
-            limits.append(worst.of_given(translation, c))
+            (limits if rows in hard else soft).append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
         levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
         bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
@@ -301,7 +318,8 @@ def worst_loads(
         (limits if judged else leaks).append(one.of_given(translation, np.zeros(n)))
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
-    return WorstCase(words, tuple(limits), tuple(leaks), end, None if multipliers is None else price, cost)
+    prices = None if multipliers is None else price
+    return WorstCase(words, tuple(limits), tuple(leaks), end, prices, cost, soft=tuple(soft))
 
 
 def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, SpectrumMap, Array]]:

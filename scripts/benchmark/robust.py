@@ -30,7 +30,7 @@ CASES = ((10, 0.15), (60, 0.15), (300, 0.15), (1000, 0.15))  # horizon, size of 
 VERTICES = (3, 4, 5)  # horizons of the program of all vertices
 SIZE = 0.1  # of its loads
 RUNS = 9
-RECORDS, SHARE, STROKE = (100, 400, 1000), 0.05, 0.85  # samples of a record of 20 s, of |G|, of the free stroke
+RECORDS, SHARE, STROKE = (100, 400, 1000, 4000), 0.05, 0.85  # samples of a record of 20 s, of |G|, of the free stroke
 
 
 def seconds(call: Callable[[], object], runs: int = RUNS) -> float:

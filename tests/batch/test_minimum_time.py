@@ -641,3 +641,15 @@ def test_rows_that_change_at_the_end_are_not_implied_by_the_step_before():
     assert found([0.8] * 6) == []
     assert any("'filtered'" in words for words in found([0.8, 0.8, 0.8, 0.7, 0.7, 0.7]))
     assert found([0.7, 0.7, 0.8, 0.8, 0.8, 0.8]) == []
+
+
+def test_a_useless_band_is_told_of_once():
+    """Of the horizon that is the answer, and not of each that the search tries."""
+    band = lfo.spectrum.notch(centre=3.1411, width=0.0002)
+    free = lfo.library.double_integrator(cutoff_hz=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lfo.errors.BandWarning)
+        given = replace(free, control_spectrum=band)
+    with pytest.warns(lfo.errors.BandWarning, match="removes no bin of a signal of 182 samples") as warned:
+        assert lfo.minimum_time(given, horizons=(180, 190)).horizon == 182
+    assert len(warned) == 1

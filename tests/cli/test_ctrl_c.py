@@ -56,7 +56,7 @@ def working(process):
 
 
 @expensive
-@pytest.mark.parametrize("module", ["numpy", "lin_freq_ocp.base.arrays"])
+@pytest.mark.parametrize("module", ["inspect", "numpy", "lin_freq_ocp.base.arrays"])
 def test_during_imports(module):
     assert interrupted(("solve", "pendulum"), imported(module)) == (130, "", [])
 

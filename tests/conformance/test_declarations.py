@@ -64,12 +64,14 @@ WITHOUT_CONSTANTS = {
 WITHOUT_LEVELS = {
     "Band": "what it removes is zero",
     "DiscLimits": "its limits are those of other fields, less margins",
+    "DiscMask": "its limits are those of other fields, less margins",
     "Harmonics": "its limits are those of the bounds that it makes",
     "LinearConstraint": "its right-hand side is no limit of a size",
 }
 NOT_EXPORTED = {
     "AffineNorms": USER,
     "DiscLimits": "lfo.robust makes it",
+    "DiscMask": "lfo.robust makes it",
     "Band": "low_pass, high_pass, band_pass, notch and stop_band make it",
     "Harmonics": "MagnitudeBound makes it from ``harmonics``",
     "PartSet": USER,

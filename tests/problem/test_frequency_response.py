@@ -110,7 +110,7 @@ def test_methods_that_step_refuse_with_words():
 
 def test_a_record_whose_matrix_does_not_fit_is_refused():
     problem = lfo.OptimalControlProblem(lfo.FrequencyResponse(np.ones(200_001)), 400_000, lfo.QuadraticCost(R=1.0))
-    with pytest.raises(UnsupportedError, match="dense rows of a program"):
+    with pytest.raises(UnsupportedError, match="coefficients of the bins that controls pass"):
         lfo.solve(problem, method="convex")
 
 

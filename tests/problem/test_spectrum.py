@@ -59,7 +59,7 @@ def test_band_of_one_bin():
     assert removed(notch(0.0, 0.1), 8) == [0]  # DC alone
     assert removed(notch(np.pi, 0.1), 8) == [4]  # Nyquist alone
     assert removed(notch(np.pi, 0.1), 9) == []  # an odd length has no bin at Nyquist
-    (remark,) = band_remarks("band", notch(np.pi, 0.1), 9, ["u"], None)
+    (remark,) = band_remarks([("band", notch(np.pi, 0.1))], 9, ["u"], None)
     assert "no bin of a signal of 9 samples; its bins are 2 pi / 9 rad/sample" in remark
 
 
@@ -259,7 +259,7 @@ def test_a_band_that_removes_nothing_or_everything_says_so(band, words):
     mask = stopped_bins("control_spectrum", band, 8, ["u"], 0.1)
     assert mask.all() == ("every" in words)
     assert mask.any() == ("every" in words)
-    (remark,) = band_remarks("control_spectrum", band, 8, ["u"], 0.1)
+    (remark,) = band_remarks([("control_spectrum", band)], 8, ["u"], 0.1)
     assert words in remark
     assert "control_spectrum" in remark
     assert "8 samples" in remark
@@ -363,9 +363,9 @@ def test_time_signal_of_one_bin():
 
 
 def test_bands_that_together_remove_everything_say_so():
-    given = "bands", [low_pass(1.0), high_pass(2.0, component=1)], 40, ["a", "b"], None
-    assert stopped_bins(*given).all(axis=0).tolist() == [False, True]
-    (remark,) = band_remarks(*given)
+    bands, signal = [low_pass(1.0), high_pass(2.0, component=1)], (40, ["a", "b"], None)
+    assert stopped_bins("bands", bands, *signal).all(axis=0).tolist() == [False, True]
+    (remark,) = band_remarks([(f"bands[{i}]", band) for i, band in enumerate(bands)], *signal)
     assert re.match(r"bands\[1\]: high_pass.* that the bands before it keep", remark)
 
 

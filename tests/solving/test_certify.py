@@ -74,3 +74,11 @@ def test_controls_alone_of_an_answer_near_its_set_point_are_right_and_others_wro
     assert lfo.certify(problem, result.trajectory.u).pmp == "satisfied"
     if away >= 1e-10:  # else 0.1 % of the states is about their rounding
         assert {lfo.certify(problem, part * result.trajectory.u).pmp for part in (0.999, 1.001)} == {"violated"}
+
+
+def test_multipliers_of_another_kind_are_refused_with_the_field():
+    result = lfo.solve(lfo.library.pendulum())
+    with pytest.raises(
+        lfo.errors.ProblemError, match=r"multipliers: got 'x'; expected Multipliers.*result.multipliers"
+    ):
+        lfo.certify(result.problem, result.trajectory, multipliers="x")

@@ -64,6 +64,8 @@ def test_the_stroke_holds_for_every_plant_and_costs_what_a_cone_program_finds():
     assert guaranteed.status == "optimal"
     assert -guaranteed.cost == pytest.approx(82.6488, abs=1e-4)
     larger = problem.dynamics.G + radius
+    own = found.trajectory.u[:, 0]
+    assert -(outputs(problem, larger, found.trajectory.u)[:, 0] * own).mean() == pytest.approx(82.5587, abs=1e-4)
     assert (outputs(problem, larger, guaranteed.trajectory.u)[:, 0] * guaranteed.trajectory.u[:, 0]).mean() == (
         pytest.approx(guaranteed.cost, rel=1e-9)
     )
@@ -85,9 +87,14 @@ def test_the_returned_plant_attains_the_limit_and_no_other_exceeds_it(limited):
         assert one.sign * one.attained == pytest.approx(one.sign * one.planned + one.margin, rel=1e-13)
     assert worst["position, upper"].attained == pytest.approx(limited.state_set.upper[1], rel=1e-8)
     rng, limit, u = np.random.default_rng(0), limited.state_set.upper[1], found.trajectory.u
-    for _ in range(300):
-        plant = random_plants(rng, limited.dynamics.G, discs.radius)
-        assert np.abs(outputs(limited, plant, u)[:, 1]).max() <= limit * (1 + 1e-9)
+    spectrum, base = np.fft.rfft(u[:, 0]), limited.dynamics.offset[:, 1]
+    of_u, radius, over = limited.dynamics.G[:, 1, 0], discs.radius[:, 1, 0], []
+    for _ in range(50):  # 1e5 plants
+        size = np.where(rng.random((2000, 51)) < 0.5, 1.0, np.sqrt(rng.random((2000, 51))))
+        change = size * radius * np.exp(2j * np.pi * rng.random((2000, 51)))
+        change[:, [0, -1]] = change[:, [0, -1]].real
+        over.append(np.abs(np.fft.irfft((of_u + change) * spectrum + base, n=100)).max() - limit)
+    assert max(over) <= 1e-9 * limit
 
 
 @pytest.mark.parametrize("mode", ["periodic", "zero-padded"])
@@ -130,15 +137,85 @@ def test_several_controls_and_outputs_cost_what_a_program_stated_by_hand_costs(s
         assert reached.min() >= -1.0 - 1e-8
 
 
-def test_masks_of_outputs_are_judged_at_their_worst_phase(limited):
+@pytest.mark.parametrize("cost", ["nominal", "worst"])
+def test_masks_of_outputs_hold_for_every_plant_and_are_attained_at_their_worst_phase(limited, cost):
     masked = replace(limited, state_spectrum=lfo.MagnitudeBound(3.0, bins=[5, 6], component="velocity [m/s]"))
-    discs = lfo.Discs(0.1 * np.abs(limited.dynamics.G))
-    with pytest.warns(lfo.errors.ClosedLoopWarning, match="limits of spectra of outputs hold for the plan"):
-        plan = lfo.solve(lfo.robust(masked, discs))
-    one = lfo.worst_case(masked, discs, plan)["mask on velocity [m/s]"]
+    discs = lfo.Discs(0.1 * np.abs(limited.dynamics.G), cost=cost)
+    plan = lfo.solve(lfo.robust(masked, discs))
+    assert plan.status == "optimal"
+    worst = lfo.worst_case(masked, discs, plan)
+    one = worst["mask on velocity [m/s]"]
     u = np.fft.rfft(plan.trajectory.u[:, 0])[one.index]
+    assert worst
     assert one.planned == pytest.approx(abs(np.fft.rfft(plan.trajectory.x[:-1, 0])[one.index]))
     assert one.margin == pytest.approx(discs.radius[one.index, 0, 0] * abs(u))
+    assert one.planned + one.margin == pytest.approx(3.0, rel=1e-7)
+    assert (np.abs(one.plant - limited.dynamics.G) <= discs.radius * (1 + 1e-12)).all()
+    under = outputs(limited, one.plant, plan.trajectory.u)[:, 0]
+    assert one.attained == pytest.approx(abs(np.fft.rfft(under)[one.index]), rel=1e-12) == pytest.approx(3.0, rel=1e-7)
+    broken = lfo.worst_case(masked, discs, lfo.solve(masked))
+    assert not broken["mask on velocity [m/s]"].holds
+
+
+def test_several_masks_at_several_plants_of_two_controls_cost_what_a_program_stated_by_hand_costs():
+    rng = np.random.default_rng(3)
+    problem = small(rng, "periodic", (2, 2))
+    free = lfo.solve(replace(problem, stage_rows=None, state_set=None)).trajectory
+    sizes = np.abs(np.fft.rfft(free.x[:-1, 1]))
+    levels, radius = 0.8 * sizes[[1, 6]], 0.05 * rng.random(problem.dynamics.G.shape)
+    mask = lfo.MagnitudeBound(levels, bins=[1, 6], component=1)
+    masked = replace(problem, stage_rows=None, state_set=None, state_spectrum=mask)
+    found = lfo.solve(lfo.robust(masked, lfo.Discs(radius)))
+    assert found.status == "optimal"
+    T, response = problem.horizon, problem.response
+    u = cp.Variable(T * 2)
+    y = response.matrix @ u + response.base.ravel()
+    waves = np.exp(-2j * np.pi * np.outer([1, 6], np.arange(T)) / T)
+    pairs = [np.vstack([w.real, w.imag]) for w in waves]
+    limits = [
+        cp.norm(pair @ y[1 : T * 2 : 2]) + sum(radius[k, 1, j] * cp.norm(pair @ u[j::2]) for j in range(2)) <= level
+        for pair, k, level in zip(pairs, (1, 6), levels, strict=True)
+    ]
+    cost = 0.5 * cp.sum_squares(y[: T * 2] - np.tile(problem.cost.x_ref, T)) + 0.25 * cp.sum_squares(u)
+    program = cp.Problem(cp.Minimize(cost), [*limits, cp.abs(u) <= 1.0])
+    program.solve(solver="CLARABEL", tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
+    assert found.cost == pytest.approx(program.value, rel=1e-7)
+    assert lfo.worst_case(masked, lfo.Discs(radius), found)
+
+
+@pytest.mark.parametrize(
+    ("mask", "judged"),
+    [
+        (lfo.spectrum.EnergyBound(300.0, bins=[5], component=0), True),
+        (lfo.stop_band(bins=[30], component=0), True),
+        (lfo.MagnitudeBound(3.0, bins=[10], oversampling=2, component=0), False),
+        (lfo.MagnitudeBound(3.0, bins=[5], window="hann", component=0), False),
+    ],
+)
+def test_other_spectra_of_outputs_hold_for_the_plan(limited, mask, judged):
+    masked, discs = replace(limited, state_spectrum=mask), lfo.Discs(0.1 * np.abs(limited.dynamics.G))
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="stop bands, energies and masks between bins of outputs"):
+        plans = lfo.robust(masked, discs)
+    if judged:
+        (leak,) = lfo.worst_case(masked, discs, lfo.solve(masked)).leakage
+        assert leak.attained == pytest.approx(leak.planned + leak.margin, rel=1e-9, abs=1e-12)
+    else:
+        with pytest.raises(lfo.errors.UnsupportedError, match=r"mask on velocity.*expected bins of a periodic one"):
+            lfo.worst_case(plans.given, discs, lfo.solve(masked))
+
+
+@expensive
+def test_a_long_record_is_solved_by_few_of_its_rows():
+    """The control has 50 harmonics; the limits are those of all 4000 samples."""
+    problem = converter(4000, 0.26)
+    nominal, discs = lfo.solve(problem, method="convex"), lfo.Discs(0.05 * np.abs(problem.dynamics.G))
+    problem = converter(4000, 0.85 * float(np.abs(nominal.trajectory.x[:, 1]).max()))
+    found = lfo.solve(lfo.robust(problem, discs))
+    assert (found.status, found.method) == ("optimal", "convex")
+    worst = lfo.worst_case(problem, discs, found)
+    assert worst
+    assert worst["position, upper"].attained == pytest.approx(problem.state_set.upper[1], rel=1e-7)
+    assert lfo.solve(problem, method="convex").cost == pytest.approx(lfo.solve(problem, method="spectral").cost)
 
 
 def test_no_plan_for_wide_discs_is_proven_by_a_ray(limited):
@@ -190,8 +267,18 @@ def test_a_disc_of_a_coherence_contains_the_response_as_often_as_stated():
         (lambda: lfo.robust(lfo.library.pendulum(), lfo.Discs(0.1)), "dynamics: got LinearDynamics; expected a Freq"),
         (lambda: radius_of_coherence([1.0], [1.2], 8), "coherence: got .1.2.; expected"),
         (lambda: radius_of_coherence([1.0], [0.9, 0.8], 8), r"coherence: got shape \(2,\)"),
-        (lambda: radius_of_coherence([1.0], [0.9], 1), "averages: got 1; expected at least 2"),
-        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence=1.0), "confidence: got 1.0; expected a probability"),
+        (
+            lambda: radius_of_coherence([1.0], [0.9], 1),
+            "averages: got 1; expected a whole number of independent records, at least 2. One record has coherence 1",
+        ),
+        (lambda: radius_of_coherence([1.0], [0.9], 2.5), "averages: got 2.5; expected a whole number of independent"),
+        (lambda: radius_of_coherence([1.0], [0.9], True), "averages: got True; expected a whole number of independent"),
+        (
+            lambda: radius_of_coherence([1.0], [0.9], 8, confidence=95),
+            "confidence: got 95; expected a probability between 0 and 1. State 95 % as 0.95",
+        ),
+        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence="high"), "confidence: got 'high'; expected a probab"),
+        (lambda: radius_of_coherence([1.0], [0.9], 8, confidence=np.nan), "confidence: got nan; expected a probab"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_field(make, message):

@@ -75,11 +75,52 @@ def test_random_loads_never_violate_a_limit_and_those_of_the_nominal_plan_do():
     problem, load = tube(), lfo.Disturbance(lfo.Box(-0.1, 0.1))
     plan, nominal = lfo.solve(lfo.robust(problem, load)).trajectory, lfo.solve(problem).trajectory
     rng, K = np.random.default_rng(0), load.feedback(problem)
-    w = rng.choice([-0.1, 0.1], (20_000, 10, 2)) * np.where(
-        rng.random((20_000, 1, 1)) < 0.5, 1, rng.random((20_000, 10, 2))
+    w = rng.choice([-0.1, 0.1], (100_000, 10, 2)) * np.where(
+        rng.random((100_000, 1, 1)) < 0.5, 1, rng.random((100_000, 10, 2))
     )
     assert excess(problem, *simulate(problem, K, plan, np.eye(2), w)) < 1e-9
     assert excess(problem, *simulate(problem, K, nominal, np.eye(2), w)) > 0.2
+
+
+OWN = [[-0.61669526, -1.27031633]]  # the regulator of the costs of the example
+
+
+@pytest.mark.parametrize(
+    ("start", "T", "gain", "largest"),
+    [
+        ([-5.0, -2.0], 10, None, 0.727),
+        ([-5.0, -2.0], 10, OWN, 2.261),
+        ([-5.0, -2.0], 10, "auto", 3.315),
+        ([-7.0, -2.0], 10, OWN, 1.544),
+        ([-7.0, -2.0], 10, "auto", 1.667),
+        ([-8.0, 1.0], 15, OWN, 2.403),
+        ([-8.0, 1.0], 15, "auto", 3.605),
+    ],
+)
+def test_the_largest_loads_that_a_plan_bears(start, T, gain, largest):
+    """In units of 0.15, as the design measured them; optimised feedback bears 3.333, 1.667 and 5.215."""
+
+    def bears(share):
+        size = 0.15 * share
+        try:
+            plan = lfo.robust(tube(T, initial_state=start), lfo.Disturbance(lfo.Box(-size, size), gain=gain))
+        except lfo.errors.ProblemError:  # the margins exceed a range
+            return False
+        return lfo.solve(plan, throw=False).status == "optimal"
+
+    assert bears(largest - 0.001)
+    assert not bears(largest + 0.001)
+
+
+def test_the_gain_auto_costs_less_than_the_regulator_of_the_costs():
+    load = lfo.Disturbance(lfo.Box(-0.15, 0.15), gain=OWN)
+    assert lfo.solve(lfo.robust(tube(), load)).cost == pytest.approx(241.14, abs=0.01)
+
+
+def test_twice_the_loads_are_infeasible_by_a_ray():
+    found = lfo.solve(lfo.robust(tube(), lfo.Disturbance(lfo.Box(-0.3, 0.3))), throw=False)
+    assert (found.status, found.dual) == ("infeasible", True)
+    assert "rigorous ray" in found.message
 
 
 WRONG = {

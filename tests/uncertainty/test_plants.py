@@ -23,6 +23,7 @@ def arm(frequency: float, step: float = 0.1) -> lfo.LinearDynamics:
     return lfo.LinearDynamics(M[:4, :4], M[:4, 4:], sampling_time=step, state_names=NAMES)
 
 
+SOFT_WINDOWS = lfo.spectrum.Spectrogram(lfo.MagnitudeBound(0.1, bins=[2], penalty=1.0), length=8)
 ARMS = [arm(frequency) for frequency in (0.8, 1.0, 1.25)]
 
 
@@ -135,7 +136,7 @@ def test_what_plants_do_not_take_is_unsupported():
     for changes, end in (
         ({"cost": lfo.QuadraticCost(R=1.0) + lfo.costs.L1Cost(u=0.1)}, None),
         ({"terminal_state": lfo.sets.LinkedEnds(np.eye(4), -2 * np.eye(4))}, None),
-        ({"state_set": lfo.sets.Soft(lfo.Box(-1, 1), 5.0)}, None),
+        ({"state_spectrum": SOFT_WINDOWS}, None),
         ({}, "invariant"),
     ):
         with pytest.raises(lfo.errors.UnsupportedError):
@@ -148,3 +149,36 @@ def test_a_plan_with_other_states_is_refused_with_the_shapes():
     message = r"trajectory: got x \(5, 3\), u \(4, 1\); expected x \(5, 2\), u \(4, 1\)"
     with pytest.raises(lfo.errors.ProblemError, match=message):
         lfo.worst_case(problem, lfo.Plants([problem.dynamics] * 2), plan)
+
+
+@pytest.mark.parametrize("shares", [[1.0, 3.0], [1.0, 0.0]])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"state_set": lfo.sets.Soft(lfo.Box(None, [None, 0.25, None, None]), 5.0)},
+        {"state_set": lfo.Box(-5, 5) & lfo.sets.Soft(lfo.sets.Ball(0.5), 4.0)},
+        {"stage_rows": lfo.StageRows([[1.0, 1.0, 0, 0]], [[0.0]], [0.3], name="sum", penalty=2.0)},
+        {"state_spectrum": lfo.MagnitudeBound(0.02, bins=[2, 3], component=1, penalty=0.5)},
+        {
+            "output_spectrum": lfo.spectrum.OutputSpectrum(
+                [[1.0, 0, 0, 0]], None, lfo.MagnitudeBound(2.0, bins=[1, 2], penalty=1.0)
+            )
+        },
+    ],
+    ids=["box", "ball", "rows", "mask", "mask of an output"],
+)
+def test_soft_limits_cost_the_mean_over_the_plants(changes, shares):
+    free = replace(move(), state_set=None)
+    problem = replace(free, **changes)
+    found = lfo.solve(lfo.robust(problem, lfo.Plants(ARMS[:2], shares)))
+    costs = []
+    for plant in ARMS[:2]:
+        own = replace(problem, dynamics=plant)
+        one = lfo.simulate(own, found.trajectory.u)
+        costs.append(own.value(one.x, one.u))
+    assert found.status == "optimal"
+    assert found.cost == pytest.approx(np.average(costs, weights=shares), rel=1e-7)
+    assert found.cost > lfo.solve(lfo.robust(free, lfo.Plants(ARMS[:2], shares))).cost * (1 + 1e-6)
+    worst = lfo.worst_case(problem, lfo.Plants(ARMS[:2], shares), found)
+    assert worst
+    assert worst.cost == pytest.approx(found.cost, rel=1e-7)

@@ -11,6 +11,11 @@ import lin_freq_ocp as lfo
 from helpers.seeds import expensive
 from helpers.tubes import tube
 
+
+def start(given):
+    return lfo.Disturbance(lfo.Box(-0.1, 0.1), start=given)
+
+
 UNSTABLE = lfo.LinearDynamics([[1.2, 0.0], [0.0, 0.5]], [[0.0], [1.0]])
 Box, Disturbance = lfo.Box, lfo.Disturbance
 Records, Gaussian = lfo.uncertainty.Records, lfo.uncertainty.Gaussian
@@ -53,7 +58,21 @@ Records, Gaussian = lfo.uncertainty.Records, lfo.uncertainty.Gaussian
             r"disturbance.gain: .*spectral radius .*; expected below 1. gain='auto'",
         ),
         (lambda: Disturbance(Box(-1, 1), gain=None, forever=True), "disturbance.gain: .*spectral radius 1;"),
-        (lambda: Disturbance(Box(-1, 1), start=0.1), "disturbance.start: got 0.1; expected a set such as Box"),
+        (
+            lambda: Disturbance(Box(-1, 1), start=0.1),
+            r"disturbance.start: got 0.1; expected a set such as Box, or None. The error of the start is in lfo.Box",
+        ),
+        (lambda: start(Box(-1, None)), "disturbance.start: got .*without bounds; expected a bounded set. State both"),
+        (lambda: start(Box([-1.0], [1.0])), "disturbance.start: got a set in 1 dimensions; expected 2, one per state"),
+        (lambda: start(lfo.sets.Polyhedron([[1.0, 0.0]], [1.0])), "disturbance.start: got a polyhedron without bounds"),
+        (
+            lambda: start(lfo.sets.Ellipsoid([[1.0, 0.0]])),
+            r"disturbance.start.W: got shape \(1, 2\); expected a regular",
+        ),
+        (
+            lambda: start(lfo.Periodic()),
+            "disturbance.start: got a set of the kind Periodic; expected a Box.*State a po",
+        ),
         (
             lambda: Disturbance(Box(-1, 1), start=Box(-1, 1), forever=True),
             "disturbance.start: .*forever=True has its own",

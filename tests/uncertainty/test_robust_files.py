@@ -137,7 +137,7 @@ def test_solve_prints_the_worst_loads_and_the_price_of_robustness(file):
     assert "position" not in said.output
     assert "No case violates one of these limits: proven" in said.output
     assert "0.15 at t = 0 .. 4" in said.output
-    assert "The cost is 212.47; that of the plan for no loads 190.02: 11.8 % more." in said.output
+    assert "The cost is 212.47; that of the plan without margins 190.02: 11.8 % more." in said.output
 
 
 def test_the_json_of_solve_and_worst_case_is_valid_and_its_loads_attain_what_it_says(file, tmp_path):
@@ -163,7 +163,7 @@ def test_the_worst_case_of_a_plan_without_margins_is_a_violation_with_its_own_ex
     (tmp_path / "plain.toml").write_text(TEXT.replace("[disturbance]", ""))
     said = call("worst-case", tmp_path / "plain.toml", tmp_path / "plan.csv")
     assert isinstance(said.exception, lfo.errors.ProblemError)
-    assert "disturbance: got nothing; expected a table [disturbance]" in str(said.exception)
+    assert "disturbance: got nothing; expected a table [disturbance], [discs] or [[plants]]" in str(said.exception)
 
 
 def test_numbers_of_limits_set_the_given_limits(file):
@@ -209,3 +209,148 @@ def test_the_figure_has_the_worst_load_beside_the_plan_and_margins_as_bands(file
     assert any(np.allclose(line[:10], u[0, :, 0], atol=1e-12) for line in lines if len(line) >= 10)
     plain = lfo.solve(tube()).plot()
     assert "margin for loads" not in [text.get_text() for text in plain.legends[0].get_texts()]
+
+
+def test_the_largest_bins_for_all_loads_are_drawn_and_no_load_exceeds_them(file):
+    found = lfo.solve(lfo.read_problem(file()))
+    figure = found.plot()
+    assert "largest bin for all loads" in [text.get_text() for text in figure.legends[0].get_texts()]
+    (drawn,) = [
+        line for line in figure.axes[1].get_lines() if line.get_marker() in ("None", "") and len(line.get_ydata()) == 6
+    ]
+    rng = np.random.default_rng(0)
+    w = rng.choice([-0.15, 0.15], (5000, 10, 2))
+    _, u = simulate(tube(), LOAD.feedback(tube()), found.trajectory, np.eye(2), w)
+    reached = np.abs(np.fft.rfft(u[..., 0], axis=1)).max(axis=0)
+    assert (reached <= drawn.get_ydata() * (1 + 1e-12)).all()
+    assert (reached > 0.6 * drawn.get_ydata()).all()
+    without = lfo.Disturbance(lfo.Box(-0.05, 0.05), gain=None).largest_spectra(tube(), found.trajectory)
+    gaussian = lfo.Disturbance(lfo.uncertainty.Gaussian(1e-4 * np.eye(2), 0.9))
+    assert without is None is gaussian.largest_spectra(tube(), found.trajectory)
+
+
+@pytest.mark.parametrize("text", ["tube", "plants", "measured"])
+def test_the_page_of_a_robust_plan_has_its_worst_case(file, tmp_path, text):
+    if text == "tube":
+        path = file()
+    else:
+        path = tmp_path / f"{text}.toml"
+        plants = TEXT.replace("[disturbance]", PLANTS).replace("[-7.0, -2.0]", "[-5.0, 0.0]")
+        path.write_text(plants if text == "plants" else f"{RESPONSE}[discs]\nradius = 0.05\n")
+    said = call("compare", path, "--out", tmp_path / "report")
+    assert said.return_value == 0
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    problem = lfo.read_problem(path)
+    worst = lfo.worst_case(problem.given, problem.uncertainty, lfo.solve(problem))
+    assert "<h2>The worst case</h2>" in page
+    assert worst.verdict in page
+    assert all(one.cells[5] in page for one in worst.limits)
+    assert (tmp_path / "report" / "worst_case.svg").exists()
+    shown = {"tube": "worst load", "plants": "x_0 of plant 1", "measured": "worst plant"}
+    assert shown[text] in (tmp_path / "report" / "worst_case.svg").read_text(encoding="utf-8")
+
+
+PLANTS = """
+[[plants]]
+A = [[1.0, 1.0], [0.0, 1.0]]
+B = [[0.5], [1.0]]
+[[plants]]
+A = [[1.0, 1.0], [0.0, 1.0]]
+B = [[0.4], [0.8]]
+"""
+
+
+@pytest.mark.parametrize("shares", [None, [1.0, 2.0]])
+def test_plants_of_a_file_share_one_control_and_are_written_back(tmp_path, shares):
+    text = TEXT.replace("[disturbance]", PLANTS).replace("[-7.0, -2.0]", "[-5.0, 0.0]")
+    text = text if shares is None else text.replace("horizon = 10", f"horizon = 10\nplant_shares = {shares}")
+    (tmp_path / "plants.toml").write_text(text)
+    read = lfo.read_problem(tmp_path / "plants.toml")
+    plants = lfo.Plants([lfo.LinearDynamics(A, B), lfo.LinearDynamics(A, 0.8 * B)], shares)
+    expected = lfo.solve(lfo.robust(tube(initial_state=[-5.0, 0.0]), plants))
+    found = lfo.solve(read)
+    assert found.status == "optimal"
+    assert found.cost == pytest.approx(expected.cost, rel=1e-12)
+    lfo.write_problem(read, tmp_path / "again.toml")
+    tables = tomllib.loads((tmp_path / "again.toml").read_text())
+    assert faults(PROBLEM, tables) == faults(PROBLEM, tomllib.loads(text)) == []
+    assert len(tables["plants"]) == 2
+    assert ("plant_shares" in tables) == (shares is not None)
+    again = lfo.read_problem(tmp_path / "again.toml")
+    np.testing.assert_array_equal(again.uncertainty.shares, plants.shares)
+    assert lfo.solve(again).cost == found.cost
+    found.save(tmp_path / "plan.csv")
+    said = call("worst-case", tmp_path / "plants.toml", tmp_path / "plan.csv")
+    assert said.return_value == 0
+    assert "each of 2 plants; u = v" in said.output
+    assert "No case violates one of these limits: proven" in call("solve", tmp_path / "plants.toml").output
+    solved = json.loads(call("solve", tmp_path / "plants.toml", "--json").output)
+    assert faults(RESULT, solved) == []
+    assert {one["plant"] for one in solved["worst_case"]["limits"]} <= {1, 2}
+
+
+RESPONSE = """
+schema = 2
+horizon = 8
+[dynamics]
+G_real = [1.0, 0.5, 0.2, 0.1, 0.0]
+G_imag = [0.0, -0.5, -0.3, -0.1, 0.0]
+disturbance = [[0.5], [0.2], [0.1], [-0.3], [-0.4], [-0.2], [0.1], [0.4]]
+[cost]
+Q = 1.0
+R = 0.1
+[state_set]
+lower = -0.4
+upper = 0.4
+"""
+
+
+def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
+    c = [0.99, 0.99, 0.98, 0.97, 0.9]
+    text = f"{RESPONSE}[discs]\ncoherence = {c}\naverages = 20\nconfidence = 0.9\n"
+    (tmp_path / "measured.toml").write_text(text)
+    assert faults(PROBLEM, tomllib.loads(text)) == []
+    read = lfo.read_problem(tmp_path / "measured.toml")
+    G = read.given.dynamics.G
+    radius = lfo.uncertainty.radius_of_coherence(G[:, 0, 0], c, averages=20, confidence=0.9, bins=5)
+    np.testing.assert_array_equal(read.uncertainty.radii(read.given)[:, 0, 0], radius)
+    lfo.write_problem(read, tmp_path / "again.toml")  # with the radii
+    again = lfo.read_problem(tmp_path / "again.toml")
+    np.testing.assert_array_equal(again.uncertainty.radius[:, 0, 0], radius)
+    assert lfo.solve(again).cost == lfo.solve(read).cost
+    solved = json.loads(call("solve", tmp_path / "again.toml", "--json").output)
+    assert faults(RESULT, solved) == []
+    one = solved["worst_case"]["limits"][0]
+    found = lfo.worst_case(read.given, read.uncertainty, lfo.solve(again))
+    plant = np.array(one["plant"]["G_real"]) + 1j * np.array(one["plant"]["G_imag"])
+    np.testing.assert_array_equal(plant, found.limits[0].plant)
+    assert found.cost == solved["worst_case"]["cost"] == pytest.approx(solved["cost"])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ('[discs]\ncost = "worst"', "discs: got nothing; expected radius, or coherence with averages"),
+        ("[discs]\nradius = 0.1\ncoherence = 0.9\naverages = 9", "discs: got radius, coherence and averages"),
+        ("[discs]\ncoherence = 0.9", "discs: got coherence; expected radius, or coherence with averages"),
+        (
+            "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 1.2]\naverages = 9",
+            "discs.coherence: got .*; expected .* at most 1",
+        ),
+        (
+            "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 0.9]\naverages = 1",
+            "discs.averages: got 1; expected a whole number of independent",
+        ),
+        (
+            "[discs]\nradius = 0.1\n[[plants]]\nA = [[1.0]]\nB = [[1.0]]",
+            "plants: got discs, too; expected one of .disturbance.",
+        ),
+        ("[[plants]]\nA = [[1.0]]\nB = [[1.0]]", r"plants\[0\]: got .*; expected a FrequencyResponse"),
+        ("plants = 3", "plants: got 3; expected tables that begin with"),
+    ],
+)
+def test_uncertainties_of_a_file_that_do_not_fit_are_refused_with_their_field(tmp_path, lines, message):
+    text = f"{lines}\n{RESPONSE}" if lines.startswith("plants") else RESPONSE + lines
+    (tmp_path / "measured.toml").write_text(text)
+    with pytest.raises(lfo.errors.ProblemError, match=f"measured.toml: {message}"):
+        lfo.read_problem(tmp_path / "measured.toml")

@@ -264,3 +264,29 @@ def test_an_input_of_the_plant_fits_filtered_controls_but_no_state_of_the_plant_
         lfo.errors.ProblemError, match=r"disturbance.input: got shape \(1, 1\); expected shape \(2, 1\)"
     ):
         lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.01, 0.01), E[1:]))
+
+
+def test_no_zero_of_a_table_is_negative():
+    one = replace(lfo.worst_case(tube(), LOAD, lfo.solve(tube())).limits[0], planned=-0.0, margin=0.0, attained=-0.0)
+    assert "-0 " not in str(one)
+    assert str(one).split()[5:7] == ["0", "0"]
+
+
+def test_soft_limits_are_shown_at_their_worst_and_priced_but_break_nothing():
+    soft = lfo.Box([-10, -2], [2, 2]) & lfo.sets.Soft(lfo.Box([None, -1.0], [None, 1.0]), 5.0)
+    rows = lfo.StageRows([[1.0, 1.0]], [[0.0]], [0.3], name="sum", penalty=2.0)
+    problem = tube(state_set=soft, stage_rows=rows)
+    K = lfo.Disturbance(lfo.Box(-0.05, 0.05)).feedback(problem)
+
+    def plan(size: float) -> lfo.results.Result:
+        return lfo.solve(lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.05 * size, 0.05 * size), gain=K)))
+
+    found = plan(1.0)
+    worst = lfo.worst_case(problem, found.problem.uncertainty, found)
+    assert worst
+    assert [one.name for one in worst.soft] == ["sum", "row 1 of state set", "row 3 of state set"]
+    assert not worst["row 1 of state set"].holds  # at a price
+    for one in worst.soft:
+        assert one.attained == pytest.approx(one.planned + one.margin, rel=1e-12)
+    assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
+    assert str(worst).count("(soft)") == 3

@@ -12,7 +12,6 @@ from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import SOLVED_TOLERANCE, Candidate
 from lin_freq_ocp.program.backends.base import Claim, Solution, Solver
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.passed_bins import passed_bins
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.units import point_scaling, point_sizes
 
@@ -116,12 +115,8 @@ class ScaledSolver:
         return ScaledAnswer(candidate, scaling, residuals.worst, point, duals, late)
 
     def _solve(self, program: Program, scaling: Scaling) -> ScaledAnswer:
-        if self.linear.problem.response is None:
-            solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
-            return self.recover(scaling, program, solution)
-        reduced = passed_bins(self.linear, program, scaling)
-        solution = self.solver(reduced.program, self.solver_tolerance, seconds_left(self.end))
-        return self.recover(scaling, program, reduced.recover(solution))
+        solution = self.solver(program, self.solver_tolerance, seconds_left(self.end))
+        return self.recover(scaling, program, solution)
 
 
 def better_of(first: ScaledAnswer, second: ScaledAnswer) -> ScaledAnswer:

@@ -12,19 +12,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from lin_freq_ocp.base.clock import now
+from lin_freq_ocp.base.clock import now, seconds_left
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.absorbed_cost import absorb_cost
 from lin_freq_ocp.methods.candidate import DEFAULTS, SOLVED_TOLERANCE, Candidate, SolveOptions, require_convex
-from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, ScaledAnswer, ScaledSolver, better_of
+from lin_freq_ocp.methods.convex.attempts import ACCURATE_ANSWER, DIVERGED_SIZE, ScaledAnswer, ScaledSolver, better_of
 from lin_freq_ocp.methods.convex.polish import zero_rounding
 from lin_freq_ocp.methods.structured.kkt.recursions import can_compile
+from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, backend
+from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
+from lin_freq_ocp.program.passed_bins import PassedBins, passed_bins
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import bounds_scaling, natural_scaling, plain_scaling, revised_scaling, stated_scaling
 from lin_freq_ocp.transform.reductions import reduce_problem
+from lin_freq_ocp.transform.sizes import stated_sizes
 
 REDUCTIONS = (absorb_cost,)  # applied to a problem before it becomes a program
 ROUNDING_LEVELS = (1e-12, 1e-9)  # of the units of variables and duals: smaller values may be rounding errors
@@ -32,6 +35,13 @@ LARGEST_ERROR = 1e-3  # relative residuals up to which a point is rounded
 GRACE = 0.25  # seconds after a time limit in which a solver may still return a point
 REVISIONS = 2  # of the units by the size of the answer, at most
 MOST_PROGRAMS = 32  # in a cache
+FIRST_ROWS = 2  # rows of single times per coefficient of a passed bin, in the first round
+GOLDEN = (np.sqrt(5.0) - 1) / 2  # its multiples, less whole numbers, are spread evenly
+NEAR_ROW = 0.1  # distance of a row of order 1 from its limit, from which on it is left out again
+ROW_VIOLATION = 1e-9  # of rows of order 1 that are left out
+LAST_LEAVING = 20  # round
+FIRST_ROUNDS = 1  # of the exchange in units of the data
+OTHER_UNIT = 1e6  # largest factor between the units of a signal before and after a revision
 # The sparse program has a dense row for every frequency constraint, and its time grows with the entries of these rows;
 # the structured method has none, but needs more time for a small problem. Measured by scripts/benchmark.py choice.
 DENSE_ENTRIES = 3e4  # of dense rows, above which the structured method is faster; both take 0.2 s there
@@ -90,6 +100,9 @@ def convex_candidates(
     if reduced.links:
         yield from map(reduced.recover, convex_candidates(reduced.problem, backend_name, options, programs))
         return
+    if problem.response is not None:
+        yield from _response_candidates(problem, problem.response, backend(backend_name), options)
+        return
     tolerance, time_limit = options.tolerance, options.time_limit
     solver = backend(backend_name)
     started = now()
@@ -102,7 +115,7 @@ def convex_candidates(
     programs = programs or ProgramCache()
     linear, scaling = programs.program(problem)
     ready = now()
-    end = np.inf if time_limit is None else started + time_limit - (rows.passed or rows).factorisation_seconds
+    end = np.inf if time_limit is None else started + time_limit - rows.factorisation_seconds
     if ready >= end + GRACE:
         message = f"time limit of {time_limit:.3g} s, over before the solver began"
         yield Candidate(Status.LIMIT, message=message, seconds={"setup": ready - started, "solve": 0.0})
@@ -118,6 +131,87 @@ def convex_candidates(
     yield replace(best.candidate, seconds=seconds)
     for candidate in other_candidates(solves, scaling, best):
         yield replace(candidate, seconds={**seconds, "solve": now() - ready})
+
+
+def _response_candidates(
+    problem: OptimalControlProblem, response: Response, solver: Solver, options: SolveOptions
+) -> Iterator[Candidate]:
+    """Yield the answer of a frequency response in the passed bins of its controls, in units of its size.
+
+    The first round, in units of the data, finds the size.
+    """
+    started, linear = now(), LinearProgram(problem)
+    end = np.inf if options.time_limit is None else started + options.time_limit
+    units, setup = stated_sizes(problem), 0.0
+    for attempt in range(1 + REVISIONS):
+        bins = passed_bins(linear, response, linear.column_units(*units))
+        setup = setup or now() - started
+        tolerance = options.tolerance or DEFAULT_TOLERANCE
+        solution, final = _exchange_rows(bins, solver, tolerance, end, FIRST_ROUNDS if attempt == 0 else np.inf)
+        if final:
+            candidate = _candidate_in_bins(bins, solution)
+            yield replace(candidate, seconds={"setup": setup, "solve": now() - started - setup})
+            if candidate.trajectory is None or now() >= end or candidate.interrupted:
+                return
+        assert solution.z is not None
+        change = linear.direction(bins.point(solution.z))
+        sizes = zip((change.x, change.u), units, strict=True)
+        units = tuple(np.clip(np.abs(part).max(axis=0), unit / OTHER_UNIT, unit * OTHER_UNIT) for part, unit in sizes)
+
+
+def _exchange_rows(
+    bins: PassedBins, solver: Solver, tolerance: float, end: float, most_rounds: float
+) -> tuple[Solution, bool]:
+    """Solve with few of the rows that stand alone, and with more where these are violated most, until none is.
+
+    Return the solution, with duals of all rows, and whether it is final: no row is violated, or there is no optimum.
+    The first rows are spread evenly. Of rows next to each other, which are those of one time or the next, the most
+    violated one joins; rows far from their limits leave, at first.
+    """
+    single = np.flatnonzero(bins.single)
+    wanted = min(len(single), FIRST_ROWS * bins.basis.shape[1])
+    chosen = ~bins.single
+    chosen[single[np.unique((len(single) * (np.arange(wanted) * GOLDEN % 1)).astype(int))]] = True
+    rounds = 0
+    while True:
+        rounds += 1
+        solution = solver(bins.program(chosen), tolerance, seconds_left(end))
+        y = None if solution.y is None else np.zeros(len(chosen))
+        if y is not None:
+            y[chosen] = solution.y
+        solution = replace(solution, y=y)
+        if solution.claim is Claim.UNBOUNDED and not chosen.all():
+            chosen[:] = True
+        elif solution.claim is Claim.SOLVED and solution.z is not None:
+            violation = bins.violations(solution.z)
+            near, violation = violation > -NEAR_ROW, np.where(chosen, -np.inf, violation)
+            around = np.pad(violation, 1, constant_values=-np.inf)
+            most = (violation > ROW_VIOLATION) & (violation >= np.maximum(around[:-2], around[2:]))
+            if not most.any() or rounds >= most_rounds:
+                return solution, not most.any()
+            chosen = most | ~bins.single | (chosen & (near | (rounds > LAST_LEAVING)))  # so that the rounds end
+        else:
+            return solution, True
+
+
+def _candidate_in_bins(bins: PassedBins, solution: Solution) -> Candidate:
+    """Return a solver's answer in w as a trajectory with multipliers, a ray or a direction."""
+    claim, message, w, y = solution.claim, solution.message, solution.z, solution.y
+    if claim is Claim.INFEASIBLE:
+        size = 0.0 if y is None else float(np.abs(y).max(initial=0.0))  # a ray has no size of its own
+        ray = bins.multipliers(y / size, None) if y is not None and 0 < size < np.inf else None
+        return Candidate(Status.INFEASIBLE, ray=ray, message=message)
+    if claim is Claim.UNBOUNDED:
+        along = None if w is None else bins.linear.direction(bins.units * bins.change(w))
+        return Candidate(Status.UNBOUNDED, message=message, descent=along)
+    message = f"time limit: {message}" if claim is Claim.TIME_LIMIT else message
+    status = {Claim.SOLVED: Status.OPTIMAL, Claim.FAILED: Status.NUMERICAL_ERROR}.get(claim, Status.LIMIT)
+    interrupted = claim is Claim.INTERRUPTED
+    if w is None or y is None or not np.abs(np.append(w, y)).max(initial=0.0) < DIVERGED_SIZE:
+        return Candidate(status, message=message, interrupted=interrupted)
+    z = bins.point(w)
+    found = bins.linear.trajectory(z), bins.multipliers(y, z)
+    return Candidate(status, *found, message=message, interrupted=interrupted)
 
 
 def _revise_units(solves: ScaledSolver, attempt: ScaledAnswer) -> ScaledAnswer:

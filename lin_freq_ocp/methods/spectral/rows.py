@@ -250,10 +250,10 @@ class WorkingSet:
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
         """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
-        Z = inverse @ self.coupling
+        gram, Z = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
         half = self.coupling.T @ (Z / 2)
         S = half + half.T
-        S += self.gram
+        S += gram
         return Z, S
 
     def limits(self, lti: Lti) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from string import ascii_lowercase
@@ -65,7 +66,7 @@ def comparison_figure(comparison: ComparisonOutcome) -> Figure:
 def result_data(result: Outcome) -> PlotData:
     """Return the solution as plot data; SolveError if it has no trajectory."""
     given = problem = result.problem
-    if isinstance(problem, RobustProblem) and isinstance(problem.uncertainty, Disturbance):
+    if isinstance(problem, RobustProblem) and problem.state_dim == problem.given.state_dim:
         given = problem.given
     shown = measured_solution(solution_label(result), given, result)
     if shown is None:
@@ -73,12 +74,16 @@ def result_data(result: Outcome) -> PlotData:
     plan = Trace(shown.label, shown, look.STYLES[CONSTRAINED])
     if given is problem or not isinstance(problem, RobustProblem):
         return PlotData(problem, (plan,))
-    worst = problem.uncertainty.worst(given, shown.trajectory, None).closest
+    uncertainty, worst_of = problem.uncertainty, "worst plant"
+    data = PlotData(given, (plan,))
+    if isinstance(uncertainty, Disturbance):
+        worst_of, data = "worst load", replace(data, tightened=problem)
+        data = replace(data, largest=uncertainty.largest_spectra(given, shown.trajectory))
+    worst = uncertainty.worst(given, shown.trajectory, None).closest
     if worst is None or worst.trajectory is None:
-        return PlotData(given, (plan,), problem)
-    under = MeasuredTrajectory("worst load", given, worst.trajectory)
-    loads = Trace(under.label, under, look.STYLES["filtered"], f"for {worst.name}")
-    return PlotData(given, (loads, plan), problem)
+        return data
+    under = MeasuredTrajectory(worst_of, given, worst.trajectory)
+    return replace(data, traces=(Trace(worst_of, under, look.STYLES["filtered"], f"for {worst.name}"), plan))
 
 
 def comparison_data(comparison: ComparisonOutcome) -> PlotData:
@@ -125,7 +130,7 @@ def four_panels(data: PlotData, alone: bool = False) -> Figure:
         add_panels(look.ROW_HEIGHT, [partial(spectrum_panel, data=data, component=signal) for signal in limited])
         add_panels(PANEL_HEIGHT, [*vibration_panels(data), *held_panels(data)], columns=1)
     with_band = bool(problem.control_band.any() or limited)
-    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True)
+    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True, alone=alone)
     height = sum(height for height, _ in rows)
     figure = look.new_figure(height + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
     grid = figure.add_gridspec(len(rows), 2, height_ratios=[height for height, _ in rows])
@@ -248,7 +253,7 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
 
 
 def _legend_handles(
-    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False
+    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False, alone: bool = False
 ) -> list[Artist]:
     handles, entry = list[Artist](), look.legend_line
     for trace in data.traces:
@@ -262,6 +267,8 @@ def _legend_handles(
         handles.append(entry("bound", color=look.BOUND))
     if with_bounds and data.tightened is not None:
         handles.append(Patch(facecolor=look.BAND, label="margin for loads"))
+    if data.largest is not None and alone:
+        handles.append(entry("largest bin for all loads", color=look.MUTED, linestyle=look.REFERENCE_LINE))
     if any(line.soft for line in [*rows, *levels]):
         handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))
     if with_bounds and any(len(data.control_levels(signal)) for signal in data.controls):

@@ -202,6 +202,11 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
         if len(touching.at):  # frequencies at which the spectrum reaches a mask at every frequency
             at = factor * touching.at
             look.draw_line(ax, at, touching.values, marker="o", color=style.color, zorder=order + 2, **hollow)
+    if data.largest is not None and not component.is_state and component in data.controls:
+        at_bins = 2 * np.pi * np.arange(length // 2 + 1) / length
+        most = axis.of_sums(at_bins, data.largest[:, component.index])
+        look.draw_line(ax, factor * at_bins, most, color=look.MUTED, linestyle=look.REFERENCE_LINE, linewidth=1.2)
+        highest = max(highest, float(most.max()))
     ax.set_yscale("log")
     ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(floor / 1.6, 3 * max(top, highest))

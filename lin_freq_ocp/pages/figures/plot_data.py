@@ -87,6 +87,7 @@ class PlotData:
     problem: OptimalControlProblem
     traces: tuple[Trace, ...]
     tightened: OptimalControlProblem | None = None  # with the limits of the problem less their margins
+    largest: Array | None = None  # (bins, m): magnitudes of the controls over all loads
 
     @cached_property
     def time(self) -> Scale:

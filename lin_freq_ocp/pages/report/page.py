@@ -45,6 +45,7 @@ from lin_freq_ocp.pages.units import frequency_scale, rough
 from lin_freq_ocp.problem.description import problem_facts
 from lin_freq_ocp.problem.spectrum.base import WindowSpectra
 from lin_freq_ocp.solving.outcome import Outcome
+from lin_freq_ocp.uncertainty.protocol import RobustProblem
 
 PIXELS_PER_INCH = 150
 
@@ -103,6 +104,9 @@ def draw_figures(comparison: ComparisonOutcome) -> Iterator[Drawing]:
         yield drawing_of("modes", "Modes", proof.modes_caption(rows, data.main.label), strips_figure(data, rows))
     yield drawing_of("states", "Every state in time", "", figures.states_figure(data))
     certificate, multipliers = result.certificate, result.multipliers
+    if comparison.problem.uncertainty is not None and result.trajectory is not None:
+        caption = "Bands are margins. The worst case is that of the limit that it brings closest to its limit."
+        yield drawing_of("worst_case", "The plan and its worst case", caption, figures.result_figure(result))
     if certificate is None or multipliers is None:
         return
     borders = facts_where_modes_meet(certificate)
@@ -137,6 +141,7 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
         filtering=FILTERING,
         not_meaningful=tables.NOT_MEANINGFUL,
         meaning=stop_band_meaning(comparison),
+        worst=worst_case_table(comparison),
         verdict=[] if certificate is None else proof.verdict(certificate, problem),
         search=proof.search_sentences(result),
         conditions=() if certificate is None else certificate.conditions,
@@ -157,6 +162,21 @@ def render_page(comparison: ComparisonOutcome, drawings: Iterable[Drawing]) -> s
             _solve_row("with the constraint" if constrained else "the problem", result),
         ],
         sampling_time=None if problem.sampling_time is None else number(problem.sampling_time),
+    )
+
+
+def worst_case_table(comparison: ComparisonOutcome) -> PageTable | None:
+    """Return what the worst load or plant does to the plan, by the given limits; None if the problem is certain."""
+    problem, plan = comparison.problem, comparison.constrained.trajectory
+    if not isinstance(problem, RobustProblem) or plan is None:
+        return None
+    worst = problem.uncertainty.worst(problem.given, plan, None)
+    rows = [[*one.cells, "" if np.isnan(one.limit) else "holds" if one.holds else "violated"] for one in worst.limits]
+    rows += [[*one.cells, "soft"] for one in worst.soft]
+    rows += [[*one.cells, "for the plan only"] for one in worst.leakage]
+    note = f"{worst.words[:1].upper()}{worst.words[1:]}. {worst.verdict}"
+    return PageTable(
+        "The worst case", ("limit", "at", "plan", "margin", "limit", "attained", ""), rows, {0, 1, 6}, note
     )
 
 

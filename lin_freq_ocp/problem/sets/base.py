@@ -112,6 +112,11 @@ class ConvexSet(ABC):
         parts = tuple(Part(with_columns(part.F, k), part.c, part.penalty) for part in self.parts(n))
         return PartSet(parts, n + k, self.describe([f"x[{i}]" for i in range(n)], "x"))
 
+    def preimage(self, F: Array, share: float) -> ConvexSet:
+        """Return the points z with F z in the set, without bounds; a soft one at a share of its price."""
+        parts = tuple(Part(part.F @ F, part.c, part.penalty) for part in self.parts(len(F)))
+        return PartSet(parts, F.shape[1], self.describe([f"x[{i}]" for i in range(len(F))], "x"))
+
     def relaxed(self, amount: float, dimension: int) -> ConvexSet:
         """Return the set with hard limits, bounds apart, that are higher by an amount; soft limits do not change."""
         parts = [Part(p.F, *p.penalty.relaxed(p.c, amount)) if p.penalty.hard else p for p in self.parts(dimension)]
@@ -142,8 +147,8 @@ class ConvexSet(ABC):
 
         |y|'error bounds how much larger the exact value is; infinite along components without a bound.
         """
-        expected = "a Box, Ball, Ellipsoid or Polyhedron, Records, Gaussian, or an array of measured loads"
-        raise ProblemError("disturbance.set", f"a set of the kind {type(self).__name__}", expected)
+        got, expected = f"a set of the kind {type(self).__name__}", "a Box, Ball, Ellipsoid or Polyhedron"
+        raise ProblemError("disturbance.set", got, expected, "State a polyhedron, or bounds, around it.")
 
     def violation(self, v: Array) -> Array:
         """Return the largest violation of a constraint of the set by each v (..., n); 0 inside."""

@@ -28,7 +28,7 @@ from lin_freq_ocp.base.arrays import (
 from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.base.phrases import AT_MOST, MOST_ROWS, combination, datum, inequalities, number, price, vector
 from lin_freq_ocp.base.polyhedra import vertices
-from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection, Part
+from lin_freq_ocp.problem.sets.base import ConvexSet, Intersection, Part, PartSet
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalties import HalfSpaces, NormBall, StandardCone
 from lin_freq_ocp.problem.terms.penalty import HARD
@@ -296,6 +296,10 @@ class Soft(ConvexSet):
 
     def parts(self, dimension: int) -> tuple[Part, ...]:
         return self.soft_set.soft_parts(dimension, np.asarray(self.penalty))
+
+    def preimage(self, F: Array, share: float) -> Soft:
+        hard = tuple(Part(part.F @ F, part.c, part.penalty) for part in self.soft_set.soft_parts(len(F), HARD))
+        return Soft(PartSet(hard, F.shape[1], "a soft set"), self.penalty * share)
 
     def augmented(self, n: int, k: int) -> Soft:
         return Soft(self.soft_set.augmented(n, k), self.penalty)

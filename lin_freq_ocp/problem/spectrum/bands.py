@@ -409,19 +409,24 @@ def stopped_bins(
 
 
 def band_remarks(
-    field: str, constraints: Constraints, length: int, component_names: Sequence[str], sampling_time: float | None
+    entries: Iterable[tuple[str, FrequencyConstraint]],
+    length: int,
+    component_names: Sequence[str],
+    sampling_time: float | None,
 ) -> Iterator[str]:
-    """Yield which bands remove or bound no bin, or remove every bin, alone or with the bands before them."""
-    of_signal, entries = (length, component_names, sampling_time), named_entries(field, constraints)
-    before = stopped_bins(field, [], *of_signal).all(axis=0)
-    for i, (where, band) in enumerate(entries):
-        after = stopped_bins(field, [one for _, one in entries[: i + 1]], *of_signal).all(axis=0)
+    """Yield which bands of a signal, each with its name, remove or bound no bin, or remove every bin.
+
+    They remove every bin alone or with the bands before them.
+    """
+    stopped = np.zeros((length // 2 + 1, len(component_names)), dtype=bool)
+    for where, band in entries:
+        before = stopped.all(axis=0)
+        stopped = stopped | stopped_bins(where, band, length, component_names, sampling_time)
         if remark := band.remark(length, sampling_time, where):
             yield remark
-        elif (after & ~before).any():
+        elif (stopped.all(axis=0) & ~before).any():
             text = f"removes every bin of a signal of {length} samples that the bands before it keep"
             yield f"{where}: {band} {text}; the signal must then be zero."
-        before = after
 
 
 def bands_of(stop: Mask) -> list[Band]:
@@ -500,6 +505,9 @@ class LinearConstraint(FrequencyConstraint):
 
     def augmented(self, n: int, k: int) -> Sequence[FrequencyConstraint]:
         return [LinearConstraint(with_columns(self.coefficients, k), self.constant, self.penalty)]
+
+    def softened(self, penalty: float) -> LinearConstraint:
+        return self.changed(penalty=penalty) if self.penalty is None else self
 
     def describe(self, names: Sequence[str]) -> str:
         rows = self.coefficients.shape[1]

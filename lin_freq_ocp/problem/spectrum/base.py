@@ -43,6 +43,7 @@ class FrequencyConstraint(ABC):
 
     label: ClassVar[str] = "frequency constraint"  # the kind of constraint, as users read it
     component: int | str | None = None  # index or name; None: all
+    penalty: float | None = None  # the price per unit of violation; None: it must hold
     output_names: Sequence[str] = ()  # the names of linear outputs, if the constraint defines them
     on_outputs: ClassVar[bool] = True  # whether it may constrain linear outputs
     remembers: ClassVar[bool] = False  # whether it depends on samples of the past
@@ -137,7 +138,7 @@ class FrequencyConstraint(ABC):
     @property
     def hard_part(self) -> FrequencyConstraint | None:
         """Return the part that must hold; None for a soft constraint."""
-        return self if getattr(self, "penalty", None) is None else None
+        return self if self.penalty is None else None
 
     @property
     def slides(self) -> bool:
@@ -193,8 +194,8 @@ class FrequencyConstraint(ABC):
             yield Term(name, signal.kind, values, balls, source, semi_infinite=semi_infinite)
 
     def softened(self, penalty: float) -> Self:
-        """Return a copy with a price per unit of violation, if it is hard and can be soft."""
-        return self.changed(penalty=penalty) if getattr(self, "penalty", penalty) is None else self
+        """Return a copy with a price per unit of violation; itself, if it has one or cannot have one."""
+        return self
 
 
 Constraints = FrequencyConstraint | Sequence[FrequencyConstraint] | None  # a field of a problem, as users state it

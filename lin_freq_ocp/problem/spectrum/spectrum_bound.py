@@ -190,7 +190,8 @@ class SpectrumBound(FrequencyConstraint, ABC):
         return self.on_components(n)
 
     def softened(self, penalty: float) -> Self:
-        return self if self.quantity.of_fundamental else super().softened(penalty)
+        always_hard = self.quantity.of_fundamental
+        return self.changed(penalty=penalty) if self.penalty is None and not always_hard else self
 
     def shown(self, level: float, names: Sequence[str]) -> str:
         unit = "" if self.quantity.keyword in ("limit", "energy") else self.limit_unit(names)

@@ -140,12 +140,13 @@ class Term:
         """Return the violation of the hard part, zero or above, (groups, dim) or (groups, 1)."""
         return self.penalty.violation(self.map.values(x, u))
 
-    def polyhedron(self, n: int, m: int) -> LinearRows | None:
-        """Return the rows of a hard term that consists of rows of (x_t, u_t), one for each value; else None."""
-        form = self.map.stage_form(n, m) if self.hard and self.penalty.polyhedral else None
-        if form is None:
+    def polyhedron(self, n: int, m: int, soft: bool = False) -> LinearRows | None:
+        """Return the rows of (x_t, u_t), one for each value, of a hard term, or of a soft one; None of other terms."""
+        form = self.map.stage_form(n, m) if self.hard != soft and self.penalty.polyhedral else None
+        if form is None or (soft and self.kind.is_cost):
             return None
-        return LinearRows(self.name, self.map.positions, form[0], self.penalty.hard_bounds(self.shape)[1] - form[1])
+        limits = self.penalty.bounds(self.shape) if soft else self.penalty.hard_bounds(self.shape)
+        return LinearRows(self.name, self.map.positions, form[0], limits[1] - form[1])
 
     def implied_rows(self, n: int, m: int, level: float = np.inf) -> LinearRows | None:
         """Return rows of (x_t, u_t) that a term implies, such as the box around a ball; None without one.

@@ -62,7 +62,8 @@ def response_within_discs() -> lfo.OptimalControlProblem:
     rows = lfo.StageRows([[1.0]], [[0.5]], [0.9], name="sum")
     bounds = lfo.Box(-0.7, 0.8)
     given = lfo.OptimalControlProblem(response, T, cost, lfo.Box(-1.0, 1.0), bounds, stage_rows=rows)
-    return replace(given, output_spectrum=lfo.robust(given, lfo.Discs(0.1 * np.abs(G))).output_spectrum)
+    masked = replace(given, state_spectrum=lfo.MagnitudeBound(5.0, bins=[1, 2], component=0))
+    return replace(given, output_spectrum=lfo.robust(masked, lfo.Discs(0.1 * np.abs(G))).output_spectrum)
 
 
 STATEMENTS: dict[str, Callable[[], lfo.OptimalControlProblem]] = KINDS | {
