@@ -60,7 +60,7 @@ class Angles:
     Examples
     --------
     >>> problem = lfo.library.pulse_pattern(kind="opp", modulation=0.9, switches=8)
-    >>> lfo.solve(problem, lfo.solvers.Angles(gap=1e-3)).status
+    >>> lfo.solve(problem, lfo.solvers.Angles(gap=1e-4)).status
     'optimal'
     """
 
