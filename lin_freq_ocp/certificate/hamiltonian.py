@@ -197,8 +197,8 @@ def cost_and_size(
     """Return J, and the sum of the sizes of its terms; the quadratic part is a single term at each time.
 
     The size of a term is its absolute value, but at most the difference that bounds and dynamics let it have on another
-    trajectory. A linear cost of a state has no value of its own, which would depend on where the zero of the state is:
-    its size is its difference from the nearest of the motions at rest.
+    trajectory. The value of a linear cost of a state depends on where the zero of the state is: its size is at most its
+    difference from the motions at rest.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def cost_and_size(
     if slopes is not None:
         box = problem.initial_box
         start = np.where(box.fixed, x[..., 0, :], box.project(np.zeros_like(box.lower)))
-        moved = np.fmin.reduce([np.abs(x - motion) for motion in motions_at_rest(problem, start)])
+        moved = np.fmin.reduce([np.abs(x), *(np.abs(x - motion) for motion in motions_at_rest(problem, start))])
         moved = np.minimum(stack_signals(moved, np.abs(u)), reach)
         price, size = price + total(slopes * z), size + total(np.abs(slopes) * moved)
     return np.asarray(price, dtype=np.float64), np.asarray(size, dtype=np.float64)
