@@ -529,7 +529,7 @@ def scalar_regulator(
 ) -> Found:
     """Take the integral of q x^2 + r u^2 and m x^2 at the end, where x' = a x + b u.
 
-    With a root p of b^2 p^2 / r = 2 a p + q and v = u + b p x / r, it is that of r v^2, and the change of -p x^2. Where
+    With a root p of b^2 p^2 / r = 2 a p + q and v = u + b p x / r, it is that of r v^2, less the change of p x^2. Where
     the end is free, p is the negative root, so that the cost of the end is convex.
     """
     start, end = ends
@@ -555,12 +555,10 @@ def scalar_regulator(
         parts = q * path**2 + r * (v - b * p / r * path) ** 2
         return float(m * x[-1, 0] ** 2) + length / 2 * math.fsum((np.tile(weights, panels) * parts).tolist())
 
-    found = proven_apart(
-        problem, lambda x, w: formula(x, w) - p * start**2 + (p * end**2 if end else 0.0), folder, name
-    )
+    change = p * (start**2 - (end or 0.0) ** 2)
+    found = proven_apart(problem, lambda x, w: formula(x, w) - change, folder, name)
     assert found.again is not None
-    offset = p * start**2 - (p * end**2 if end else 0.0)
-    return Found(found.low + offset, found.high + offset, found.again + offset, found.proof)
+    return Found(found.low + change, found.high + change, found.again + change, found.proof)
 
 
 def ubh1_continuous(folder: Path | None, name: str) -> Found:
