@@ -13,6 +13,7 @@ The second way: the objective by the source's own formula, from the trajectory a
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -24,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import linprog
+from scipy.optimize import linprog, nnls
 
 import lin_freq_ocp as lfo
 from lin_freq_ocp.comparison.shapers import Modes, eigenvalues_of, known_shaper
@@ -342,6 +343,78 @@ def dtoc1l(N: int, controls: int, states: int, folder: Path | None, name: str) -
     return Found(math.fsum(low), J, result.cost, "convex")
 
 
+def bends_of(c: np.ndarray) -> np.ndarray:
+    """Return where the convex sequence that is nearest to c bends.
+
+    Hinges max(t - t_k, 0) with weights that are not negative; those join at which the multiplier is the least.
+    """
+    n = len(c)
+    t = np.arange(n) / (n - 1)
+    line, _ = np.linalg.qr(np.column_stack([np.ones(n), t]))
+    bends = np.arange(1, n - 1, max(1, n // 100))
+    for _ in range(100):
+        hinges = np.maximum(t[:, None] - t[bends], 0.0)
+        hinges -= line @ (line.T @ hinges)
+        hinges /= np.linalg.norm(hinges, axis=0)
+        q, upper = np.linalg.qr(hinges)
+        weights, _ = nnls(upper, q.T @ c, maxiter=100 * len(bends))
+        miss = hinges @ weights - c
+        multipliers = np.cumsum(np.cumsum(miss - line @ (line.T @ miss)))[: n - 2]
+        bends = bends[weights > 0]
+        beside = np.concatenate([[np.inf], multipliers, [np.inf]])
+        least = (multipliers <= beside[:-2]) & (multipliers < beside[2:])
+        found = np.flatnonzero(least & (multipliers < -1e-9 * np.abs(multipliers).max()))
+        wider = np.union1d(bends, found[np.argsort(multipliers[found])][:40] + 1)
+        if len(wider) == len(bends):
+            break
+        bends = wider
+    return bends
+
+
+def convex_sequence(
+    g: Callable[[np.ndarray], np.ndarray], N: int, constant: float | None, folder: Path | None, name: str
+) -> Found:
+    """Solve for the value and the slope at each bend, and bound all convex sequences by the multipliers.
+
+    A constant is that of Maros and Meszaros, whose file rounds c to nine digits and then to six.
+    """
+    n = N + 2
+    t = np.arange(n) / (n - 1)
+    c = g(t) + 0.1 * np.sin(np.arange(1, n + 1))
+    if constant is None:
+        constant = math.fsum((c**2 / 2).tolist())
+    else:
+        c = np.array([float(f"{float(f'{value:.8e}'):.5e}") for value in c])
+    edges = [0, *bends_of(c).tolist(), n - 1]
+    T = len(edges) - 1
+    A, Q, q = np.zeros((T, 2, 2)), np.zeros((T, 2, 2)), np.zeros((T, 2))
+    for k, (first, last) in enumerate(itertools.pairwise(edges)):
+        basis = np.column_stack([np.ones(last - first), t[: last - first]])
+        A[k] = [[1.0, t[last - first]], [0.0, 1.0]]
+        Q[k], q[k] = basis.T @ basis, -c[first:last] @ basis
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, np.array([[0.0], [1.0]])),
+        T,
+        lfo.QuadraticCost(Q=Q, q=q, P=np.diag([1.0, 0.0]), p=[-c[-1], 0.0]),
+        lfo.Box([0], [None]),
+    )
+    result = lfo.solve(problem)
+    assert result.trajectory is not None
+    assert result.cost is not None
+    x, u = result.trajectory.x, np.maximum(result.trajectory.u[:, 0], 0.0)
+    y = x[0, 0] + x[0, 1] * t
+    for k in range(T - 1):
+        y += u[k] * np.maximum(t - t[edges[k + 1]], 0.0)
+    J = constant + math.fsum([*(y**2 / 2).tolist(), *(-c * y).tolist()])
+    line, _ = np.linalg.qr(np.column_stack([np.ones(n), t]))
+    miss = (y - c) - line @ (line.T @ (y - c))
+    multipliers = np.maximum(np.cumsum(np.cumsum(miss))[: n - 2], 0.0)
+    push = np.diff(np.concatenate([[0.0, 0.0], multipliers, [0.0, 0.0]]), 2)  # y - c, where all is exact
+    low = constant - math.fsum(((push + c) ** 2 / 2).tolist())  # the least of J - push y over all y
+    wider = ROUNDED * constant
+    return Found(low - wider, J + wider, result.cost + constant, "convex")
+
+
 def pulse_pattern(M: float, k: int, folder: Path | None, name: str) -> Found:
     """Bound the distortion of a pattern that is of the published class: k switches, unipolar, none close together."""
     result = lfo.solve(lfo.library.pulse_pattern(kind="opp", modulation=M, switches=k), gap=1e-4)
@@ -385,6 +458,7 @@ def energy(A: np.ndarray, B: np.ndarray, h: float, inverse: np.ndarray, w: np.nd
 
 TIGHTER = 1e-8  # of a limit at samples: where it holds at every time, too
 DOUBLE = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])  # x'' = u
+OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([[0.0], [1.0]])  # x'' = u - x
 
 
 def bryson_denham(samples: int, folder: Path | None, name: str) -> Found:
@@ -417,26 +491,74 @@ def bryson_denham(samples: int, folder: Path | None, name: str) -> Found:
     return Found(found.low, inside.cost, found.again, found.proof)
 
 
-def cart(folder: Path | None, name: str) -> Found:
-    """Push a cart with friction as far as it is worth."""
-    A, B = np.array([[0.0, 1.0], [0.0, -1.0]]), np.array([[0.0], [1.0]])
-    dynamics, inverse = least_energy(A, B, 1.0)
-    problem = lfo.OptimalControlProblem(dynamics, 1, lfo.QuadraticCost(R=1.0, p=[-1, 0]), initial_state=[0, 0])
-    return proven_apart(problem, lambda x, w: energy(A, B, 1.0, inverse, w) / 2 - float(x[-1, 0]), folder, name)
-
-
-def bryson_ho_154(folder: Path | None, name: str) -> Found:
-    """Bring a body near rest at zero in 100 s, by steps of 10 s."""
-    A, B = DOUBLE
-    dynamics, inverse = least_energy(A, B, 10.0)
+def least_energy_to(
+    system: tuple[np.ndarray, np.ndarray],
+    seconds: float,
+    steps: int,
+    start: list[float],
+    end: dict[str, Any],
+    folder: Path | None,
+    name: str,
+) -> Found:
+    """Take half the integral of |u|^2, and a cost of the end or the end itself, by steps of equal length."""
+    A, B = system
+    h = seconds / steps
+    dynamics, inverse = least_energy(A, B, h)
+    cost = lfo.QuadraticCost(R=1.0, **{key: end[key] for key in ("P", "p") if key in end})
     problem = lfo.OptimalControlProblem(
-        dynamics, 10, lfo.QuadraticCost(R=1.0, P=np.diag([100.0, 1.0])), initial_state=[100, 1]
+        dynamics, steps, cost, initial_state=start, terminal_state=end.get("terminal_state")
+    )
+    P, p = end.get("P", np.zeros_like(A)), end.get("p", np.zeros(len(A)))
+
+    def formula(x: np.ndarray, w: np.ndarray) -> float:
+        return energy(A, B, h, inverse, w) / 2 + float(x[-1] @ P @ x[-1]) / 2 + float(p @ x[-1])
+
+    return proven_apart(problem, formula, folder, name)
+
+
+def scalar_regulator(
+    a: float,
+    b: float,
+    q: float,
+    r: float,
+    ends: tuple[float, float | None],
+    m: float,
+    seconds: float,
+    folder: Path | None,
+    name: str,
+) -> Found:
+    """Take the integral of q x^2 + r u^2 and m x^2 at the end, where x' = a x + b u.
+
+    With a root p of b^2 p^2 / r = 2 a p + q and v = u + b p x / r, it is that of r v^2, less the change of p x^2. Where
+    the end is free, p is the negative root, so that the cost of the end is convex.
+    """
+    start, end = ends
+    rate = math.sqrt(a**2 + q * b**2 / r) * (1 if end is None else -1)  # x' = rate x + b v
+    p = (a - rate) * r / b**2
+    reach = b * math.sqrt(math.expm1(2 * rate * seconds) / (2 * rate))  # w^2 is the least integral of v^2
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[math.exp(rate * seconds)]], [[reach]]),
+        1,
+        lfo.QuadraticCost(R=2 * r, P=2 * (m - p) if end is None else 0.0),
+        initial_state=[start],
+        terminal_state=None if end is None else [end],
     )
 
     def formula(x: np.ndarray, w: np.ndarray) -> float:
-        return energy(A, B, 10.0, inverse, w) / 2 + float(50 * x[-1, 0] ** 2 + x[-1, 1] ** 2 / 2)
+        panels = max(1, math.ceil(2 * seconds))
+        nodes, weights = np.polynomial.legendre.leggauss(20)
+        length = seconds / panels
+        s = ((np.arange(panels)[:, None] + (1 + nodes) / 2) * length).ravel()
+        v = b * np.exp(rate * (seconds - s)) * (float(w[0, 0]) / reach)
+        up, down = np.exp(rate * (seconds + s)), np.exp(rate * (seconds - s))
+        path = np.exp(rate * s) * x[0, 0] + b**2 * (float(w[0, 0]) / reach) * (up - down) / (2 * rate)
+        parts = q * path**2 + r * (v - b * p / r * path) ** 2
+        return float(m * x[-1, 0] ** 2) + length / 2 * math.fsum((np.tile(weights, panels) * parts).tolist())
 
-    return proven_apart(problem, formula, folder, name)
+    change = p * (start**2 - (end or 0.0) ** 2)
+    found = proven_apart(problem, lambda x, w: formula(x, w) - change, folder, name)
+    assert found.again is not None
+    return Found(found.low + change, found.high + change, found.again + change, found.proof)
 
 
 def ubh1_continuous(folder: Path | None, name: str) -> Found:
@@ -653,6 +775,10 @@ DTOC1L = "DTOC1L: linear, from 0; sum of (x - 1/2)^4 and (y - 1/4)^4; N, control
 PATTERNS = "Miller, Karamanakos, Geyer, arXiv 2512.08201, public data"
 PATTERN = "Least distortion of five levels, exactly k switches .0314159 rad apart, unipolar, |b3| ≤ .01; "
 DTQP = "DT QP Project, examples"
+MAROS = "Maros, Meszaros, QP test set, {0}"
+LISWET = "{0}: half the squares from {1} + .1 sin i to a convex sequence, t = (i - 1)/(N + 1), i to N + 2; N = {2}"
+FOSSEE = "FOSSEE Optimization Toolbox, tests/general_tests/CUTEst/{0}.sce"
+BELOW = "below the proven bound: its sequence is convex only within the tolerance of the solver"
 BRYSON = "Bryson-Denham: x'' = u in continuous time, x: 0 to 0, v: 1 to -1, x ≤ l; half the integral of u²; l = "
 SPRING = "Two masses and a spring, |u| ≤ 1, 0 to 1 at rest, any u(t): least time in s"
 KLIPPER = "Klipper, docs/Resonance_Compensation.md"
@@ -794,13 +920,68 @@ ROWS = [
     ),
     Row("bryson_9", DTQP, BRYSON + "1/9", "4", partial(bryson_denham, 9)),
     Row("bryson_10", DTQP, BRYSON + ".1", "4.4444", partial(bryson_denham, 10)),
-    Row("cart", DTQP, "Cart: x'' = u - x', from rest, 1 s; half the integral of u² less x(1)", "-0.0840456204", cart),
-    Row(
-        "bryson_ho_154",
-        DTQP,
-        "Bryson, Ho, 154: x'' = u from (100, 1), 100 s; half of 100 x² + v² at the end and of the integral of u²",
-        "0.1369230615",
-        bryson_ho_154,
+    *(
+        Row(name, DTQP, f"{words}; half the integral of u²{cost}", printed, partial(least_energy_to, *given))
+        for name, words, cost, printed, given in (
+            (
+                "cart",
+                "Cart: x'' = u - x', from rest, 1 s",
+                " less x(1)",
+                "-0.0840456204",
+                ((np.array([[0.0, 1.0], [0.0, -1.0]]), DOUBLE[1]), 1.0, 1, [0, 0], {"p": np.array([-1.0, 0.0])}),
+            ),
+            (
+                "bryson_ho_153",
+                "Bryson, Ho, 153: x' = u from 1, 1 s",
+                " and x² at the end",
+                "0.3333333333",
+                ((np.zeros((1, 1)), np.ones((1, 1))), 1.0, 1, [1], {"P": np.array([[2.0]])}),
+            ),
+            (
+                "bryson_ho_154",
+                "Bryson, Ho, 154: x'' = u from (100, 1), 100 s",
+                " and of 100 x² + v² at the end",
+                "0.1369230615",
+                (DOUBLE, 100.0, 10, [100, 1], {"P": np.diag([100.0, 1.0])}),
+            ),
+            (
+                "bryson_ho_156",
+                "Bryson, Ho, 156: x'' = u - x from (10, 1), 10 s",
+                " and of x² at the end",
+                "6.9155217445",
+                (OSCILLATOR, 10.0, 4, [10, 1], {"P": np.diag([1.0, 0.0])}),
+            ),
+            (
+                "bryson_ho_166",
+                "Bryson, Ho, 166: x'' = u - x from (-.5, 1) to rest at 0, 20 s",
+                "",
+                "0.0598424760",
+                (OSCILLATOR, 20.0, 8, [-0.5, 1], {"terminal_state": [0.0, 0.0]}),
+            ),
+        )
+    ),
+    *(
+        Row(name, DTQP, words, printed, partial(scalar_regulator, *given))
+        for name, words, printed, given in (
+            (
+                "lqr_scalar",
+                "x' = u - x from 10, 1 s; integral of x² + 11 u², and 10 x² at the end",
+                "135.3340749602",
+                (-1.0, 1.0, 1.0, 11.0, (10.0, None), 10.0, 1.0),
+            ),
+            (
+                "lqr_transfer",
+                "x' = u - x from 1.5 to 1, 10000 s; integral of x² + u²",
+                "3.3461940777",
+                (-1.0, 1.0, 1.0, 1.0, (1.5, 1.0), 0.0, 10000.0),
+            ),
+            (
+                "anderson_moore",
+                "Anderson, Moore, 64: x' = x/2 + u from 5, 10 s; integral of exp(-t) (x²/2 + 2 u²), in exp(-t/2) x",
+                "24.9977301066",
+                (0.0, 1.0, 0.5, 2.0, (5.0, None), 0.0, 10.0),
+            ),
+        )
     ),
     Row(
         "ubh1_continuous",
@@ -848,6 +1029,53 @@ ROWS = [
             ("2hump", "2HUMP_EI", "2HUMP_EI, both sides", (-1.0, 1.0), "35"),
             ("3hump_below", "3HUMP_EI", "3HUMP_EI, below", (-1.0,), "45"),
             ("3hump_above", "3HUMP_EI", "3HUMP_EI, above", (1.0,), "50"),
+        )
+    ),
+    *(
+        Row(
+            f"liswet{case}",
+            MAROS.format(f"LISWET{case}"),
+            LISWET.format(f"LISWET{case}", words, 10000) + f", c to six digits, the constant as {constant}",
+            printed,
+            partial(convex_sequence, g, 10000, constant),
+            "its exponent is one too large" if case == 8 else "",
+        )
+        for case, words, g, constant, printed in (
+            (1, "√t", np.sqrt, 2525.41, "36.122402"),
+            (2, "t", lambda t: t, 1691.99, "24.998076"),
+            (7, "sin πt", lambda t: np.sin(math.pi * t), 2525.26, "498.84089"),
+            (8, "sin 2πt", lambda t: np.sin(2 * math.pi * t), 2525.26, "7144.7006"),
+            (9, "sin 4πt", lambda t: np.sin(4 * math.pi * t), 2525.26, "1963.2513"),
+            (10, "cos πt", lambda t: np.cos(math.pi * t), 2525.95, "49.485785"),
+            (11, "cos 2πt", lambda t: np.cos(2 * math.pi * t), 2525.75, "49.523957"),
+            (12, "cos 4πt", lambda t: np.cos(4 * math.pi * t), 2525.75, "1736.9274"),
+        )
+    ),
+    *(
+        Row(
+            f"fossee_liswet10_{N}{by}",
+            FOSSEE.format("liswet10"),
+            LISWET.format("LISWET10", "cos 3.1415 t", N) + who,
+            printed,
+            partial(convex_sequence, lambda t: np.cos(3.1415 * t), N, None),
+            reason,
+        )
+        for N, by, who, printed, reason in (
+            (10, "", "", ".0219117", "a convex sequence has a smaller value"),
+            (1000, "", "", "4.9316211", BELOW),
+            (1000, "_neos", ", by NEOS", "4.9311300941879574", BELOW),
+        )
+    ),
+    *(
+        Row(f"fossee_{name}", FOSSEE.format(name.partition("_")[0]), words, printed, partial(solve, *given), reason)
+        for name, words, printed, solve, given, reason in (
+            ("hager1_500", HAGER1 + "500", ".8807972", hager1, (500,), EXCLUDED),
+            ("hager1_1000", HAGER1 + "1000", ".8807971", hager1, (1000,), ""),
+            ("hager4_50", HAGER4 + "50", "2.7998374", hager4, (50,), OUTSIDE),
+            ("hager4_500", HAGER4 + "500", "2.7945138", hager4, (500,), OUTSIDE),
+            ("ubh1_5", UBH1 + "5", "1.2444444", ubh1, (5,), ""),
+            ("dtoc1l_20", DTOC1L + "20, 2, 4", ".1126860", dtoc1l, (20, 2, 4), CONVEX),
+            ("dtoc1l_6_minos", DTOC1L + "6, 3, 3, by MINOS", ".1554865896", dtoc1l, (6, 3, 3), CONVEX),
         )
     ),
 ]

@@ -9,6 +9,7 @@ import numpy as np
 import published
 import pytest
 
+import lin_freq_ocp as lfo
 from helpers.seeds import expensive
 
 ROWS = {row.name: row for row in published.ROWS}
@@ -30,7 +31,14 @@ ROWS = {row.name: row for row in published.ROWS}
         ("bryson_10", "confirmed"),
         ("cart", "confirmed"),
         ("bryson_ho_154", "confirmed"),
+        ("bryson_ho_166", "confirmed"),
+        ("lqr_transfer", "confirmed"),
+        ("anderson_moore", "confirmed"),
         ("ubh1_continuous", "confirmed"),
+        ("liswet7", "confirmed"),
+        ("fossee_liswet10_10", "corrected"),
+        ("fossee_hager4_50", "corrected"),
+        ("fossee_dtoc1l_6_minos", "confirmed"),
         ("mzv", "corrected"),
     ],
 )
@@ -65,11 +73,35 @@ def test_a_multiplier_excludes_the_times_below_the_least_one(T, excluded):
     assert published.unreachable(A, B, np.zeros(2), np.array([1.0, 0.0]), [], 1.0, T) == excluded
 
 
-def test_no_source_has_more_than_ten_rows_and_there_are_sixty():
-    counts = Counter(row.source for row in ROWS.values())
-    assert max(counts.values()) <= 10
-    assert len(counts) >= 8
-    assert len(ROWS) >= 60
+def test_the_bound_of_a_convex_sequence_is_that_of_all_its_points_as_controls():
+    N = 10
+    t = np.arange(N + 2) / (N + 1)
+    x_ref = np.column_stack([np.cos(3.1415 * t) + 0.1 * np.sin(np.arange(1, N + 3)), np.zeros(N + 2)])
+    square = np.diag([1.0, 0.0])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1, 1], [0, 1]], [[0], [1]]),  # the value, the difference to the next one
+        N + 1,
+        lfo.QuadraticCost(Q=square, P=square, x_ref=x_ref),
+        lfo.Box([0], [None]),
+    )
+    interval = lfo.solve(problem).enclosure
+    found = ROWS["fossee_liswet10_10"].find(None, "")
+    assert found.high - found.low <= 1e-8
+    assert found.low <= interval.upper
+    assert interval.lower <= found.high
+
+
+def test_sixty_rows_count_when_ten_of_a_source_and_five_of_a_problem_do():
+    counts = {"CUTEst": Counter(), "": Counter()}
+    for row in ROWS.values():
+        project, problem = row.source.partition(",")[0], row.statement.partition(":")[0]
+        counts[project if project in counts else ""][problem] += 1
+    assert max(counts[""].values()) <= 5
+    projects = Counter(row.source.partition(",")[0] for row in ROWS.values())
+    assert len(projects) >= 8
+    assert max(count for project, count in projects.items() if project != "CUTEst") <= 10
+    left = sum(min(count, 5 - counts[""][problem]) for problem, count in counts["CUTEst"].items())
+    assert counts[""].total() + min(10, left) >= 60
 
 
 def test_an_objective_that_two_formulas_value_differently_is_unexplained():
