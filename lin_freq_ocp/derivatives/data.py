@@ -7,7 +7,7 @@ gives that of the optimum. Bins and responses are complex: a change d of a datum
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -74,56 +74,37 @@ class Variables:
         return cls(change.x, change.u, change.x, change.u, multipliers)
 
 
-Factor = Callable[[Variables], Array]
-
-
 def slopes(problem: OptimalControlProblem, at: Variables, along: Variables | None = None) -> Values:
     """Return the slope of the Lagrangian by every datum at a point, or the derivative of that slope along a change.
 
     Matrices, q, r and references that are constant in time have one slope, the sum over time.
     """
     cost, one, T = problem.quadratic, along or at, problem.horizon
-    pairs = ((at, at),) if along is None else ((along, at), (at, along))
+    both = (at,) if along is None else (along, at)
+    a, b, last, x, u = zip(*((of.a[:-1], of.b, of.a[-1:], of.x[:-1], of.u) for of in both), strict=True)
+    eta = [of.multipliers.eta for of in both]
 
-    def product(left: Factor, right: Factor, datum: Array) -> Array:
+    def product(left: Sequence[Array], right: Sequence[Array], datum: Array) -> Array:
         """Return the sum of left right' over both orders, and over time where the datum is constant."""
         form = "ti,tj->ij" if datum.ndim == 2 else "ti,tj->tij"
-        return sum((np.einsum(form, left(i), right(j)) for i, j in pairs), np.zeros(()))
+        return sum((np.einsum(form, i, j) for i, j in zip(left, reversed(right), strict=True)), np.zeros(()))
 
     def fit(datum: Array, values: Array) -> Array:
         return values.sum(axis=0) if datum.ndim == 1 else values
 
-    def a(of: Variables) -> Array:
-        return of.a[:-1]
-
-    def b(of: Variables) -> Array:
-        return of.b
-
-    def x(of: Variables) -> Array:
-        return of.x[:-1]
-
-    def u(of: Variables) -> Array:
-        return of.u
-
-    def eta(of: Variables) -> Array:
-        return of.multipliers.eta
-
     hessian = replace(cost, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
     in_x, in_u = hessian.at_dimensions(problem.state_dim, problem.control_dim, T).gradient(one.a, one.b)
     found: Values = {"Q": 0.5 * product(a, a, cost.Q), "R": 0.5 * product(b, b, cost.R), "S": product(a, b, cost.S)}
-    found |= {"P": 0.5 * product(lambda of: of.a[-1:], lambda of: of.a[-1:], cost.P), "p": one.x[-1]}
+    found |= {"P": 0.5 * product(last, last, cost.P), "p": one.x[-1]}
     found |= {"q": fit(cost.q, one.x[:-1]), "r": fit(cost.r, one.u), "offset": -one.multipliers.eta}
     found |= {"x_ref": fit(cost.x_ref, -in_x), "u_ref": fit(cost.u_ref, -in_u)}
     if problem.response is not None:
-        of_G = sum(_response_slope(problem.response, i, j) for i, j in pairs)
+        of_G = sum(_response_slope(problem.response, i, j) for i, j in zip(both, reversed(both), strict=True))
         found["response"] = cast("Array", of_G)
     elif not problem.mode_names:
         found |= {"A": -product(eta, x, problem.linear.A), "B": -product(eta, u, problem.linear.B)}
     for rows in () if problem.path_constraints else problem.stage_rows:
-
-        def prices(of: Variables, name: str = rows.name) -> Array:
-            return of.multipliers.stage[name]
-
+        prices = [of.multipliers.stage[rows.name] for of in both]
         found |= {f"{rows.name}.C": product(prices, x, rows.C), f"{rows.name}.D": product(prices, u, rows.D)}
     return found | _limit_slopes(problem, at, along)
 
