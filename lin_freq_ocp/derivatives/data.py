@@ -123,11 +123,14 @@ def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> C
 def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Variables | None) -> Values:
     """Return the slopes by ends, bounds, bins, and the limits of terms under their names."""
     at, one, (lower, upper) = point.multipliers, (along or point).multipliers, bounds_of_ends(problem)
-    of_ends, either = np.where(at.mu > 0, upper, lower), lower | upper
+    of_ends, either = np.where(is_upper(at.mu, problem.state_tube), upper, lower), lower | upper
     prices = np.where(either, np.where(of_ends, -one.mu, 0.0), np.nan)
     found: Values = {name: prices[t] for name, t in zip(ENDS, (0, -1), strict=True)}
-    for signal, weights, changes in (("state", np.where(of_ends, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
-        found[f"{signal}_upper"] = -np.where(weights > 0, changes, 0.0)
+    for signal, tube, weights, changes in (
+        ("state", problem.state_tube, at.mu, np.where(of_ends, 0.0, one.mu)),
+        ("control", problem.control_tube, at.nu, one.nu),
+    ):
+        found[f"{signal}_upper"] = -np.where(is_upper(weights, tube), changes, 0.0)
         found[f"{signal}_lower"] = -np.where(weights < 0, changes, 0.0)
     found |= {"control_bins": cast("Array", -one.rho_u), "state_bins": cast("Array", -one.rho_x)}
     for term in problem.terms:
@@ -143,7 +146,14 @@ def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Varia
 def bounds_of_ends(problem: OptimalControlProblem) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of x_t, (T+1, n), are those of an end: fixed, or tighter than the set."""
     sets, tube = problem.state_boxes, problem.state_tube
-    return tube.fixed | (tube.lower > sets.lower), tube.fixed | (tube.upper < sets.upper)
+    fixed = np.zeros(tube.lower.shape, dtype=bool)
+    fixed[0], fixed[-1] = problem.initial_box.fixed, problem.terminal_box.fixed
+    return fixed | (tube.lower > sets.lower), fixed | (tube.upper < sets.upper)
+
+
+def is_upper(multipliers: Array, tube: Box) -> Mask:
+    """Whether each multiplier is that of the upper bound; with equal bounds, the one of its sign moves the value."""
+    return (multipliers > 0) | (tube.fixed & (multipliers == 0))
 
 
 def data_of(problem: OptimalControlProblem) -> Values:
