@@ -138,17 +138,21 @@ class AngleLattice:
             return max(point, self._bound(r, part, enough, whole=True), key=lambda one: one.bound)
         return point
 
+    def open_cells(self, part: AngleRange, opened: Mask) -> tuple[Indices, Indices, Indices] | None:
+        """Return the first open cell (m, 2, N) of each angle, the first after the last, and signs; None without one."""
+        cells, (up, down) = opened.any(axis=1), opened.any(axis=2).T
+        if not (up | down).all():
+            return None
+        ends = cells.shape[1] - cells[:, ::-1].argmax(axis=1)
+        return cells.argmax(axis=1), ends, np.where(up & down, part.sign, np.where(up, 1, -1))
+
     def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
         """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
-        edge, low, high = RANGE_ROUNDING * self.h, part.low.copy(), part.high.copy()
-        for j, cells in enumerate(np.logical_or.reduce(opened, axis=1)):
-            where = np.flatnonzero(cells)
-            if not len(where):
-                return None
-            low[j] = max(low[j], where[0] * self.h - edge)
-            high[j] = min(high[j], (where[-1] + 1) * self.h + edge)
-        up, down = np.logical_or.reduce(opened, axis=2).T
-        return AngleRange(low, high, np.where(up & down, part.sign, np.where(up, 1, -1)))
+        cells, edge = self.open_cells(part, opened), RANGE_ROUNDING * self.h
+        if cells is None:
+            return None
+        first, end, sign = cells
+        return AngleRange(np.maximum(part.low, first * self.h - edge), np.minimum(part.high, end * self.h + edge), sign)
 
     def _bound(self, r: Array, part: AngleRange, enough: float, whole: bool) -> LatticePoint:
         """Return the bound by trains with all whole steps of each dwell between switches, or with one less."""
