@@ -94,10 +94,9 @@ class LongKKT:
 
     def sizes(self, point: LongSolution) -> tuple[float, float]:
         """Return the largest values of z and of y, in units of order 1."""
-        y = point.multipliers
-        slopes = np.abs(stack_signals(np.vstack([0 * y.eta[:1], y.eta]), 0 * y.nu))
-        prices = np.maximum(slopes, np.abs(point.normals)) / self.slope_units
-        return float(np.abs(point.z / self.units[1]).max()), float(prices.max())
+        of_eta = np.abs(point.multipliers.eta / self.slope_units[: self.n]).max()
+        of_bounds = np.abs(point.normals / self.slope_units).max()
+        return float(np.abs(point.z / self.units[1]).max()), float(max(of_eta, of_bounds))
 
     def solve(self, right: Sides) -> LongSolution | None:
         """Return the solution for a right-hand side; None if no method finds any.

@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, complex_array, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, entry_named, suggestion
-from lin_freq_ocp.problem.costs.quadratic import AXES, SYMMETRY_TOLERANCE, CostSum
+from lin_freq_ocp.problem.costs.quadratic import AXES, CostSum, require_symmetric
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -205,11 +204,8 @@ def data_for(problem: OptimalControlProblem, data: Mapping[str, ArrayLike]) -> V
         if array.ndim < axes or array.shape != shape[len(shape) - array.ndim :]:
             once = f", or {shape[1:]}" if len(shape) > axes else ""
             raise ProblemError(name, f"shape {array.shape}", f"shape {shape}{once}")
-        asymmetry = np.abs(array - np.swapaxes(array, -1, -2)).max() if name in SYMMETRIC else 0.0
-        if asymmetry > SYMMETRY_TOLERANCE * np.abs(array).max():
-            got = f"a matrix that differs from its transpose by {asymmetry:g}"
-            advice = f"Only the symmetric part counts: pass ({name} + {name}')/2."
-            raise ProblemError(name, got, "a symmetric matrix", advice)
+        if name in SYMMETRIC:
+            require_symmetric(name, array)
         found[name] = np.broadcast_to(array, shape)
     return found
 
@@ -249,15 +245,15 @@ def with_data(problem: OptimalControlProblem, data: Mapping[str, Array]) -> Opti
                 got = f"a {signal}_set that is more than a Box"
                 raise UnsupportedError(f"{signal}_upper, {signal}_lower: got {got}; expected a Box, or none.")
             fields[f"{signal}_set"] = Box(**sides)
-    rows, names = list[StageRows](), {one.name for one in problem.stage_rows}
-    for one in problem.stage_rows:
-        parts = [data.get(f"{one.name}{part}") for part in (".C", ".D", "")]
-        old = (one.C, one.D, one.e)
-        C, D, e = (was if new is None else new for new, was in zip(parts, old, strict=True))
-        rows.append(StageRows(C, D, e, one.name, one.penalty))
+    names = [one.name for one in problem.stage_rows]
     if any(name.removesuffix(".C").removesuffix(".D") in names for name in data):
-        fields["stage_rows"] = rows
+        fields["stage_rows"] = [
+            replace(
+                one, C=data.get(f"{one.name}.C", one.C), D=data.get(f"{one.name}.D", one.D), e=data.get(one.name, one.e)
+            )
+            for one in problem.stage_rows
+        ]
     for name in data:
-        if name in homeless - names:
+        if name in homeless.difference(names):
             raise UnsupportedError(f"{name}: it has no single place in the problem; state a problem with another one.")
     return replace(problem, **fields)
