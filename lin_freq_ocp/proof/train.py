@@ -121,7 +121,8 @@ def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | Non
     waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, np.zeros(len(quarter.orders)))]
     while waiting:
         ranges, sign, level, r = waiting.pop()
-        part = AngleRange(*(QUARTER * np.array(ranges, dtype=float).T), sign)
+        low_end, high_end = QUARTER * np.array(ranges, dtype=float).T
+        part = AngleRange(low_end, high_end, sign)
         excluded_by = nearest_train(quarter, part.low, part.high, sign).excluded_by
         if excluded_by is not None:
             yield line(sums=SUMS, weights=excluded_by)
@@ -164,7 +165,7 @@ def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | Non
         free = np.flatnonzero(sign == 0)
         i = int(free[0] if len(free) else (part.high - part.low).argmax())
         yield line(split=i)
-        (a, b), middle = ranges[i], sum(ranges[i]) / 2
+        (a, b), middle = ranges[i], (ranges[i][0] + ranges[i][1]) / 2
         halves = [((a, b), s) for s in (-1, 1)] if len(free) else [((middle, b), sign[i]), ((a, middle), sign[i])]
         for half, s in halves:
             waiting.append(([*ranges[:i], half, *ranges[i + 1 :]], np.where(np.arange(m) == i, s, sign), level, r))

@@ -140,8 +140,8 @@ class AngleLattice:
 
     def open_cells(self, part: AngleRange, opened: Mask) -> tuple[Indices, Indices, Indices] | None:
         """Return the first open cell (m, 2, N) of each angle, the first after the last, and signs; None without one."""
-        cells, (up, down) = opened.any(axis=1), opened.any(axis=2).T
-        if not (up | down).all():
+        cells, (up, down) = np.logical_or.reduce(opened, axis=1), np.logical_or.reduce(opened, axis=2).T
+        if not np.logical_or(up, down).all():
             return None
         ends = cells.shape[1] - cells[:, ::-1].argmax(axis=1)
         return cells.argmax(axis=1), ends, np.where(up & down, part.sign, np.where(up, 1, -1))
