@@ -98,8 +98,7 @@ class AngleRange:
         if len(free):
             return [replace(self, sign=np.where(where, s, self.sign)) for s in (1, -1)]
         middle = (self.low + self.high) / 2
-        high, low = np.where(where, middle, self.high), np.where(where, middle, self.low)
-        return [replace(self, high=high), replace(self, low=low)]
+        return [replace(self, **{side: np.where(where, middle, getattr(self, side))}) for side in ("high", "low")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,10 +147,9 @@ class AngleLattice:
 
     def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
         """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
-        cells, edge = self.open_cells(part, opened), RANGE_ROUNDING * self.h
-        if cells is None:
+        if (cells := self.open_cells(part, opened)) is None:
             return None
-        first, end, sign = cells
+        edge, (first, end, sign) = RANGE_ROUNDING * self.h, cells
         return AngleRange(np.maximum(part.low, first * self.h - edge), np.minimum(part.high, end * self.h + edge), sign)
 
     def _bound(self, r: Array, part: AngleRange, enough: float, whole: bool) -> LatticePoint:
