@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
@@ -35,33 +36,33 @@ class Layer:
         require_problem(self.problem)
         if self.kinks not in ("error", "right"):
             raise ProblemError("kinks", repr(self.kinks), "'error' or 'right'")
-        data_for(
-            self.problem, {name: data_of(self.problem).get(name, 0.0) for name in self.names if name not in OF_EACH}
-        )
+        data_for(self.problem, {name: self._known.get(name, 0.0) for name in self.names if name not in OF_EACH})
 
     def batch(self, data: Sequence[Array]) -> int | None:
         """Return the number of problems that data of initial states and references are for; None for one."""
-        known = data_of(self.problem)
-        sizes = {len(d) for d, name in zip(data, self.names, strict=True) if self._has_batch(name, d, known)}
+        sizes = {len(d) for name, d in zip(self.names, data, strict=True) if self._has_batch(name, d)}
         if len(sizes) > 1:
             raise ProblemError("layer", f"batches of {sorted(sizes)}", "one size of the leading axis")
         return sizes.pop() if sizes else None
 
-    def _has_batch(self, name: str, value: Array, known: dict[str, Array]) -> bool:
-        return name in OF_EACH and value.ndim == known[name].ndim + 1
+    def _has_batch(self, name: str, value: Array) -> bool:
+        return name in OF_EACH and value.ndim == 1 + self._known[name].ndim
+
+    @cached_property
+    def _known(self) -> dict[str, Array]:
+        return data_of(self.problem)
+
+    def _of_each(self, data: Sequence[Array]) -> list[dict[str, Array]]:
+        """Return the data, or changes of them, of each problem of a batch."""
+        batched = [(name, d, self._has_batch(name, d)) for name, d in zip(self.names, data, strict=True)]
+        return [{name: d[i] if many else d for name, d, many in batched} for i in range(self.batch(data) or 1)]
 
     def solutions(self, data: Sequence[Array]) -> Solutions:
         """Return the derivatives of each problem of a batch, or of the only one."""
         key = tuple(d.tobytes() for d in data)
         if key not in self._kept:
-            count, known, found = self.batch(data), data_of(self.problem), Solutions()
-            for i in range(count or 1):
-                one = {
-                    name: d[i] if self._has_batch(name, d, known) else d
-                    for name, d in zip(self.names, data, strict=True)
-                }
-                found.append(solve(with_data(self.problem, data_for(self.problem, one))).derivatives)
-            self._kept[key] = found
+            each = [with_data(self.problem, data_for(self.problem, one)) for one in self._of_each(data)]
+            self._kept[key] = [solve(problem).derivatives for problem in each]
             while len(self._kept) > MOST_KEPT:
                 del self._kept[next(iter(self._kept))]
         return self._kept[key]
@@ -75,9 +76,8 @@ class Layer:
 
     def gradients(self, data: Sequence[Array], bars: Sequence[Array]) -> tuple[Array, ...]:
         """Return the derivatives of <bars, outputs> by the data, in their shapes; NoDerivativeError where none is."""
-        count, parts = self.batch(data), list[dict[str, Array]]()
-        for i, one in enumerate(self.solutions(data)):
-            x, u, cost = bars if count is None else (bar[i] for bar in bars)
+        parts, each = list[dict[str, Array]](), [bars] if self.batch(data) is None else zip(*bars, strict=True)
+        for one, (x, u, cost) in zip(self.solutions(data), each, strict=True):
             gradient, prices = one.vjp(x=x, u=u), one.prices
             self._require(gradient)
             parts.append({name: gradient[name] + float(cost) * prices[name] for name in self.names})
@@ -85,19 +85,12 @@ class Layer:
 
     def cost_curvatures(self, data: Sequence[Array], weights: Array, bars: Sequence[Array]) -> tuple[Array, ...]:
         """Return the derivatives of <bars, slopes of the weighted cost> by the weights, then by the data."""
-        count, known, of_weights, parts = (
-            self.batch(data),
-            data_of(self.problem),
-            list[float](),
-            list[dict[str, Array]](),
-        )
-        for i, one in enumerate(self.solutions(data)):
-            entries = zip(self.names, data, bars, strict=True)
-            change = {name: bar[i] if self._has_batch(name, d, known) else bar for name, d, bar in entries}
+        of_weights, parts = list[float](), list[dict[str, Array]]()
+        for one, weight, change in zip(self.solutions(data), np.ravel(weights), self._of_each(bars), strict=True):
             step, found = one.jvp(**change), one.prices_along(**change)
             self._require(step)
             of_weights.append(step.cost)
-            parts.append({name: float(weights if count is None else weights[i]) * found[name] for name in self.names})
+            parts.append({name: float(weight) * found[name] for name in self.names})
         return np.reshape(of_weights, np.shape(weights)), *self._in_shapes(data, parts)
 
     def _require(self, found: Existence) -> None:
@@ -105,21 +98,13 @@ class Layer:
             raise NoDerivativeError(f"layer: no derivative: {found.reason}.", found.rows)
 
     def _in_shapes(self, data: Sequence[Array], parts: Sequence[dict[str, Array]]) -> tuple[Array, ...]:
-        """Return derivatives by the data of each problem in the shapes of the data, summed where problems share one."""
-        known, found = data_of(self.problem), list[Array]()
+        """Return derivatives in the shapes of the data, summed over problems and times that share a datum."""
+        found = list[Array]()
         for name, given in zip(self.names, data, strict=True):
-            has_batch = self._has_batch(name, given, known)
-            shape = given.shape[int(has_batch) :]
-            stacked = np.stack([_of_shape(np.nan_to_num(part[name]), shape) for part in parts])
-            found.append(stacked if has_batch else stacked.sum(axis=0))
+            has_batch, each = self._has_batch(name, given), np.nan_to_num([part[name] for part in parts])
+            shared = range(has_batch, each.ndim - given.ndim + has_batch)
+            found.append(each.sum(axis=tuple(shared)))
         return tuple(found)
-
-
-def _of_shape(value: Array, shape: tuple[int, ...]) -> Array:
-    """Return a derivative by a datum that holds at all times as the sum over time."""
-    while value.ndim > len(shape):
-        value = value.sum(axis=0)
-    return value
 
 
 def to_torch(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "error") -> Callable[..., Foreign]:
@@ -196,9 +181,8 @@ def to_torch(problem: OptimalControlProblem, data: Sequence[str], kinks: str = "
             if bars[0] is None and bars[1] is None:  # the cost alone has second derivatives
                 return (None,) * len(tensors) if bars[2] is None else CostSlopes.apply(bars[2], *tensors)
             outputs = zip(layer.outputs(arrays(tensors)), bars, strict=True)
-            return of_signals(
-                ctx, [np.zeros_like(at) if bar is None else arrays([bar])[0] for at, bar in outputs], *tensors
-            )
+            weights = [np.zeros_like(at) if bar is None else arrays([bar])[0] for at, bar in outputs]
+            return of_signals(ctx, weights, *tensors)
 
     return Optimum.apply
 

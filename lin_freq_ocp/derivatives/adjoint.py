@@ -22,24 +22,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals, to_shape
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hamiltonian import cost_curvatures, extremal_within
-from lin_freq_ocp.derivatives.data import Variables, slopes
+from lin_freq_ocp.derivatives.data import Variables
 from lin_freq_ocp.derivatives.derivatives import (
     DEPENDENT_ROWS,
     SEEN,
     UNSETTLED,
     WEAK,
     Derivative,
-    Gradient,
+    ExistenceFields,
     SolutionDerivatives,
-    require_derivatives,
 )
 from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
 from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
+from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.methods.correction import deviation_units
 from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -52,27 +52,27 @@ Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T
 
 @dataclass(frozen=True, eq=False)
 class LongSolution:
-    """States and controls z (T+1, n+m) with multipliers y, and the errors of both, estimated, in units of order 1."""
+    """States and controls z (T+1, n+m) with multipliers, and the errors of both, estimated, in units of order 1."""
 
     z: Array
-    y: Multipliers
+    multipliers: Multipliers
     error: tuple[float, float] = (np.inf, np.inf)
 
     def plus(self, other: LongSolution, factor: float) -> LongSolution:
         """Return this point and a multiple of another one."""
-        parts = ("eta", "mu", "nu", "rho_u", "rho_x")
-        sums = {name: getattr(self.y, name) + factor * getattr(other.y, name) for name in parts}
+        y, dy = self.multipliers, other.multipliers
+        sums = {name: getattr(y, name) + factor * getattr(dy, name) for name in ("eta", "mu", "nu", "rho_u", "rho_x")}
         return LongSolution(self.z + factor * other.z, Multipliers(1.0, **sums))
 
     @property
     def trajectory(self) -> Trajectory:
         """Return the states and controls."""
-        return Trajectory(*split_signals(self.z, self.y.eta.shape[1]))
+        return Trajectory(*split_signals(self.z, self.multipliers.eta.shape[1]))
 
     @property
     def normals(self) -> Array:
         """Return the multipliers of bounds, (T+1, n+m)."""
-        return stack_signals(self.y.mu, self.y.nu)
+        return stack_signals(self.multipliers.mu, self.multipliers.nu)
 
 
 class LongKKT:
@@ -82,34 +82,28 @@ class LongKKT:
     """
 
     def __init__(self, problem: OptimalControlProblem, units: Array, slope_units: Array, held: Mask):
-        cost, dynamics = problem.quadratic, problem.linear
-        none = {name: 0 * getattr(cost, name) for name in ("q", "r", "p", "x_ref", "u_ref")}
-        dynamics = replace(dynamics, offset=0 * dynamics.offset)
-        self.problem, self.n = problem.derived(dynamics=dynamics, cost=replace(cost, **none)), problem.state_dim
-        self.held, self.units, self.slope_units = held, (slope_units, units, units[: self.n]), slope_units
+        self.problem, self.n, self.held = problem, problem.state_dim, held
+        self.units, self.slope_units = (slope_units, units, units[: self.n]), slope_units
         drawn = np.random.default_rng(0).standard_normal((2, *held.shape))
         drawn[:, -1, self.n :] = 0.0  # there is no u_T
         drawn[0, :, : self.n] = 0.0  # slopes in u move z by its units, those in x by far more
-        none, self.random = np.zeros((problem.horizon, self.n)), None
-        self._drawn = drawn[0] * slope_units, drawn[1] * units, none
+        self._drawn = drawn[0] * slope_units, drawn[1] * units, np.zeros((problem.horizon, self.n))
         found = self._answer(self._drawn)
-        if found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR:
-            self.random = found
+        exact = found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR
+        self.random = found if exact else None
 
     def sizes(self, point: LongSolution) -> tuple[float, float]:
         """Return the largest values of z and of y, in units of order 1."""
-        slopes = np.abs(stack_signals(np.vstack([0 * point.y.eta[:1], point.y.eta]), 0 * point.y.nu))
-        prices = np.maximum(slopes, np.abs(point.normals)) / self.slope_units
-        return float(np.abs(point.z / self.units[1]).max()), float(prices.max())
+        of_eta = np.abs(point.multipliers.eta / self.slope_units[: self.n]).max()
+        of_bounds = np.abs(point.normals / self.slope_units).max()
+        return float(np.abs(point.z / self.units[1]).max()), float(max(of_eta, of_bounds))
 
     def solve(self, right: Sides) -> LongSolution | None:
         """Return the solution for a right-hand side; None if no method finds any.
 
         Its error is the last correction, times the part of the correction before that it was.
         """
-        x, u = split_signals(zero := np.zeros(self.held.shape), self.n)
-        rho_u, rho_x = 0j * self.problem.control_stop, 0j * self.problem.state_stop
-        point = LongSolution(zero, Multipliers(1.0, x[1:], x, u, rho_u, rho_x))
+        point = LongSolution(np.zeros(self.held.shape), zero_multipliers(self.problem, 1.0))
         left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
         for _ in range(KKT_REFINEMENTS):
             if (amount := self._amount(left)) == 0:
@@ -139,20 +133,21 @@ class LongKKT:
 
     def _residual(self, right: Sides, point: LongSolution) -> Sides:
         """Return what a point leaves of a right-hand side."""
-        at = extremal_within(self.problem, point.trajectory, point.y, self.problem.signal_bounds)
-        left = (
-            right[0] - at.slopes - point.normals,
-            np.where(self.held, right[1] - point.z, 0.0),
-            right[2] - at.residual,
-        )
-        return left[0].astype(np.float64), left[1], left[2].astype(np.float64)
+        stated = self._with_sides(right)
+        at = extremal_within(stated, point.trajectory, point.multipliers, stated.signal_bounds)
+        of_z, values = -at.slopes - point.normals, np.where(self.held, right[1] - point.z, 0.0)
+        return of_z.astype(np.float64), values, -at.residual.astype(np.float64)
+
+    def _with_sides(self, right: Sides) -> OptimalControlProblem:
+        """Return the problem whose optimum is the solution for a right-hand side."""
+        (of_x, of_u), cost = split_signals(-right[0], self.n), self.problem.quadratic
+        cost = replace(cost, q=of_x[:-1], r=of_u, p=of_x[-1], x_ref=0 * cost.x_ref, u_ref=0 * cost.u_ref)
+        lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
+        return with_sides(self.problem, lower, upper, right[2], cost)
 
     def _answer(self, right: Sides) -> LongSolution | None:
         """Return the answer of a method for a right-hand side; None if none finds an optimum."""
-        of_x, of_u = split_signals(-right[0], self.n)
-        cost = replace(self.problem.quadratic, q=of_x[:-1], r=of_u, p=of_x[-1])
-        lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
-        found = solve_long(with_sides(self.problem, lower, upper, right[2], cost))
+        found = solve_long(self._with_sides(right))
         if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
             return None
         return LongSolution(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
@@ -161,8 +156,22 @@ class LongKKT:
 def derivatives_of(
     problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers
 ) -> SolutionDerivatives:
-    """Return the derivatives of an optimum: by its equations, or by adjoint problems where these are too many."""
-    require_derivatives(problem, multipliers)
+    """Return the derivatives of an optimum: by its equations, or by adjoint problems where these are too many.
+
+    Raises
+    ------
+    UnsupportedError
+        If an optimum of this kind of problem has no derivatives.
+    """
+    _ = problem.equations  # raises UnsupportedError if there are modes
+    if multipliers.eta_C != 1:
+        raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
+    at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
+    if at_points:
+        raise UnsupportedError(
+            f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
+            "limits at bins. The derivatives of the cost, result.sensitivities, exist."
+        )
     kind = AdjointDerivatives if is_long(problem) else SolutionDerivatives
     return kind(problem, trajectory, multipliers)
 
@@ -202,43 +211,20 @@ class AdjointDerivatives(SolutionDerivatives):
                 self._reason = ""
                 break
             above, active = np.where(wrong & ~active, over < under, above), active ^ wrong
-        if weak.any():  # they are independent of the active rows and of each other, or not
-            self._kkt = LongKKT(problem, units, slope_units, self._kkt.held | weak)
-        if not self._reason and self._kkt.random is None:
+        held = self._kkt.held
+        every = LongKKT(problem, units, slope_units, held | weak) if weak.any() else self._kkt
+        if not self._reason and every.random is None:  # weak rows depend on the active rows, or on each other
             self._reason = DEPENDENT_ROWS
         if weak.any():
-            self._kkt = LongKKT(problem, units, slope_units, self._kkt.held & ~weak)
-        self._weak, self._at = weak, at
-        self._signals = Variables.at(problem, at.trajectory, at.y)
+            self._kkt = LongKKT(problem, units, slope_units, held & ~weak)
+        self._weak, self._point = weak, at
+        self._signals = Variables.at(problem, at.trajectory, at.multipliers)
 
-    @property
-    def trajectory(self) -> Trajectory:
-        """Return the exact optimum on its active bounds."""
-        return self._at.trajectory
-
-    @property
-    def multipliers(self) -> Multipliers:
-        """Return its multipliers."""
-        return self._at.y
-
-    def vjp(
-        self, x: ArrayLike | None = None, u: ArrayLike | None = None, multipliers: Multipliers | None = None
-    ) -> Gradient:
-        """Return the derivative of sum(x * x*) + sum(u * u*) by every datum, as ``SolutionDerivatives.vjp`` does.
-
-        Raises
-        ------
-        ProblemError
-            If a weight has the wrong shape, or an entry is not a number.
-        UnsupportedError
-            If multipliers have weights, or no method solves the adjoint problem.
-        """
+    def _adjoint(self, of_x: Array, of_u: Array, multipliers: Multipliers | None) -> tuple[Variables, ExistenceFields]:
         if multipliers is not None:
             raise UnsupportedError(f"derivatives: got weights of multipliers; {LONG}.")
-        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
-        in_x = np.zeros((T + 1, n)) if x is None else to_shape("x", x, (T + 1, n))
-        zbar = stack_signals(in_x, np.zeros((T, m)) if u is None else to_shape("u", u, (T, m)))
-        found = self._kkt.solve((zbar, 0 * zbar, np.zeros((T, n))))
+        zbar = stack_signals(of_x, of_u)
+        found = self._kkt.solve((zbar, 0 * zbar, 0 * of_x[1:]))
         if found is None:
             raise UnsupportedError("derivatives: no method solves the adjoint problem.")
         size = max(self._kkt.sizes(found))
@@ -249,9 +235,7 @@ class AdjointDerivatives(SolutionDerivatives):
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         if not reason and rows:
             reason = f"{WEAK}: {plural(len(rows), 'row')}"
-        along = Variables.along(found.trajectory, found.y)
-        values = {name: -value for name, value in slopes(self.problem, self._signals, along).items()}
-        return Gradient(not reason, rows, reason, error, values)
+        return Variables.along(found.trajectory, found.multipliers), (not reason, rows, reason, error)
 
     def jvp(self, **change: ArrayLike) -> Derivative:
         """Raise UnsupportedError: the derivative along a change needs the factor of K."""
@@ -260,6 +244,6 @@ class AdjointDerivatives(SolutionDerivatives):
     def _name_bound(self, t: int, i: int) -> str:
         """Return the name of a bound with its time and component."""
         n, (lower, upper) = self.problem.state_dim, self.problem.signal_bounds
-        side = "upper" if upper[t, i] - self._at.z[t, i] <= self._at.z[t, i] - lower[t, i] else "lower"
+        side = "upper" if upper[t, i] - self._point.z[t, i] <= self._point.z[t, i] - lower[t, i] else "lower"
         signal, component = ("state set", i) if i < n else ("control set", i - n)
         return f"{signal}, t = {t}, component {component}, {side}"

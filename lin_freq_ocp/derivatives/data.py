@@ -7,7 +7,7 @@ gives that of the optimum. Bins and responses are complex: a change d of a datum
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, complex_array, real_array
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, entry_named, suggestion
-from lin_freq_ocp.problem.costs.quadratic import AXES, SYMMETRY_TOLERANCE, CostSum
+from lin_freq_ocp.problem.costs.quadratic import AXES, CostSum, require_symmetric
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
-from lin_freq_ocp.problem.sets.stage_rows import StageRows
 from lin_freq_ocp.problem.spectrum.base import entries_of
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 
@@ -74,56 +73,37 @@ class Variables:
         return cls(change.x, change.u, change.x, change.u, multipliers)
 
 
-Factor = Callable[[Variables], Array]
-
-
 def slopes(problem: OptimalControlProblem, at: Variables, along: Variables | None = None) -> Values:
     """Return the slope of the Lagrangian by every datum at a point, or the derivative of that slope along a change.
 
     Matrices, q, r and references that are constant in time have one slope, the sum over time.
     """
     cost, one, T = problem.quadratic, along or at, problem.horizon
-    pairs = ((at, at),) if along is None else ((along, at), (at, along))
+    both = (at,) if along is None else (along, at)
+    a, b, last, x, u = zip(*((of.a[:-1], of.b, of.a[-1:], of.x[:-1], of.u) for of in both), strict=True)
+    eta = [of.multipliers.eta for of in both]
 
-    def product(left: Factor, right: Factor, datum: Array) -> Array:
+    def product(left: Sequence[Array], right: Sequence[Array], datum: Array) -> Array:
         """Return the sum of left right' over both orders, and over time where the datum is constant."""
         form = "ti,tj->ij" if datum.ndim == 2 else "ti,tj->tij"
-        return sum((np.einsum(form, left(i), right(j)) for i, j in pairs), np.zeros(()))
+        return sum((np.einsum(form, i, j) for i, j in zip(left, reversed(right), strict=True)), np.zeros(()))
 
     def fit(datum: Array, values: Array) -> Array:
         return values.sum(axis=0) if datum.ndim == 1 else values
 
-    def a(of: Variables) -> Array:
-        return of.a[:-1]
-
-    def b(of: Variables) -> Array:
-        return of.b
-
-    def x(of: Variables) -> Array:
-        return of.x[:-1]
-
-    def u(of: Variables) -> Array:
-        return of.u
-
-    def eta(of: Variables) -> Array:
-        return of.multipliers.eta
-
     hessian = replace(cost, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
     in_x, in_u = hessian.at_dimensions(problem.state_dim, problem.control_dim, T).gradient(one.a, one.b)
     found: Values = {"Q": 0.5 * product(a, a, cost.Q), "R": 0.5 * product(b, b, cost.R), "S": product(a, b, cost.S)}
-    found |= {"P": 0.5 * product(lambda of: of.a[-1:], lambda of: of.a[-1:], cost.P), "p": one.x[-1]}
+    found |= {"P": 0.5 * product(last, last, cost.P), "p": one.x[-1]}
     found |= {"q": fit(cost.q, one.x[:-1]), "r": fit(cost.r, one.u), "offset": -one.multipliers.eta}
     found |= {"x_ref": fit(cost.x_ref, -in_x), "u_ref": fit(cost.u_ref, -in_u)}
     if problem.response is not None:
-        of_G = sum(_response_slope(problem.response, i, j) for i, j in pairs)
+        of_G = sum(_response_slope(problem.response, i, j) for i, j in zip(both, reversed(both), strict=True))
         found["response"] = cast("Array", of_G)
     elif not problem.mode_names:
         found |= {"A": -product(eta, x, problem.linear.A), "B": -product(eta, u, problem.linear.B)}
     for rows in () if problem.path_constraints else problem.stage_rows:
-
-        def prices(of: Variables, name: str = rows.name) -> Array:
-            return of.multipliers.stage[name]
-
+        prices = [of.multipliers.stage[rows.name] for of in both]
         found |= {f"{rows.name}.C": product(prices, x, rows.C), f"{rows.name}.D": product(prices, u, rows.D)}
     return found | _limit_slopes(problem, at, along)
 
@@ -142,11 +122,14 @@ def _response_slope(response: Response, of_eta: Variables, of_u: Variables) -> C
 def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Variables | None) -> Values:
     """Return the slopes by ends, bounds, bins, and the limits of terms under their names."""
     at, one, (lower, upper) = point.multipliers, (along or point).multipliers, bounds_of_ends(problem)
-    of_ends, either = np.where(at.mu > 0, upper, lower), lower | upper
+    of_ends, either = np.where(is_upper(at.mu, problem.state_tube), upper, lower), lower | upper
     prices = np.where(either, np.where(of_ends, -one.mu, 0.0), np.nan)
     found: Values = {name: prices[t] for name, t in zip(ENDS, (0, -1), strict=True)}
-    for signal, weights, changes in (("state", np.where(of_ends, 0.0, at.mu), one.mu), ("control", at.nu, one.nu)):
-        found[f"{signal}_upper"] = -np.where(weights > 0, changes, 0.0)
+    for signal, tube, weights, changes in (
+        ("state", problem.state_tube, at.mu, np.where(of_ends, 0.0, one.mu)),
+        ("control", problem.control_tube, at.nu, one.nu),
+    ):
+        found[f"{signal}_upper"] = -np.where(is_upper(weights, tube), changes, 0.0)
         found[f"{signal}_lower"] = -np.where(weights < 0, changes, 0.0)
     found |= {"control_bins": cast("Array", -one.rho_u), "state_bins": cast("Array", -one.rho_x)}
     for term in problem.terms:
@@ -162,7 +145,14 @@ def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Varia
 def bounds_of_ends(problem: OptimalControlProblem) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of x_t, (T+1, n), are those of an end: fixed, or tighter than the set."""
     sets, tube = problem.state_boxes, problem.state_tube
-    return tube.fixed | (tube.lower > sets.lower), tube.fixed | (tube.upper < sets.upper)
+    fixed = np.zeros(tube.lower.shape, dtype=bool)
+    fixed[0], fixed[-1] = problem.initial_box.fixed, problem.terminal_box.fixed
+    return fixed | (tube.lower > sets.lower), fixed | (tube.upper < sets.upper)
+
+
+def is_upper(multipliers: Array, tube: Box) -> Mask:
+    """Whether each multiplier is that of the upper bound; with equal bounds, the one of its sign moves the value."""
+    return (multipliers > 0) | (tube.fixed & (multipliers == 0))
 
 
 def data_of(problem: OptimalControlProblem) -> Values:
@@ -214,11 +204,8 @@ def data_for(problem: OptimalControlProblem, data: Mapping[str, ArrayLike]) -> V
         if array.ndim < axes or array.shape != shape[len(shape) - array.ndim :]:
             once = f", or {shape[1:]}" if len(shape) > axes else ""
             raise ProblemError(name, f"shape {array.shape}", f"shape {shape}{once}")
-        asymmetry = np.abs(array - np.swapaxes(array, -1, -2)).max() if name in SYMMETRIC else 0.0
-        if asymmetry > SYMMETRY_TOLERANCE * np.abs(array).max():
-            got = f"a matrix that differs from its transpose by {asymmetry:g}"
-            advice = f"Only the symmetric part counts: pass ({name} + {name}')/2."
-            raise ProblemError(name, got, "a symmetric matrix", advice)
+        if name in SYMMETRIC:
+            require_symmetric(name, array)
         found[name] = np.broadcast_to(array, shape)
     return found
 
@@ -258,15 +245,15 @@ def with_data(problem: OptimalControlProblem, data: Mapping[str, Array]) -> Opti
                 got = f"a {signal}_set that is more than a Box"
                 raise UnsupportedError(f"{signal}_upper, {signal}_lower: got {got}; expected a Box, or none.")
             fields[f"{signal}_set"] = Box(**sides)
-    rows, names = list[StageRows](), {one.name for one in problem.stage_rows}
-    for one in problem.stage_rows:
-        parts = [data.get(f"{one.name}{part}") for part in (".C", ".D", "")]
-        old = (one.C, one.D, one.e)
-        C, D, e = (was if new is None else new for new, was in zip(parts, old, strict=True))
-        rows.append(StageRows(C, D, e, one.name, one.penalty))
+    names = [one.name for one in problem.stage_rows]
     if any(name.removesuffix(".C").removesuffix(".D") in names for name in data):
-        fields["stage_rows"] = rows
+        fields["stage_rows"] = [
+            replace(
+                one, C=data.get(f"{one.name}.C", one.C), D=data.get(f"{one.name}.D", one.D), e=data.get(one.name, one.e)
+            )
+            for one in problem.stage_rows
+        ]
     for name in data:
-        if name in homeless - names:
+        if name in homeless.difference(names):
             raise UnsupportedError(f"{name}: it has no single place in the problem; state a problem with another one.")
     return replace(problem, **fields)

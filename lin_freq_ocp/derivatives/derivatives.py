@@ -38,6 +38,7 @@ WEAK = "active with multiplier zero"
 UNSETTLED = "the active rows did not settle"
 DEPENDENT_ROWS = "active rows depend on each other, and their multipliers are not unique"
 NOT_UNIQUE = "the optimum is not unique: the cost is flat along a direction"
+ExistenceFields = tuple[bool, tuple[str, ...], str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,19 +171,6 @@ class Derivative(Existence):
         )
 
 
-def require_derivatives(problem: OptimalControlProblem, multipliers: Multipliers) -> None:
-    """Raise UnsupportedError if an optimum of this kind of problem has no derivatives."""
-    _ = problem.equations  # raises UnsupportedError if there are modes
-    if multipliers.eta_C != 1:
-        raise UnsupportedError(f"derivatives: got eta_C = {multipliers.eta_C:g}; only normal multipliers have any.")
-    at_points = [term.name for term in problem.terms if term.semi_infinite is not None]
-    if at_points:
-        raise UnsupportedError(
-            f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
-            "limits at bins. The derivatives of the cost, result.sensitivities, exist."
-        )
-
-
 class SolutionDerivatives:
     """The derivatives of an optimum by the data of its problem, from one factorisation.
 
@@ -206,7 +194,6 @@ class SolutionDerivatives:
     """
 
     def __init__(self, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers):
-        require_derivatives(problem, multipliers)
         point = exact_point(problem, trajectory, multipliers)
         if point is None:
             raise UnsupportedError("derivatives: the active rows determine no point.")
@@ -246,14 +233,23 @@ class SolutionDerivatives:
         ------
         ProblemError
             If a weight has the wrong shape, or an entry is not a number.
+        UnsupportedError
+            If so many bins are removed that each derivative is a problem of its own, and multipliers have weights, or
+            no method solves that problem.
         """
+        T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
+        of_x = np.zeros((T + 1, n)) if x is None else to_shape("x", x, (T + 1, n))
+        of_u = np.zeros((T, m)) if u is None else to_shape("u", u, (T, m))
+        along, existence = self._adjoint(of_x, of_u, multipliers)
+        values = {name: -value for name, value in slopes(self.problem, self._signals, along).items()}
+        return Gradient(*existence, values)
+
+    def _adjoint(self, of_x: Array, of_u: Array, multipliers: Multipliers | None) -> tuple[Variables, ExistenceFields]:
+        """Return the solution (p, q) for weights, and the fields of ``Existence`` of its derivative."""
         point, linear, scaling = self._point, self._point.deviations.linear, self._point.deviations.scaling
-        (T, n, m), program = linear.layout.shape, point.program
-        of_z, of_rows = np.zeros(linear.variables), np.zeros(len(program.lower))
-        if x is not None:
-            of_z[: linear.states] = to_shape("x", x, (T + 1, n)).ravel()
-        if u is not None:
-            of_z[linear.states : linear.signals] = to_shape("u", u, (T, m)).ravel()
+        program, of_rows = point.program, np.zeros(len(point.program.lower))
+        of_z = np.zeros(linear.variables)
+        of_z[: linear.signals] = np.append(of_x, of_u)
         of_z *= scaling.cost * scaling.columns
         if multipliers is not None:
             if not isinstance(multipliers, Multipliers):
@@ -269,8 +265,7 @@ class SolutionDerivatives:
         rows = point.describe(point.weak.rows[seen], point.weak.side[seen])
         side = self._side(p, q)
         along = Variables.along(Trajectory(side.x, side.u), side.multipliers)
-        values = {name: -value for name, value in slopes(self.problem, self._signals, along).items()}
-        return Gradient(*self._existence(rows, error, point.dependent), values)
+        return along, self._existence(rows, error, point.dependent)
 
     def jvp(self, **change: ArrayLike) -> Derivative:
         """Return the derivative of the optimum along a change of the data.
@@ -346,9 +341,7 @@ class SolutionDerivatives:
         change = linear.direction(scaling.primal(p))
         return Side(change.x, change.u, self._point.multipliers_of(q))
 
-    def _existence(
-        self, rows: tuple[str, ...], error: float, dependent: Mask | None = None
-    ) -> tuple[bool, tuple[str, ...], str, float]:
+    def _existence(self, rows: tuple[str, ...], error: float, dependent: Mask | None = None) -> ExistenceFields:
         """Return whether a derivative exists, the rows in the way, the reason, and the error of its solve."""
         point, reason = self._point, ""
         if not point.settled:

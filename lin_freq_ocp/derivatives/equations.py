@@ -12,11 +12,12 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.derivatives.data import BINS, ENDS, Values, bounds_of_ends, data_of, is_matrix, with_data
+from lin_freq_ocp.derivatives.data import BINS, ENDS, Values, bounds_of_ends, data_of, is_matrix, is_upper, with_data
 from lin_freq_ocp.derivatives.exact_point import ExactPoint
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
+from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.program.linear_program import LinearProgram
-from lin_freq_ocp.program.program import Block
+from lin_freq_ocp.program.program import Block, Program
 from lin_freq_ocp.program.program_rows import ProgramRows, map_rows
 
 SLOPES = ("q", "r", "p", "x_ref", "u_ref")
@@ -53,7 +54,7 @@ def changed_equations(point: ExactPoint, change: Values) -> ChangedEquations:
         if name in SLOPES:
             of_z += _slope_change(linear, name, d)
         elif not is_matrix(name):
-            limits += _limit_changes(linear, name, d)
+            limits += _limit_changes(point, name, d)
         elif d.any():  # any step is exact; a large one leaves no rounding
             largest = max(float(np.abs(known[one]).max()) for one in (WEIGHTS if name in WEIGHTS else (name,)))
             step = (largest or 1.0) / float(np.abs(d).max())
@@ -61,9 +62,7 @@ def changed_equations(point: ExactPoint, change: Values) -> ChangedEquations:
             rows = (other.A - program.A) / step
             of_z += ((other.P - program.P) @ z + other.q - program.q) / step + rows.T @ y
             values += rows @ z
-            finite = np.isfinite([program.lower, program.upper])
-            old, new = (np.where(finite, [part.lower, part.upper], 0.0) for part in (program, other))
-            limits += (new - old) / step
+            limits += _difference(other, program) / step
     lower, upper = scaling.rows * limits
     affine = not any(is_matrix(name) and d.any() for name, d in change.items())
     return ChangedEquations(scaling.cost * scaling.columns * of_z, scaling.rows * values, lower, upper, affine)
@@ -78,9 +77,10 @@ def _slope_change(linear: LinearProgram, name: str, d: Array) -> Array:
     return -(linear.hessian @ z) if name.endswith("_ref") else z
 
 
-def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
+def _limit_changes(point: ExactPoint, name: str, d: Array) -> Array:
     """Return the changes of lower and upper limits of all rows, (2, rows), along a change of limits."""
-    problem, of_dynamics = linear.problem, np.zeros((2, linear.drift.size))
+    linear = point.deviations.linear
+    of_dynamics = np.zeros((2, linear.drift.size))
     changes = [of_dynamics]
     if name == "offset":
         of_dynamics[:] = d.ravel()
@@ -90,9 +90,8 @@ def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
             pass
         elif part.map is None:
             of_states = part.block is Block.STATE_SET
-            found[:] = _bound_changes(problem, of_states, name, d)[
-                :, part.entries - (0 if of_states else linear.states)
-            ]
+            bounds = _bound_changes(linear.problem, point.multipliers, of_states, name, d)
+            found[:] = bounds[:, part.entries - (0 if of_states else linear.states)]
         elif part.block is Block.TERMS:
             found[:] = _term_changes(linear, part, d)
         else:
@@ -104,18 +103,18 @@ def _limit_changes(linear: LinearProgram, name: str, d: Array) -> Array:
     return np.concatenate(changes, axis=1)
 
 
-def _bound_changes(problem: OptimalControlProblem, of_states: bool, name: str, d: Array) -> Array:
+def _bound_changes(problem: OptimalControlProblem, at: Multipliers, of_states: bool, name: str, d: Array) -> Array:
     """Return the changes of the bounds of states or controls, (2, values); those of ends move by these data alone."""
-    fixed = problem.control_tube.fixed
-    own = np.stack(bounds_of_ends(problem) if of_states else (fixed, fixed))  # not moved by the data of sets
-    full = np.zeros(own.shape)
+    tube, normals = (problem.state_tube, at.mu) if of_states else (problem.control_tube, at.nu)
+    full = np.zeros((2, *normals.shape))
+    of_ends = np.stack(bounds_of_ends(problem)) if of_states else full != 0
     if name in ENDS:
         t = -ENDS.index(name)
-        full[:, t] = np.where(own[:, t], d, 0.0)
+        full[:, t] = np.where(of_ends[:, t], d, 0.0)
     else:
         side = int(name.endswith("upper"))
-        full[side] = np.where(own[side], 0.0, d)
-    return full.reshape(2, -1)
+        full[side] = np.where(of_ends[side], 0.0, d)
+    return np.where(tube.fixed, np.where(is_upper(normals, tube), full[1], full[0]), full).reshape(2, -1)
 
 
 def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:
@@ -125,12 +124,13 @@ def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:
     amount = np.asarray(term.per_limit)[..., None] * d
     moved = map_rows(term.name, term.map, term.penalty.relaxed(np.zeros(term.shape), amount)[1], linear.origin, target)
     if len(moved.lower) != len(part.lower):
-        text = (
-            f"derivatives: got a change of a limit of zero, of '{part.name}'; expected one above zero, with two sides."
-        )
-        raise UnsupportedError(text)
-    return np.array([_difference(moved.lower, part.lower), _difference(moved.upper, part.upper)])
+        got = f"a change of a limit of zero, of '{part.name}'"
+        raise UnsupportedError(f"derivatives: got {got}; expected one above zero, with two sides.")
+    return _difference(moved, part)
 
 
-def _difference(new: Array, old: Array) -> Array:
-    return np.where(np.isfinite(old), new - np.where(np.isfinite(old), old, 0.0), 0.0).astype(np.float64)
+def _difference(new: Program | ProgramRows, old: Program | ProgramRows) -> Array:
+    """Return the change of the lower and upper limits, (2, rows), of rows; 0 where there is none."""
+    finite = np.isfinite([old.lower, old.upper])
+    after, before = (np.where(finite, [one.lower, one.upper], 0.0) for one in (new, old))
+    return (after - before).astype(np.float64)

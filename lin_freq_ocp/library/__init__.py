@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.resources import files
 
-from lin_freq_ocp.base.errors import ProblemError, answer_misspelt, suggestion
+from lin_freq_ocp.base.errors import answer_misspelt, entry_named
 from lin_freq_ocp.library.ball_and_paddle import ball_and_paddle
 from lin_freq_ocp.library.flexible import crane, flexible_joint_arm, flexible_satellite
 from lin_freq_ocp.library.kinks import absolute_value, max_min_network, switched_rotation
@@ -99,6 +99,4 @@ def by_name(name: str) -> Benchmark:
     ProblemError
         If there is no problem of that name; it lists all names, and the nearest.
     """
-    if name in PROBLEMS:
-        return PROBLEMS[name]
-    raise ProblemError("name", repr(name), f"one of {', '.join(PROBLEMS)}", suggestion(name, PROBLEMS))
+    return entry_named("name", name, PROBLEMS)

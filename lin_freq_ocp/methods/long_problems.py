@@ -63,12 +63,10 @@ def with_sides(
 ) -> OptimalControlProblem:
     """Return the problem with other bounds of z_t = (x_t, u_t), (T+1, n+m), another offset and another cost."""
     (x, u), (x_upper, u_upper) = (split_signals(side, problem.state_dim) for side in (lower, upper))
-    inner = np.zeros((len(x), 1), dtype=bool)
-    inner[1:-1] = True  # the ends are given by themselves
     return problem.derived(
         dynamics=replace(problem.linear, offset=offset),
         cost=cost,
-        state_set=Box(np.where(inner, x, -np.inf), np.where(inner, x_upper, np.inf)),
+        state_set=Box(x, x_upper),
         control_set=Box(u, u_upper),
         initial_state=Box(x[0], x_upper[0]),
         terminal_state=Box(x[-1], x_upper[-1]),

@@ -774,9 +774,8 @@ class Train:
         require(len(least) == m + 1 and all(type(one) is bool for one in least), f"least: expected {m + 1} truths")
         equal = [(i, self.low[i] if side == "low" else self.high[i]) for i, side in enumerate(head["at"]) if side]
         move = [integer(i, 0, m - 1) for i in head["move"]]
-        require(
-            len(head["at"]) == len(self.orders) and len(move) == len(equal), "as many angles as amplitudes at limits"
-        )
+        require(len(head["at"]) == len(self.orders), "at: expected a side, or none, of each amplitude")
+        require(len(move) == len(equal), "as many angles as amplitudes at limits")
 
         def angles(leaders):
             a = []
@@ -791,21 +790,18 @@ class Train:
             values, slopes, _ = self.amplitudes(signs, angles(leaders))
             follow = [[j for j in range(i, m) if all(least[i + 1 : j + 1])] for i in move]
             rows = [[total(slopes[k][j] for j in group) for group in follow] for k, _ in equal]
-            return arb_mat(len(equal), 1, [values[k] - limit for k, limit in equal]), rows
+            return arb_mat([[values[k] - limit] for k, limit in equal]), arb_mat(rows)
 
         require(not any(least[i] or all(least[i + 1 :]) for i in move), "an angle that moves is not free")
         if equal:
-            centre, radius = {i: given[i, 0] for i in move}, arb(2) ** -NEWTON_BITS
+            centre, box = {i: given[i, 0] for i in move}, arb(2) ** -NEWTON_BITS * UNIT
             miss, slopes = misses(centre)
-            inverse = arb_mat([[one.mid() for one in row] for row in slopes]).inv()
-            inverse = arb_mat([[one.mid() for one in row] for row in inverse.tolist()])
-            _, slopes = misses({i: x + radius * UNIT.union(-UNIT) for i, x in centre.items()})
-            rest = arb_mat([[arb(i == j) for j in range(len(move))] for i in range(len(move))]) - inverse * arb_mat(
-                slopes
-            )
-            steps = rest * arb_mat(len(move), 1, [radius * UNIT.union(-UNIT)] * len(move)) - inverse * miss
-            require(all(abs(one) < radius for one in steps.entries()), "no angles near these have the amplitudes")
-            moved = {i: x + one for (i, x), one in zip(centre.items(), steps.entries())}
+            inverse = slopes.mid().inv().mid()
+            _, slopes = misses({i: x + box for i, x in centre.items()})
+            rest = arb_mat(len(move), len(move), ONE) - inverse * slopes  # ONE on the diagonal
+            steps = (rest * arb_mat([[box]] * len(move)) - inverse * miss).entries()
+            require(all(box.contains_interior(one) for one in steps), "no angles near these have the amplitudes")
+            moved = {i: x + one for (i, x), one in zip(centre.items(), steps)}
         a = angles(moved)
         ends = zip([ZERO, *a], [*a, q], self.dwells, least)
         require(all(exact or y - x >= d for x, y, d, exact in ends), "a dwell is below its least")
@@ -857,7 +853,7 @@ class Train:
         for price, k, low, high in zip(r, self.orders, self.low, self.high):
             ends += ZERO if price.is_zero() else 2 * price * (low if price > 0 else high) / k
         require(isinstance(whole, bool) and ends.is_finite(), "a price of an amplitude without a limit")
-        hold = [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
+        hold = self.holds(h)
         apart = not whole and all(d > h for d in self.dwells[1:-1])
         hold = hold if whole else [hold[0], *(max(i - 1, 0) for i in hold[1:-1]), hold[-1]]
         chains = [[0]]
@@ -880,6 +876,10 @@ class Train:
             waves[i] = first, last, 8 * s / arb.pi() * bent, i * h
         least, rounding = self.recursion(part, N, low, high, hold, waves, inside)
         return INFINITY if least == math.inf else arb(least) - rounding - loss + ends
+
+    def holds(self, h):
+        """Return the whole steps h in each dwell."""
+        return [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
 
     def ranges(self, part, N, hold):
         """Return the first and the last index on a lattice of each angle of a part, with its dwells."""
@@ -904,7 +904,7 @@ class Train:
         """
         N, m, inf = integer(line["sums"], 1, MOST_LATTICE), self.m, math.inf
         w, h, factor = matrix(line["weights"], len(self.orders)).entries(), self.quarter / N, 4 * self.step / arb.pi()
-        hold = [int((d / h).lower().floor().unique_fmpz()) for d in self.dwells]
+        hold = self.holds(h)
         low, high = self.ranges(part, N, hold)
         ends = [one * (up if one > 0 else down) for one, down, up in zip(w, self.low, self.high) if not one.is_zero()]
         spend(SINE * len(w) * (N + 1) + 4 * m * N * len(self.levels(part)[-1]))
@@ -931,8 +931,7 @@ class Train:
         The cost to go from i h, in a level v with -I = n h s, is sought with the integral from 0 along n + v i added:
         it stays the same while the level lasts, and a switch from v to v + t adds what is linear in n.
         """
-        m, h, factor, size = self.m, self.quarter / N, 4 * self.step**2 / arb.pi(), 0.0
-        levels = self.levels(part)
+        m, h, factor, levels = self.m, self.quarter / N, 4 * self.step**2 / arb.pi(), self.levels(part)
         last = {v: float(factor * v * v * self.quarter**3 / 3) for v in levels[m]}
         rows, size = {v: [(N, v * N, [end], [math.inf])] for v, end in last.items()}, max(last.values(), default=0.0)
         for c in reversed(range(m)):
@@ -947,20 +946,19 @@ class Train:
                     if first > end:
                         continue
                     spend(LATTICE * (end - first + 1) * len(arms), 1)
-                    best, chosen, (a, b, sign) = None, None, inside[c] if inside else part[c]
+                    least, (low_end, high_end, sign) = None, inside[c] if inside else part[c]
                     for t, arm in arms:
                         arm.add(i + hold[c + 1])
                         slope = float(-t * factor * h * theta**2)
                         constant = float(-factor * theta**3 * (2 * v * t + 1) / 3 - t * bent)
                         most = max(most, abs(slope) * max(abs(first), abs(end)) + abs(constant))
-                        out = not inside or sign == -t or (i <= a and fmpq(a, N) > part[c][0])
-                        out = out or (i >= b and fmpq(b, N) < part[c][1])
-                        any_way, left = arm.window(first + (v + t) * i, end - first + 1)
-                        any_way = [z + (slope * n + constant) for n, z in enumerate(any_way, first)]
-                        left = any_way if out else [z + (slope * n + constant) for n, z in enumerate(left, first)]
-                        best = any_way if best is None else list(map(min, best, any_way))
-                        chosen = left if chosen is None else list(map(min, chosen, left))
-                    before[v].append((i, first + v * i, best, chosen))
+                        out = not inside or sign == -t or (i <= low_end and fmpq(low_end, N) > part[c][0])
+                        out = out or (i >= high_end and fmpq(high_end, N) < part[c][1])
+                        costs = arm.window(first + (v + t) * i, end - first + 1)[: 1 if out else 2]
+                        costs = [[z + (slope * n + constant) for n, z in enumerate(row, first)] for row in costs]
+                        both = costs[0], costs[-1]
+                        least = both if least is None else [list(map(min, a, b)) for a, b in zip(least, both)]
+                    before[v].append((i, first + v * i, *least))
             rows, size = before, size + most
         found = min((min(chosen) for _, _, _, chosen in rows[0]), default=math.inf)
         return found, (6 * m + 6) * arb(2) ** -52 * arb(size)
@@ -983,14 +981,14 @@ class Train:
             over = b_k - (low if fixed or r < 0 else high)
             require(fixed or r.is_zero() or over.is_finite(), "a price of an amplitude without a limit")
             over = ZERO if r.is_zero() and not fixed else over
-            steep = [abs(self.step * 4 / arb.pi() * k)] * m  # the largest second derivative of b_k
-            most = along + total(one * d * d for one, d in zip(steep, far)) / 2
+            steep = self.step * 4 / arb.pi() * k  # the largest second derivative of b_k
+            most = along + steep * total(d * d for d in far) / 2
             stiff = ONE if fixed else ZERO if r.is_zero() else (abs(r) / (abs(over) + most)).min(ONE)
             value += r * over - 2 * stiff * abs(over) * most
-            wide = stiff * total((one * d) ** 2 for one, d in zip(steep, far)) / 2
+            wide = stiff * total((steep * d) ** 2 for d in far) / 2
             for i in range(m):
                 G[i] += r * row[i]
-                M0[i][i] += r * bend[i] - abs(r) * steep[i] * k * k * far[i] ** 2 / 12 - wide
+                M0[i][i] += r * bend[i] - abs(r) * steep * k * k * far[i] ** 2 / 12 - wide
                 for j in range(m):
                     M0[i][j] += stiff * row[i] * row[j]
         for j, (nu, gap) in enumerate(zip(force, x)):

@@ -121,7 +121,7 @@ def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | Non
     waiting = [([(Fraction(0), Fraction(1))] * m, np.zeros(m, dtype=np.intp), 0, np.zeros(len(quarter.orders)))]
     while waiting:
         ranges, sign, level, r = waiting.pop()
-        low_end, high_end = (QUARTER * np.array([float(one[i]) for one in ranges]) for i in (0, 1))
+        low_end, high_end = QUARTER * np.array(ranges, dtype=float).T
         part = AngleRange(low_end, high_end, sign)
         excluded_by = nearest_train(quarter, part.low, part.high, sign).excluded_by
         if excluded_by is not None:
@@ -145,33 +145,27 @@ def _part_lines(quarter: Quarter, energy: float, best: tuple[Array, Array] | Non
             enough = energy + lattice.h**2 * quarter.step * m / np.pi * width
             point = max(lattice.best(part, r, np.inf, enough), key=lambda one: one.bound)
             taken = {"lattice": lattice.count, "whole": point.whole, "prices": point.r * unit}
-            cells = [np.flatnonzero(one) for one in np.logical_or.reduce(point.open, axis=1)]
-            if not all(map(len, cells)):
+            cells = lattice.open_cells(part, point.open)
+            if cells is None:
                 yield line(**taken)
                 continue
             found = local_angles(quarter, point.steps, point.angles) if point.steps.all() else None
             if found is not None and all(np.abs(found[0] - one[1]).max() > SAME_OPTIMUM for one in optima):
                 optima += [(point.steps, found[0], local_prices(quarter, point.steps, found[0]))]
-            low, high = [int(one[0]) for one in cells], [int(one[-1]) + 1 for one in cells]
+            low, high, signs = (one.tolist() for one in cells)
             ends = zip(ranges, low, high, strict=True)
             narrow = [(max(a, Fraction(i, lattice.count)), min(b, Fraction(j, lattice.count))) for (a, b), i, j in ends]
-            up, down = np.logical_or.reduce(point.open, axis=2).T
-            signs = np.where(up & down, sign, np.where(up, 1, -1))
             finer = point.loss > (energy - point.bound) / 2 and level + 1 < len(LATTICES)
-            fewer = float(sum(b - a for a, b in narrow)) < SMALLER * float(sum(b - a for a, b in ranges))
-            if fewer or (finer and signs.all()):
-                yield line(**taken, low=low, high=high, signs=signs.tolist())
-                waiting.append((narrow, signs, level + finer, point.r))
+            fewer = sum(b - a for a, b in narrow) < SMALLER * sum(b - a for a, b in ranges)
+            if fewer or (finer and all(signs)):
+                yield line(**taken, low=low, high=high, signs=signs)
+                waiting.append((narrow, np.array(signs), level + finer, point.r))
                 continue
             r = point.r
-        free, wide = np.flatnonzero(sign == 0), np.argmax([float(b - a) for a, b in ranges])
-        i = int(free[0] if len(free) else wide)
+        free = np.flatnonzero(sign == 0)
+        i = int(free[0] if len(free) else (part.high - part.low).argmax())
         yield line(split=i)
-        a, b = ranges[i]
-        halves = (
-            [((a, b), s) for s in (-1, 1)]
-            if len(free)
-            else [(one, sign[i]) for one in (((a + b) / 2, b), (a, (a + b) / 2))]
-        )
+        (a, b), middle = ranges[i], (ranges[i][0] + ranges[i][1]) / 2
+        halves = [((a, b), s) for s in (-1, 1)] if len(free) else [((middle, b), sign[i]), ((a, middle), sign[i])]
         for half, s in halves:
             waiting.append(([*ranges[:i], half, *ranges[i + 1 :]], np.where(np.arange(m) == i, s, sign), level, r))

@@ -403,3 +403,33 @@ def test_a_problem_with_other_data_has_them(name):
     again = with_data(problem, {name: data_of(problem)[name] + change[name]})
     np.testing.assert_array_equal(data_of(again)[name], data_of(problem)[name] + change[name])
     assert gradient[name].shape == data_of(problem)[name].shape
+
+
+@pytest.mark.parametrize("value", [0.5, -0.5, 0.0])
+@pytest.mark.parametrize("signal", ["control", "state"])
+def test_both_bounds_of_a_fixed_value_move_it(signal, value):
+    """vjp, jvp and the prices agree, with each other and with differences; each bound has the part of its sign."""
+    t, horizon = 5, 12
+
+    def solved(d: float = 0.0) -> lfo.Result:
+        x, u = np.full((2, horizon + 1, 2), np.inf), np.ones((2, horizon, 1))
+        x[0], u[0] = -np.inf, -1.0
+        (x if signal == "state" else u)[:, t, 0] = value + d
+        dynamics, cost = lfo.LinearDynamics([[1.0, 0.3], [-0.3, 0.9]], [[0.0], [0.5]]), lfo.QuadraticCost(Q=1, R=0.5)
+        start = [0.0, 0.0] if value == 0 else [1.0, 0.0]
+        fields = {"state_set": lfo.Box(*x), "initial_state": start}
+        return lfo.solve(lfo.OptimalControlProblem(dynamics, horizon, cost, lfo.Box(*u), **fields))
+
+    result, weights, step = solved(), np.cos(np.arange(horizon))[:, None], 1e-3
+    derivatives, sides = result.derivatives, (f"{signal}_lower", f"{signal}_upper")
+    change = np.zeros((horizon + 1, 2) if signal == "state" else (horizon, 1))
+    change[t, 0] = 1.0
+    moves = [derivatives.jvp(**{side: change}) for side in sides]
+    both, gradient = derivatives.jvp(**dict.fromkeys(sides, change)), derivatives.vjp(u=weights)
+    ahead, behind = solved(step), solved(-step)
+    np.testing.assert_allclose(both.u, (ahead.control - behind.control) / (2 * step), atol=1e-6)
+    assert both.cost == pytest.approx((ahead.cost - behind.cost) / (2 * step), abs=1e-6)
+    for side, move in zip(sides, moves, strict=True):
+        assert gradient[side][t, 0] == pytest.approx((weights * move.u).sum(), abs=1e-9)
+        assert getattr(result.sensitivities, side)[t, 0] == pytest.approx(move.cost, abs=1e-9)
+    assert sum(float(np.abs(move.u).max() > 0) for move in moves) == 1

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import scipy.sparse as sp
 
-from lin_freq_ocp.base.arrays import Array, to_long_double
+from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals, to_long_double
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.long_problems import distance_cost, is_long, solve_long, with_sides
@@ -64,15 +64,14 @@ def _steepest_of_long(problem: OptimalControlProblem) -> Trajectory | None:
     An interior point comes first: unlike the Fourier-domain method, it is as fast where the projection is zero.
     """
     cost, sizes = problem.quadratic, stated_sizes(problem)
-    x, u = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
+    x, u = split_signals(np.zeros(problem.signal_bounds[0].shape), problem.state_dim)
     slopes = cost.gradient(x + cost.x_ref, u + cost.u_ref)
-
-    def size_of(along: Trajectory) -> float:
-        return max(float(np.abs(part / size).max()) for part, size in zip((along.x, along.u), sizes, strict=True))
-
     steepest = Trajectory(*(-slope * size**2 for slope, size in zip(slopes, sizes, strict=True)))
     along = nearest_of_long(problem, steepest, spectral=False)
-    return along if along is not None and size_of(along) > LEAST_DESCENT * size_of(steepest) else None
+    if along is None:
+        return None
+    length, most = (np.abs(stack_signals(one.x, one.u) / np.concatenate(sizes)).max() for one in (along, steepest))
+    return along if length > LEAST_DESCENT * most else None
 
 
 def nearest_of_long(problem: OptimalControlProblem, along: Trajectory, spectral: bool = True) -> Trajectory | None:
@@ -80,14 +79,20 @@ def nearest_of_long(problem: OptimalControlProblem, along: Trajectory, spectral:
 
     Components with curvature rest: directions along which weights cancel each other are not looked for.
     """
-    (lower, upper), cost = problem.signal_bounds, problem.quadratic
+    (lower, upper), cost = recession_bounds(problem), problem.quadratic
     bent = np.zeros(lower.shape, dtype=bool)
     bent[:-1] = np.diagonal(cost.stage_hessians, axis1=1, axis2=2) > 0
     bent[-1, : problem.state_dim] = np.diagonal(cost.P) > 0
-    lower, upper = (np.where(np.isfinite(side) | bent, 0.0, side) for side in (lower, upper))
+    lower[bent] = upper[bent] = 0.0
     distance = distance_cost(problem, along.x, along.u)
     found = solve_long(with_sides(problem, lower, upper, 0 * problem.linear.offset, distance), spectral=spectral)
     return found.trajectory if found is not None and found.status == Status.OPTIMAL else None
+
+
+def recession_bounds(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """Return the bounds of z_t = (x_t, u_t) along directions, (T+1, n+m) each: zero where there is one."""
+    lower, upper = (np.where(np.isfinite(side), 0.0, side) for side in problem.signal_bounds)
+    return lower, upper
 
 
 def nearest_recession(program: Program, z: Array, signals: int | None = None) -> Array:
@@ -136,10 +141,8 @@ def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> I
     also simulated from its first state and its controls.
     """
     yield along
-    signs = [
-        (np.where(np.isfinite(tube.lower), 0.0, -np.inf), np.where(np.isfinite(tube.upper), 0.0, np.inf))
-        for tube in (problem.state_tube, problem.control_tube)
-    ]
+    lower, upper = (split_signals(side, problem.state_dim) for side in recession_bounds(problem))
+    signs = list(zip(lower, upper, strict=True))
     if is_long(problem):
         nearest = nearest_of_long(problem, along)
         if nearest is not None:

@@ -98,8 +98,7 @@ class AngleRange:
         if len(free):
             return [replace(self, sign=np.where(where, s, self.sign)) for s in (1, -1)]
         middle = (self.low + self.high) / 2
-        high, low = np.where(where, middle, self.high), np.where(where, middle, self.low)
-        return [replace(self, high=high), replace(self, low=low)]
+        return [replace(self, **{side: np.where(where, middle, getattr(self, side))}) for side in ("high", "low")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,17 +137,20 @@ class AngleLattice:
             return max(point, self._bound(r, part, enough, whole=True), key=lambda one: one.bound)
         return point
 
+    def open_cells(self, part: AngleRange, opened: Mask) -> tuple[Indices, Indices, Indices] | None:
+        """Return the first open cell (m, 2, N) of each angle, the first after the last, and signs; None without one."""
+        cells, (up, down) = np.logical_or.reduce(opened, axis=1), np.logical_or.reduce(opened, axis=2).T
+        if not np.logical_or(up, down).all():
+            return None
+        ends = cells.shape[1] - cells[:, ::-1].argmax(axis=1)
+        return cells.argmax(axis=1), ends, np.where(up & down, part.sign, np.where(up, 1, -1))
+
     def narrow(self, part: AngleRange, opened: Mask) -> AngleRange | None:
         """Return the range of the cells (m, 2, N) of a part that are open; None if an angle has none."""
-        edge, low, high = RANGE_ROUNDING * self.h, part.low.copy(), part.high.copy()
-        for j, cells in enumerate(np.logical_or.reduce(opened, axis=1)):
-            where = np.flatnonzero(cells)
-            if not len(where):
-                return None
-            low[j] = max(low[j], where[0] * self.h - edge)
-            high[j] = min(high[j], (where[-1] + 1) * self.h + edge)
-        up, down = np.logical_or.reduce(opened, axis=2).T
-        return AngleRange(low, high, np.where(up & down, part.sign, np.where(up, 1, -1)))
+        if (cells := self.open_cells(part, opened)) is None:
+            return None
+        edge, (first, end, sign) = RANGE_ROUNDING * self.h, cells
+        return AngleRange(np.maximum(part.low, first * self.h - edge), np.minimum(part.high, end * self.h + edge), sign)
 
     def _bound(self, r: Array, part: AngleRange, enough: float, whole: bool) -> LatticePoint:
         """Return the bound by trains with all whole steps of each dwell between switches, or with one less."""

@@ -296,11 +296,8 @@ class QuadraticCost(Cost):
             elif reference:
                 value = one_component(value, shape[0])
             complete[field] = value = to_shape(f"cost.{field}", value, shape, times)
-            asymmetry = np.abs(value - np.swapaxes(value, -1, -2)).max() if square else 0.0
-            if asymmetry > SYMMETRY_TOLERANCE * np.abs(value).max():
-                got = f"a matrix that differs from its transpose by {asymmetry:g}"
-                advice = f"Only the symmetric part counts: pass ({field} + {field}')/2."
-                raise ProblemError(f"cost.{field}", got, "a symmetric matrix", advice)
+            if square:
+                require_symmetric(f"cost.{field}", value)
         return _cost_of_checked(**complete)
 
     @cached_property
@@ -413,6 +410,15 @@ class QuadraticCost(Cost):
         if smallest[worst] == 0:
             return None
         return (worst if worst < len(stage) else -1), float(smallest[worst])
+
+
+def require_symmetric(field: str, matrices: Array) -> None:
+    """Raise ProblemError if a weight (..., k, k) is asymmetric by more than rounding."""
+    asymmetry, name = np.abs(matrices - np.swapaxes(matrices, -1, -2)).max(), field.rpartition(".")[2]
+    if asymmetry > SYMMETRY_TOLERANCE * np.abs(matrices).max():
+        got = f"a matrix that differs from its transpose by {asymmetry:g}"
+        advice = f"Only the symmetric part counts: pass ({name} + {name}')/2."
+        raise ProblemError(field, got, "a symmetric matrix", advice)
 
 
 def _cost_of_checked(**fields: Array) -> QuadraticCost:
