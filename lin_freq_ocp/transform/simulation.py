@@ -102,7 +102,7 @@ def _is_recursion_without_modes(problem: OptimalControlProblem) -> bool:
 def _reach_of_states(dynamics: LinearDynamics, at_start: bytes, controls: Box) -> Array:
     of_u, first = np.minimum(controls.upper - controls.lower, INFINITE), np.minimum(np.frombuffer(at_start), INFINITE)
     if dynamics.time_varying:
-        return _growth([dynamics.magnitudes.at(t)[:2] for t in range(len(of_u))], first, of_u, 0.0)
+        return growth([dynamics.magnitudes.at(t)[:2] for t in range(len(of_u))], first, of_u, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         return constant_radii(dynamics, first, np.append(of_u.max(axis=0), np.zeros(len(first))), len(of_u))
 
@@ -112,10 +112,10 @@ def _largest_states(problem: OptimalControlProblem) -> Array:
     boxes = problem.initial_box, problem.control_tube
     start, controls = (np.minimum(np.abs(box.bounds).max(axis=0), INFINITE) for box in boxes)
     A, B, offset = problem.form.gains()
-    return _growth([(A, B)] * problem.horizon, start, controls, offset)
+    return growth([(A, B)] * problem.horizon, start, controls, offset)
 
 
-def _growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, offset: Array | float) -> Array:
+def growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, offset: Array | float) -> Array:
     """Return the sizes of states, (T+1, n), from that of the first, (n,), those of controls, (T, m), and |A|, |B|."""
     sizes = [first]
     for t, (A, B) in enumerate(gains):
