@@ -346,11 +346,6 @@ def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     }
 
 
-def _vibration_values(vibration: ResidualVibration) -> FileTable:
-    values = {key: getattr(vibration, key) for key in ("frequency", "damping", "limit", "component")}
-    return values | {"relative": vibration.relative or None}
-
-
 NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
@@ -360,7 +355,7 @@ SPECTRUM.records |= {
     ),
     "energy_bound": TableRecord(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
     "linear_constraint": TableRecord(LinearConstraint),
-    "residual_vibration": TableRecord(ResidualVibration, values=_vibration_values),
+    "residual_vibration": TableRecord(ResidualVibration, relative=Value(write=lambda location, value: value or None)),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}

@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
+from numbers import Integral, Real
 from typing import Literal, cast
 
 import numpy as np
@@ -72,6 +73,8 @@ class Discs(Uncertainty):
     ('optimal', True)
     """
 
+    table = "discs"
+
     def __init__(self, radius: ArrayLike, cost: Literal["nominal", "worst"] = "nominal"):
         self.radius = real_array("discs.radius", radius)
         if self.radius.ndim not in (0, 1, 3) or (self.radius < 0).any():
@@ -80,11 +83,6 @@ class Discs(Uncertainty):
         if cost not in ("nominal", "worst"):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
         self.cost = cost
-
-    @property
-    def stated(self) -> dict[str, object]:
-        """Return what problem files say of it, by their keys."""
-        return {"discs": self}
 
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
@@ -217,12 +215,10 @@ def radius_of_coherence(
         got = brief(coherence) if c.shape == estimate.shape else f"shape {c.shape}"
         expected, advice = f"shape {estimate.shape}, above 0 and at most 1", "It is |Gxy|^2 / (Gxx Gyy) of each bin."
         raise ProblemError("coherence", got, expected, advice)
-    whole = isinstance(averages, (int, np.integer)) and not isinstance(averages, bool)
-    if not whole or averages < FEWEST_AVERAGES:
+    if not isinstance(averages, Integral) or averages < FEWEST_AVERAGES:
         expected = f"a whole number of independent records, at least {FEWEST_AVERAGES}"
         raise ProblemError("averages", brief(averages), expected, "One record has coherence 1 whatever the noise.")
-    one = isinstance(confidence, (float, int, np.floating, np.integer))
-    if not one or not 0 < confidence < 1:
+    if not isinstance(confidence, Real) or not 0 < confidence < 1:
         advice = "State 95 % as 0.95."
         raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1", advice)
     surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (averages - 1))

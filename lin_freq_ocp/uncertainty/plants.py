@@ -140,9 +140,8 @@ class Plants(Uncertainty):
             added = most.sign * (most.planned - first.planned)
             worst = replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0))
             (soft if worst.name in prices else limits).append(worst)
-        return WorstCase(
-            f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits), cost=cost, soft=tuple(soft)
-        )
+        words = f"each of {plural(len(self.plants), 'plant')}; u = v"
+        return WorstCase(words, tuple(limits), cost=cost, soft=tuple(soft))
 
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
