@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, stack_signals
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
@@ -271,7 +271,7 @@ def _propagate_radii(
 
 def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level: float) -> Rows:
     """Return, per time, rows of (x_t, u_t) with the largest distance that their values can rise."""
-    signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
+    signals = stack_signals(trajectory.x, trajectory.u)
     by_time: Rows = {}
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim, level)
