@@ -444,7 +444,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     free_u, free_0 = (np.isinf(lower) | np.isinf(upper) for lower, upper in boxes)
     free = np.zeros_like(problem.state_tube.lower, dtype=bool)
     if free_0.any() or free_u.any():  # states that a path of nonzero entries leads to
-        entries = [[part != 0 for part in problem.linear.at(t)[:2]] for t in range(problem.horizon)]
+        entries = [(A != 0, B != 0) for A, B, _ in map(problem.linear.at, range(problem.horizon))]
         free = growth(entries, free_0, free_u, 0.0) > 0
     if free[1:].all():
         return None

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, brief, one_component, real_array, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -115,12 +115,14 @@ def _largest_states(problem: OptimalControlProblem) -> Array:
     return growth([(A, B)] * problem.horizon, start, controls, offset)
 
 
-def growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, offset: Array | float) -> Array:
+def growth(
+    gains: Sequence[tuple[Array | Mask, Array | Mask]], first: Array | Mask, of_u: Array | Mask, offset: Array | float
+) -> Array:
     """Return the sizes of states, (T+1, n), from that of the first, (n,), those of controls, (T, m), and |A|, |B|."""
     sizes = [first]
     for t, (A, B) in enumerate(gains):
         sizes.append(np.minimum(A @ sizes[t] + B @ of_u[t] + offset, INFINITE))
-    return np.array(sizes)
+    return np.array(sizes, dtype=np.float64)
 
 
 def motions_at_rest(problem: OptimalControlProblem, start: Array) -> list[Array]:

@@ -60,7 +60,7 @@ def largest_spectra(loop: ErrorLoop, plan: Trajectory) -> Array | None:
     return largest if np.isfinite(largest).all() else None
 
 
-def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, list[object]]:
+def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:
     """Return the fields of spectra, with masks at bins less the worst leakage of each bin."""
 
     def leak(field: str, spectrum: SpectrumMap) -> Array:
@@ -77,4 +77,4 @@ def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[s
         entry = entries_of(getattr(problem, field))[i]
         whole = [entry.with_constraints(tight)] if isinstance(entry, OutputSpectrum) else tight
         changes.setdefault(field, []).extend(whole)
-    return changes
+    return {**changes}
