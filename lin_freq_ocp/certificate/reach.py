@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, stack_signals
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
@@ -23,7 +23,7 @@ from lin_freq_ocp.certificate.tolerances import (
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.transform.simulation import constant_radii, simulate
+from lin_freq_ocp.transform.simulation import constant_radii, growth, simulate
 
 Pair = tuple[Array, Array]
 Rows = dict[int, list[Pair]]  # per time, rows of (x_t, u_t) and how far their values can rise
@@ -126,10 +126,11 @@ def nearby_bounds(
     """
     level = max(deviations.left, 0.0) + allowed
     known, radii, others = _known_radii(problem, trajectory, deviations, allowed, level)
-    near = [
-        np.stack([np.where(_is_near(alpha + gamma * level, signal), alpha, np.inf), beta, gamma])
-        for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True)
-    ]
+    near = list[Array]()  # the smaller radius of a component, and those within the reach of the values of the signal
+    for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True):
+        extent = alpha + gamma * level
+        is_near = extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
+        near.append(np.stack([np.where(is_near, alpha, np.inf), beta, gamma]))
     if mistrusted and not _replace(radii, near, [curvature <= 0 for curvature in deviations.curvatures]):
         return None  # the same as with trust
     changed, lossless = True, [lost == 0 for lost in deviations.losses]
@@ -241,11 +242,6 @@ def _known_radii(
     return known, (radii[0], radii[1]), (others[0], others[1])
 
 
-def _is_near(extent: Array, signal: Array) -> Mask:
-    """Whether each radius is the smaller one of its component, or within the reach of the values of the signal."""
-    return extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
-
-
 def _propagate_radii(
     problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair, level: float = np.inf
 ) -> None:
@@ -275,7 +271,7 @@ def _propagate_radii(
 
 def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level: float) -> Rows:
     """Return, per time, rows of (x_t, u_t) with the largest distance that their values can rise."""
-    signals = np.hstack([trajectory.x, np.vstack([trajectory.u, np.zeros(problem.control_dim)])])
+    signals = stack_signals(trajectory.x, trajectory.u)
     by_time: Rows = {}
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim, level)
@@ -446,7 +442,10 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     start, none = problem.initial_box, np.zeros((problem.horizon, problem.state_dim))
     boxes = [(u_lower, u_upper), (start.lower, start.upper)]
     free_u, free_0 = (np.isinf(lower) | np.isinf(upper) for lower, upper in boxes)
-    free = _affected_states(problem.linear, free_0, free_u)
+    free = np.zeros_like(problem.state_tube.lower, dtype=bool)
+    if free_0.any() or free_u.any():  # states that a path of nonzero entries leads to
+        entries = [(A != 0, B != 0) for A, B, _ in map(problem.linear.at, range(problem.horizon))]
+        free = growth(entries, free_0, free_u, 0.0) > 0
     if free[1:].all():
         return None
     boxes = [tuple(np.where(one, 0.0, side) for side in box) for one, box in zip((free_u, free_0), boxes, strict=True)]
@@ -459,17 +458,6 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     radius = np.where(free | ~np.isfinite(radius), np.inf, radius)
     rounding = (RADIUS_MARGIN - 1) * (np.abs(centre) + radius)
     return centre - radius - rounding, centre + radius + rounding
-
-
-def _affected_states(dynamics: LinearDynamics, start: Mask, controls: Mask) -> Mask:
-    """Return which states, (T+1, n), depend on these components of the initial state (n,) and controls (T, m)."""
-    affected = np.zeros((len(controls) + 1, len(start)), dtype=bool)
-    affected[0] = start
-    if start.any() or controls.any():
-        for t, chosen in enumerate(controls):
-            A, B, _ = dynamics.at(t)
-            affected[t + 1] = (A[:, affected[t]] != 0).any(1) | (B[:, chosen] != 0).any(1)
-    return affected
 
 
 def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:

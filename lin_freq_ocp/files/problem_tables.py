@@ -47,7 +47,7 @@ from lin_freq_ocp.uncertainty.discs import Discs, discs_of
 from lin_freq_ocp.uncertainty.disturbance import Disturbance
 from lin_freq_ocp.uncertainty.loads import Gaussian, Records
 from lin_freq_ocp.uncertainty.plants import Plants
-from lin_freq_ocp.uncertainty.protocol import RobustProblem, Uncertainty
+from lin_freq_ocp.uncertainty.protocol import RobustProblem
 from lin_freq_ocp.uncertainty.protocol import robust as tightened
 
 FORMULA_KEYS = ("f", "region", "domain")
@@ -346,11 +346,6 @@ def _bound_values(bound: MagnitudeBound | EnergyBound) -> FileTable:
     }
 
 
-def _vibration_values(vibration: ResidualVibration) -> FileTable:
-    values = {key: getattr(vibration, key) for key in ("frequency", "damping", "limit", "component")}
-    return values | {"relative": vibration.relative or None}
-
-
 NO_LOWER = checked_value(lambda given: False, "an upper limit", NO_LOWER_MASK)
 SPECTRUM = Kinds("frequency constraint")
 SPECTRUM.records |= BANDS.records
@@ -360,7 +355,7 @@ SPECTRUM.records |= {
     ),
     "energy_bound": TableRecord(EnergyBound, own="stop_band", values=_bound_values, bins=BINS, band=BANDS),
     "linear_constraint": TableRecord(LinearConstraint),
-    "residual_vibration": TableRecord(ResidualVibration, values=_vibration_values),
+    "residual_vibration": TableRecord(ResidualVibration, relative=Value(write=lambda location, value: value or None)),
 }
 BOUNDS = Kinds("mask or energy bound")
 BOUNDS.records |= {kind: SPECTRUM.records[kind] for kind in ("magnitude_bound", "energy_bound")}
@@ -398,15 +393,10 @@ def _cost(norms: FileValue = None, **terms: FileValue) -> Cost:
     return CostSum([quadratic, *(norms if isinstance(norms, list) else [norms])])
 
 
-def _cost_values(cost: Cost) -> FileTable:
-    terms = {key: getattr(cost.quadratic, key) for key in COST.optional if key != "norms"}
-    return terms | {"norms": cost.norms}
-
-
 COST = TableRecord(
     _cost,
     like=QuadraticCost,
-    values=_cost_values,
+    values=lambda cost: {key: getattr(cost if key == "norms" else cost.quadratic, key) for key in COST.optional},
     norms=Tables(NORM_COSTS),
     **dict.fromkeys(("Q", "R", "S", "P"), nonzero(2)),
     **dict.fromkeys(("q", "r", "p", "x_ref", "u_ref"), nonzero(1)),
@@ -448,8 +438,6 @@ MADE_OF = "rate_limit", "disturbance", "discs", "plants", "plant_shares", "robus
 NO_FEEDBACK = "none"  # TOML has no null
 ANY: FileValue = None  # in place of the problem of the other tables
 GAIN = Value(lambda location, given: None if isinstance(given, str) and given == NO_FEEDBACK else given)
-
-
 DISTURBANCE = TableRecord(
     Disturbance,
     own="disturbance",
@@ -476,14 +464,12 @@ def _problem(
             problem = rate_limited(problem, **rate_limit)
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
-    tables: dict[str, Uncertainty | None] = {"disturbance": disturbance, "discs": discs and discs(problem)}
-    tables["plants"] = None if plants is None else Plants(plants, plant_shares)
-    stated = {key: uncertainty for key, uncertainty in tables.items() if uncertainty is not None}
+    several = None if plants is None else Plants(plants, plant_shares)
+    tables = ("disturbance", disturbance), ("discs", discs and discs(problem)), ("plants", several)
+    stated = [(key, uncertainty) for key, uncertainty in tables if uncertainty is not None]
     if len(stated) > 1:
-        raise ProblemError(
-            list(stated)[1], f"{next(iter(stated))}, too", "one of [disturbance], [discs] and [[plants]]"
-        )
-    return tightened(problem, next(iter(stated.values())), **(robust or {})) if stated else problem
+        raise ProblemError(stated[1][0], f"{stated[0][0]}, too", "one of [disturbance], [discs] and [[plants]]")
+    return tightened(problem, stated[0][1], **(robust or {})) if stated else problem
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:

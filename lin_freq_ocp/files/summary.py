@@ -93,12 +93,8 @@ def worst_case_summary(problem: OptimalControlProblem, worst: WorstCase) -> File
 
 def _worst_case(worst: WorstCase) -> FileTable:
     """Return a worst case by the names of its attributes."""
-    tables = dict[str, list[FileTable]]()
-    for part, given in {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}.items():
-        tables[part] = [asdict(one) | {"holds": one.holds} for one in given]
-        for one in tables[part]:
-            if isinstance(plant := one["plant"], np.ndarray):  # a response, by the keys of problem files
-                one["plant"] = {"G_real": plant.real, "G_imag": plant.imag}
+    parts = {"limits": worst.limits, "leakage": worst.leakage, "soft": worst.soft}
+    tables = {part: [asdict(one) | {"holds": one.holds} for one in given] for part, given in parts.items()}
     return {"holds": worst.holds, "verdict": worst.verdict, **asdict(worst), **tables}
 
 
@@ -237,13 +233,13 @@ def _trajectory(result: Outcome) -> FileTable | None:
 
 
 def finite(value: FileValue) -> FileValue:
-    """Replace NaN and infinity, which JSON does not have, by null."""
+    """Replace NaN and infinity, which JSON does not have, by null, and a response by the keys of problem files."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
     if isinstance(value, np.ndarray):
-        return finite(value.tolist())
+        return finite({"G_real": value.real, "G_imag": value.imag} if np.iscomplexobj(value) else value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

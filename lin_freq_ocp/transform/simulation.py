@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, brief, one_component, real_array, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, brief, one_component, real_array, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -102,7 +102,7 @@ def _is_recursion_without_modes(problem: OptimalControlProblem) -> bool:
 def _reach_of_states(dynamics: LinearDynamics, at_start: bytes, controls: Box) -> Array:
     of_u, first = np.minimum(controls.upper - controls.lower, INFINITE), np.minimum(np.frombuffer(at_start), INFINITE)
     if dynamics.time_varying:
-        return _growth([dynamics.magnitudes.at(t)[:2] for t in range(len(of_u))], first, of_u, 0.0)
+        return growth([dynamics.magnitudes.at(t)[:2] for t in range(len(of_u))], first, of_u, 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         return constant_radii(dynamics, first, np.append(of_u.max(axis=0), np.zeros(len(first))), len(of_u))
 
@@ -112,15 +112,17 @@ def _largest_states(problem: OptimalControlProblem) -> Array:
     boxes = problem.initial_box, problem.control_tube
     start, controls = (np.minimum(np.abs(box.bounds).max(axis=0), INFINITE) for box in boxes)
     A, B, offset = problem.form.gains()
-    return _growth([(A, B)] * problem.horizon, start, controls, offset)
+    return growth([(A, B)] * problem.horizon, start, controls, offset)
 
 
-def _growth(gains: Sequence[tuple[Array, Array]], first: Array, of_u: Array, offset: Array | float) -> Array:
+def growth(
+    gains: Sequence[tuple[Array | Mask, Array | Mask]], first: Array | Mask, of_u: Array | Mask, offset: Array | float
+) -> Array:
     """Return the sizes of states, (T+1, n), from that of the first, (n,), those of controls, (T, m), and |A|, |B|."""
     sizes = [first]
     for t, (A, B) in enumerate(gains):
         sizes.append(np.minimum(A @ sizes[t] + B @ of_u[t] + offset, INFINITE))
-    return np.array(sizes)
+    return np.array(sizes, dtype=np.float64)
 
 
 def motions_at_rest(problem: OptimalControlProblem, start: Array) -> list[Array]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
+from numbers import Integral, Real
 from typing import Literal, cast
 
 import numpy as np
@@ -72,6 +73,8 @@ class Discs(Uncertainty):
     ('optimal', True)
     """
 
+    table = "discs"
+
     def __init__(self, radius: ArrayLike, cost: Literal["nominal", "worst"] = "nominal"):
         self.radius = real_array("discs.radius", radius)
         if self.radius.ndim not in (0, 1, 3) or (self.radius < 0).any():
@@ -80,11 +83,6 @@ class Discs(Uncertainty):
         if cost not in ("nominal", "worst"):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
         self.cost = cost
-
-    @property
-    def stated(self) -> dict[str, object]:
-        """Return what problem files say of it, by their keys."""
-        return {"discs": self}
 
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
@@ -142,10 +140,9 @@ class Discs(Uncertainty):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
                 k = np.arange(len(radius))
                 wave = np.exp(-2j * np.pi * (k * one.index % response.record) / response.record)
-                other = _worst_plant(problem, radius, u, c, wave)
-                under = simulate(replace(problem, dynamics=other), u)
+                G, under = _worst_plant(problem, radius, u, c, wave)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
-                found = replace(one, attained=one.sign * value, trajectory=under, plant=other.G)
+                found = replace(one, attained=one.sign * value, trajectory=under, plant=G)
                 (limits if rows in hard else soft).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
@@ -162,10 +159,9 @@ class Discs(Uncertainty):
             one = Worst(name, int(spectrum.bins[k]), *figures, size=float(planned[k] + added[k]), in_spectrum=True)
             if of_x.any():
                 wave = np.exp(1j * np.angle(values[k])) * (np.arange(len(radius)) == spectrum.bins[k])
-                other = _worst_plant(problem, radius, u, np.asarray(spectrum.C), wave)
-                under = simulate(replace(problem, dynamics=other), u)
-                one = replace(one, attained=float(np.abs(bin_values(spectrum, under)[k])), plant=other.G)
-                one = replace(one, trajectory=translation.trajectory(under))
+                G, under = _worst_plant(problem, radius, u, np.asarray(spectrum.C), wave)
+                attained, under = float(np.abs(bin_values(spectrum, under)[k])), translation.trajectory(under)
+                one = replace(one, attained=attained, plant=G, trajectory=under)
             if judged or of_x.any():
                 (limits if judged else leaks).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
@@ -219,12 +215,10 @@ def radius_of_coherence(
         got = brief(coherence) if c.shape == estimate.shape else f"shape {c.shape}"
         expected, advice = f"shape {estimate.shape}, above 0 and at most 1", "It is |Gxy|^2 / (Gxx Gyy) of each bin."
         raise ProblemError("coherence", got, expected, advice)
-    whole = isinstance(averages, (int, np.integer)) and not isinstance(averages, bool)
-    if not whole or averages < FEWEST_AVERAGES:
+    if not isinstance(averages, Integral) or averages < FEWEST_AVERAGES:
         expected = f"a whole number of independent records, at least {FEWEST_AVERAGES}"
         raise ProblemError("averages", brief(averages), expected, "One record has coherence 1 whatever the noise.")
-    one = isinstance(confidence, (float, int, np.floating, np.integer))
-    if not one or not 0 < confidence < 1:
+    if not isinstance(confidence, Real) or not 0 < confidence < 1:
         advice = "State 95 % as 0.95."
         raise ProblemError("confidence", brief(confidence), "a probability between 0 and 1", advice)
     surplus = np.expm1(-np.log((1 - confidence) / number_of_bins) / (averages - 1))
@@ -396,15 +390,19 @@ def _with_worst_cost(problem: OptimalControlProblem, radius: Array) -> OptimalCo
 
 def _worst_plant(
     problem: OptimalControlProblem, radius: Array, u: Array, c: Array, wave: ComplexArray
-) -> FrequencyResponse:
-    """Return the plant of the discs which adds to each bin of c'y in the direction of a wave (bins,); 0: nothing."""
+) -> tuple[ComplexArray, Trajectory]:
+    """Return the plant G of the discs which adds to each bin of c'y in the direction of a wave (bins,); 0: nothing.
+
+    With it, what the controls do to this plant.
+    """
     plant, response = _plant(problem), _response(problem)
     turned = np.conj(np.fft.rfft(u, n=response.record, axis=0)) * wave[:, None]
     size = np.abs(turned)
     phase: ComplexArray = np.where(size > 0, turned / np.where(size > 0, size, 1.0), np.abs(wave)[:, None])
     real = response.weight == 1
     phase[real] = np.sign(phase[real].real)
-    return replace(plant, G=plant.G + np.sign(c)[:, None] * radius * phase[:, None, :])
+    other = replace(plant, G=plant.G + np.sign(c)[:, None] * radius * phase[:, None, :])
+    return other.G, simulate(replace(problem, dynamics=other), u)
 
 
 def _plant(problem: OptimalControlProblem) -> FrequencyResponse:

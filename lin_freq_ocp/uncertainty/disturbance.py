@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,6 +84,7 @@ class Disturbance(Uncertainty):
     (1, 2)
     """
 
+    table: ClassVar[str] = "disturbance"
     set: object
     input: Array | None
     gain: Literal["auto"] | Array | None
@@ -111,11 +112,6 @@ class Disturbance(Uncertainty):
             raise ProblemError("disturbance.gain", brief(gain), "'auto', a matrix (m, n), or None")
         K = gain if gain is None or isinstance(gain, str) else real_array("disturbance.gain", gain)
         assign(self, set=set, input=E, gain=K, start=start, forever=forever)
-
-    @property
-    def stated(self) -> dict[str, object]:
-        """Return what problem files say of it, by their keys."""
-        return {"disturbance": self}
 
     def feedback(self, problem: OptimalControlProblem) -> Array:
         """Return K, (m, n), of u = v + K (x - z) for a problem."""

@@ -10,14 +10,15 @@ bounded from a finite number of directions (docs/robust.md).
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.problem_data import limited_signals
-from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, Signal, named_entries
+from lin_freq_ocp.problem.problem_data import frequency_constraints
+from lin_freq_ocp.problem.spectrum.base import FrequencyConstraint, OutputSpectrum, entries_of
 from lin_freq_ocp.problem.terms.spectrum_maps import SpectrumMap
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.uncertainty.error_loop import ErrorLoop
@@ -61,27 +62,19 @@ def largest_spectra(loop: ErrorLoop, plan: Trajectory) -> Array | None:
 
 def tightened_spectra(problem: OptimalControlProblem, loop: ErrorLoop) -> dict[str, object]:
     """Return the fields of spectra, with masks at bins less the worst leakage of each bin."""
-    n, m, step = problem.state_dim, problem.control_dim, problem.sampling_time
-    signals = limited_signals(problem, problem.state_samples, problem.horizon)
 
-    def tighten(one: FrequencyConstraint, signal: Signal, field: str) -> list[FrequencyConstraint]:
-        def leak(spectrum: SpectrumMap) -> Array:
-            added = leakage(loop, spectrum, np.zeros(len(spectrum.bins), dtype=complex))[0]
-            if np.isinf(added).any():
-                got = "a mask of a signal that loads change, with Gaussian loads, start or forever"
-                raise UnsupportedError(f"{field}: got {got}; expected bounded loads from the start of the plan on.")
-            return added
+    def leak(field: str, spectrum: SpectrumMap) -> Array:
+        added = leakage(loop, spectrum, np.zeros(len(spectrum.bins), dtype=complex))[0]
+        if np.isinf(added).any():
+            got = "a mask of a signal that loads change, with Gaussian loads, start or forever"
+            raise UnsupportedError(f"{field}: got {got}; expected bounded loads from the start of the plan on.")
+        return added
 
-        return one.tightened(signal, field, leak)
-
-    changes: dict[str, object] = {
-        field: [new for where, one in named_entries(field, given) for new in tighten(one, signals[field], where)]
-        for field in signals
-        if (given := getattr(problem, field)) is not None
-    }
-    outputs = list[object]()
-    for where, entry in named_entries("output_spectrum", problem.output_spectrum):
-        signal = entry.signal(n, m, (problem.horizon + 1, problem.horizon), step, where)
-        tight = [new for one in entry.constraints for new in tighten(one, signal, where)]
-        outputs.append(entry.with_constraints(tight))
-    return changes | ({"output_spectrum": outputs} if outputs else {})
+    parts, changes = dict[tuple[str, int], list[FrequencyConstraint]](), dict[str, list[object]]()
+    for source, where, one, signal in frequency_constraints(problem):
+        parts.setdefault(source, []).extend(one.tightened(signal, where, partial(leak, where)))
+    for (field, i), tight in parts.items():
+        entry = entries_of(getattr(problem, field))[i]
+        whole = [entry.with_constraints(tight)] if isinstance(entry, OutputSpectrum) else tight
+        changes.setdefault(field, []).extend(whole)
+    return {**changes}

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -90,27 +91,20 @@ class Plants(Uncertainty):
         if any(not link.repeats for link in periodic):
             raise UnsupportedError("terminal_state: got linked ends; expected a set, or Periodic().")
         place = [np.eye(K * n)[k * n : (k + 1) * n] for k in range(K)]  # x^k = place x
-        every, names = partial(_on_every_plant, place, self.shares), problem.state_names
-
-        def outputs(given: OutputSpectrum, k: int) -> Iterator[OutputSpectrum]:
-            C = None if given.C is None else given.C @ place[k]
-            constraints = [_at_share(one, self.shares[k]) for one in given.constraints]
-            counted = [one for one in constraints if one is not None]
-            if counted:
-                yield OutputSpectrum(C, given.D, counted, [_of_plant(name, k) for name in given.output_names])
-
-        def rows(given: StageRows, k: int) -> StageRows:
-            price = None if given.penalty is None else given.penalty * self.shares[k]  # a part of the cost, too
-            return StageRows(given.C @ place[k], given.D, given.e, _of_plant(given.name, k), price)
-
-        spectra = [
-            priced.changed(component=k * n + i)
-            for one in entries_of(problem.state_spectrum)
-            for i in component_indices("state_spectrum", one.component, names)
-            for k in range(K)
-            if (priced := _at_share(one, self.shares[k])) is not None
-        ]
-        cost, shares = problem.quadratic, self.shares
+        cost, shares, names = problem.quadratic, self.shares, problem.state_names
+        every = partial(_on_every_plant, place, shares)
+        rows, spectra, outputs = list[StageRows](), list[FrequencyConstraint](), list[OutputSpectrum]()
+        for one, k in product(problem.stage_rows, range(K)):
+            if one.penalty is None or shares[k] > 0:  # a price is a part of the cost, too
+                price = None if one.penalty is None else one.penalty * shares[k]
+                rows.append(StageRows(one.C @ place[k], one.D, one.e, _of_plant(one.name, k), price))
+        for one, k in product(entries_of(problem.state_spectrum), range(K)):
+            indices = component_indices("state_spectrum", one.component, names)
+            spectra += [part.changed(component=k * n + i) for part in _at_share(one, shares[k]) for i in indices]
+        for one, k in product(entries_of(problem.output_spectrum), range(K)):
+            if counted := [part for given in one.constraints for part in _at_share(given, shares[k])]:
+                C = None if one.C is None else one.C @ place[k]
+                outputs.append(OutputSpectrum(C, one.D, counted, [_of_plant(name, k) for name in one.output_names]))
         weights = {key: np.kron(np.diag(shares), getattr(cost, key)) for key in "QP"}
         slopes = {key: np.kron(shares, getattr(cost, key)) for key in "qp"}
         mean = replace(cost, **weights, **slopes, S=np.kron(shares[:, None], cost.S), x_ref=np.tile(cost.x_ref, K))
@@ -120,18 +114,9 @@ class Plants(Uncertainty):
             state_set=map_sets(problem.state_set, every),
             initial_state=every(problem.initial_state),
             terminal_state=problem.terminal_state if periodic else every(problem.terminal_state),
-            stage_rows=[
-                rows(one, k)
-                for one in problem.stage_rows
-                for k in range(K)
-                if self.shares[k] > 0 or one.penalty is None
-            ]
-            or None,
+            stage_rows=rows,
             state_spectrum=spectra or None,
-            output_spectrum=[
-                own for one in entries_of(problem.output_spectrum) for k in range(K) for own in outputs(one, k)
-            ]
-            or None,
+            output_spectrum=outputs or None,
         )
 
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
@@ -155,9 +140,8 @@ class Plants(Uncertainty):
             added = most.sign * (most.planned - first.planned)
             worst = replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0))
             (soft if worst.name in prices else limits).append(worst)
-        return WorstCase(
-            f"each of {plural(len(self.plants), 'plant')}; u = v", tuple(limits), cost=cost, soft=tuple(soft)
-        )
+        words = f"each of {plural(len(self.plants), 'plant')}; u = v"
+        return WorstCase(words, tuple(limits), cost=cost, soft=tuple(soft))
 
 
 def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
@@ -176,13 +160,13 @@ def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> I
         yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
 
 
-def _at_share(one: FrequencyConstraint, share: float) -> FrequencyConstraint | None:
-    """Return the constraint, of a soft one with its part of the price; None if that is zero."""
+def _at_share(one: FrequencyConstraint, share: float) -> list[FrequencyConstraint]:
+    """Return the constraint, of a soft one with its part of the price; none if that is zero."""
     if one.penalty is None:
-        return one
+        return [one]
     if one.remembers:
         raise UnsupportedError("spectrum: got a soft Spectrogram with Plants; expected a hard one.")
-    return one.changed(penalty=one.penalty * share) if share > 0 else None
+    return [one.changed(penalty=one.penalty * share)] if share > 0 else []
 
 
 def _on_every_plant(place: Sequence[Array], shares: Array, given: ConvexSet) -> ConvexSet:

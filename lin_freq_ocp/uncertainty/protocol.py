@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import ClassVar, Literal
 
 from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.archives import FileValue
@@ -21,6 +21,8 @@ from lin_freq_ocp.uncertainty.worst_loads import WorstCase
 class Uncertainty(ABC):
     """What is uncertain about a problem."""
 
+    table: ClassVar[str] = ""  # of problem files, which holds it; empty if none can
+
     @abstractmethod
     def plan_limits(self, problem: OptimalControlProblem, end: Literal["invariant"] | None) -> Mapping[str, object]:
         """Return the fields in which the problem whose plans hold for all cases differs from a given one."""
@@ -32,7 +34,7 @@ class Uncertainty(ABC):
     @property
     def stated(self) -> dict[str, object]:
         """Return what problem files say of it, by their keys; empty if they cannot hold it."""
-        return {}
+        return {self.table: self} if self.table else {}
 
     def require_plain(self, problem: OptimalControlProblem, end: object) -> None:
         """Raise UnsupportedError unless cost and rows are quadratic and linear, and no invariant end is asked for."""

@@ -200,9 +200,8 @@ class WorstCase:
         return f"WorstCase({self.words}: {self.verdict})"
 
     def _repr_html_(self) -> str:
-        return html_table(
-            self.words, [(one.name, str(one)[len(one.name) :]) for one in (*self.limits, *self.soft, *self.leakage)]
-        )
+        found = (*self.limits, *self.soft, *self.leakage)
+        return html_table(self.words, [(one.name, str(one)[len(one.name) :]) for one in found])
 
 
 @dataclass(frozen=True, eq=False)

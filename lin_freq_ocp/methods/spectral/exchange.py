@@ -385,7 +385,8 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     if lti.horizon < GUESSED_HORIZON or lti.response is not None:
         return None
     shorter = _shortened_horizon(lti)
-    hold = shorter * HOLD_FACTOR > lti.horizon and _grows_slowly(lti)
+    growth = np.abs(np.linalg.eigvals(lti.A)).max() ** HOLD_FACTOR  # over the samples of a zero-order hold
+    hold = shorter * HOLD_FACTOR > lti.horizon and growth <= HOLD_GROWTH
     if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
     coarse, tolerance = (
@@ -405,11 +406,6 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     if hold:
         return _refine_rows(lti, t, f, sign)
     return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
-
-
-def _grows_slowly(lti: Lti) -> bool:
-    """Whether the dynamics hardly grow over the samples of a zero-order hold."""
-    return float(np.abs(np.linalg.eigvals(lti.A)).max()) ** HOLD_FACTOR <= HOLD_GROWTH
 
 
 def _shortened_horizon(lti: Lti) -> int:

@@ -268,12 +268,8 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
         A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
         lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-        A, B, d, response = (
-            np.zeros((n, n)),
-            np.zeros((n, len(u))),
-            outputs.base[1:],
-            lead * np.moveaxis(outputs.G, 0, -1),
-        )
+        A, B, d = np.zeros((n, n)), np.zeros((n, len(u))), outputs.base[1:]
+        response = lead * np.moveaxis(outputs.G, 0, -1)
     y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]

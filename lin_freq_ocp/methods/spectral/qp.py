@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -232,15 +231,16 @@ def predictor_corrector(
     z: Array,
     mu: float,
     to_boundary: float = TO_BOUNDARY,
-) -> InteriorStep:
-    """Return the step from weights l > 0 and slacks z > 0 with mu = l'z / count.
+) -> tuple[Array, Array, Array, float]:
+    """Return the step of other unknowns, the new weights and slacks, and the step length.
 
+    It starts from weights l > 0 and slacks z > 0 with mu = l'z / count.
     ``newton`` returns the steps of other unknowns and of l for the target of the equations z dl + l dz = target. The
     step length is 0 if the products l z have vanished: no step makes them smaller.
     """
     other, dw = newton(-weights * z)
     if mu < tol.TINY:
-        return InteriorStep(np.zeros_like(other), weights, z, 0.0)
+        return np.zeros_like(other), weights, z, 0.0
     dz = (-weights * z - z * dw) / weights
     length = min(1.0, _step_to_boundary(weights, dw, z, dz))
     after = float((weights + length * dw) @ (z + length * dz)) / float(weights @ z)
@@ -248,16 +248,7 @@ def predictor_corrector(
     other, dw = newton(target)
     dz = (target - z * dw) / weights
     length = min(1.0, to_boundary * _step_to_boundary(weights, dw, z, dz))
-    return InteriorStep(length * other, weights + length * dw, z + length * dz, length)
-
-
-class InteriorStep(NamedTuple):
-    """The step of other unknowns, the new weights and slacks, and the step length."""
-
-    other: Array
-    weights: Array
-    z: Array
-    length: float
+    return length * other, weights + length * dw, z + length * dz, length
 
 
 def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:

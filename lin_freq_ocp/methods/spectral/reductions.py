@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, with_rows
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, seal, split_signals, stack_signals
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.methods.absorbed_cost import absorb_cost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -170,7 +170,7 @@ def soft_set(problem: OptimalControlProblem, term: Term, starts: Array | None = 
 
 @dataclass(frozen=True, eq=False)
 class PricedBounds:
-    """All soft sets; all bounds and their prices, (T+1, n+m), in the user's units; u_T has no bounds."""
+    """All soft sets; all bounds and their prices, (T+1, n+m), in the user's units; u_T is zero."""
 
     sets: tuple[SoftSet, ...]
     lower: Array
@@ -195,14 +195,7 @@ def priced_bounds(problem: OptimalControlProblem) -> PricedBounds | None:
     sets = soft_sets(problem)
     if sets is None:
         return None
-    tubes, m = (problem.state_tube, problem.control_tube), problem.control_dim
-    sides = [
-        np.hstack([states, np.vstack([controls, np.full((1, m), absent)])])
-        for states, controls, absent in (
-            (tubes[0].lower, tubes[1].lower, -np.inf),
-            (tubes[0].upper, tubes[1].upper, np.inf),
-        )
-    ]
+    sides = [side.copy() for side in problem.signal_bounds]
     prices = [np.full(side.shape, np.inf) for side in sides]
     for bounds in sets:
         group, row = np.nonzero(np.isfinite(bounds.limit) & ~bounds.constant)
@@ -230,10 +223,10 @@ class SoftBounds(Reduced):
 
     def multipliers(self, reduced: Multipliers, at: Trajectory | None = None) -> Multipliers:
         """Return the multipliers of soft bounds as those of their sets."""
-        forces = np.hstack([reduced.mu, with_rows(reduced.nu, np.zeros((1, self.given.control_dim)))])
+        forces = stack_signals(reduced.mu, reduced.nu)
         on_sets = {bounds.name: bounds.multipliers(forces, reduced.eta_C) for bounds in self.sets}
-        n = self.given.state_dim
-        return replace(reduced, mu=forces[:, :n], nu=forces[:-1, n:], stage={**reduced.stage, **on_sets})
+        mu, nu = split_signals(forces, self.given.state_dim)
+        return replace(reduced, mu=mu, nu=nu, stage={**reduced.stage, **on_sets})
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,13 +56,6 @@ class SpectralSolution(Candidate):
     problem: OptimalControlProblem | None = None
     active: Rows | None = None
     rounds: int = 0
-
-
-class RecoveredOutcome(NamedTuple):
-    """The outcome of an exchange, with its multipliers."""
-
-    outcome: ExchangeOutcome
-    multipliers: LtiMultipliers
 
 
 class SpectralSolver:
@@ -197,16 +189,15 @@ class SpectralSolver:
                 first = warm_start.active
             with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
-                answer = self._exchange(lti, first, allowed, stop)
-                y, optimal = answer.outcome.signals.y, answer.outcome.status == "optimal"
-                units = revised_units(self._units, y) if optimal else None
+                answer = outcome, _ = self._exchange(lti, first, allowed, stop)
+                units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
                 if units is not None:  # the first units were wrong
                     better = SpectralSolver._in_units(self.problem, units)
                     second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                    if second.outcome.status == "optimal":
+                    if second[0].status == "optimal":
                         self.__dict__.update(better.__dict__)
                         answer = second
-                return replace(self._solution(problem, answer, started), interrupted=interrupt.is_set())
+                return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
 
     def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
@@ -252,17 +243,20 @@ class SpectralSolver:
             expected = f"{shape}, a solution of this problem"
             raise ProblemError("warm_start", f"(horizon, states, controls, joint rows) = {got}", expected)
 
-    def _exchange(self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop) -> RecoveredOutcome:
+    def _exchange(
+        self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop
+    ) -> tuple[ExchangeOutcome, LtiMultipliers]:
         """Exchange from the first working rows; without any, from a guess. Recover the multipliers."""
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
         exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
         outcome = exchange.run()
-        return RecoveredOutcome(outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum))
+        return outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum)
 
-    def _solution(self, problem: OptimalControlProblem, answer: RecoveredOutcome, started: float) -> SpectralSolution:
+    def _solution(
+        self, problem: OptimalControlProblem, outcome: ExchangeOutcome, scaled: LtiMultipliers, started: float
+    ) -> SpectralSolution:
         """Return the solution in the user's units; infinite numbers are a numerical error."""
-        outcome, scaled = answer
         status, message = Status(outcome.status), outcome.message
         finite = all(np.isfinite(part).all() for part in (scaled.eta, scaled.band, scaled.rho_x))
         multipliers = in_units(problem, self._lti, self._units, scaled) if finite else None

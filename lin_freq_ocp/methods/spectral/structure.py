@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -162,13 +161,6 @@ def equation_residual(structure: Structure, data: Data, theta: Array, at: Signal
     return residual
 
 
-class UnconstrainedPoint(NamedTuple):
-    """The point without working rows: the step of theta and multipliers of the equations, and all bounded values."""
-
-    step: Array
-    values: Array
-
-
 def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
     """Return the point c without forces, and the residual of the equations there."""
     theta = np.zeros(structure.kkt.size)
@@ -178,11 +170,11 @@ def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Ar
 
 def unconstrained_point(
     structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
-) -> UnconstrainedPoint:
-    """Return the point without working rows, to the accuracy of K_b."""
+) -> tuple[Array, Array]:
+    """Return the point without working rows: the step of (theta, zeta), to the accuracy of K_b, and bounded values."""
     at, residual = _point_without_forces(structure, data)
     step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
-    return UnconstrainedPoint(step, np.append(violations.values(at.y), at.last) + step @ whole.coupling)
+    return step, np.append(violations.values(at.y), at.last) + step @ whole.coupling
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,10 +235,8 @@ def row_ray(
     """
     prices, free = working.prices(data.lti), working.free_response()
     hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
-    decided = (np.diagonal(S) < tol.DECIDED_RESPONSE * free) & (
-        d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
-    )
-    decided &= hard
+    violated = d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
+    decided = hard & violated & (np.diagonal(S) < tol.DECIDED_RESPONSE * free)
     weights = np.zeros(len(d))
     if decided.any():
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0

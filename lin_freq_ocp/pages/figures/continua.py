@@ -1,8 +1,7 @@
 """Figures of semi-infinite constraints: residual vibrations, and spectra of signals with a zero-order hold.
 
 A residual vibration, of moves or of an input shaper, is drawn over the natural frequency, with its limit within the
-box of modes; a spectrum goes on
-above the Nyquist frequency.
+box of modes; a spectrum goes on above the Nyquist frequency.
 """
 
 from __future__ import annotations

@@ -130,7 +130,7 @@ def four_panels(data: PlotData, alone: bool = False) -> Figure:
         add_panels(look.ROW_HEIGHT, [partial(spectrum_panel, data=data, component=signal) for signal in limited])
         add_panels(PANEL_HEIGHT, [*vibration_panels(data), *held_panels(data)], columns=1)
     with_band = bool(problem.control_band.any() or limited)
-    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True, alone=alone)
+    legend = _legend_handles(data, problem.state_dim > 1, with_band, with_bounds=True)
     height = sum(height for height, _ in rows)
     figure = look.new_figure(height + LEGEND_HEIGHT * look.legend_rows(legend) + mode_legend(data).height)
     grid = figure.add_gridspec(len(rows), 2, height_ratios=[height for height, _ in rows])
@@ -253,7 +253,7 @@ def price_figure(data: PlotData, prices: tuple[Array, Array]) -> Figure:
 
 
 def _legend_handles(
-    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False, alone: bool = False
+    data: PlotData, with_ends: bool = False, with_band: bool = False, with_bounds: bool = False
 ) -> list[Artist]:
     handles, entry = list[Artist](), look.legend_line
     for trace in data.traces:
@@ -267,7 +267,7 @@ def _legend_handles(
         handles.append(entry("bound", color=look.BOUND))
     if with_bounds and data.tightened is not None:
         handles.append(Patch(facecolor=look.BAND, label="margin for loads"))
-    if data.largest is not None and alone:
+    if data.largest is not None:
         handles.append(entry("largest bin for all loads", color=look.MUTED, linestyle=look.REFERENCE_LINE))
     if any(line.soft for line in [*rows, *levels]):
         handles.append(entry("soft bound", color=look.BOUND, linestyle=look.SOFT))

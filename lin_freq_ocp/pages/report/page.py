@@ -175,9 +175,8 @@ def worst_case_table(comparison: ComparisonOutcome) -> PageTable | None:
     rows += [[*one.cells, "soft"] for one in worst.soft]
     rows += [[*one.cells, "for the plan only"] for one in worst.leakage]
     note = f"{worst.words[:1].upper()}{worst.words[1:]}. {worst.verdict}"
-    return PageTable(
-        "The worst case", ("limit", "at", "plan", "margin", "limit", "attained", ""), rows, {0, 1, 6}, note
-    )
+    columns = ("limit", "at", "plan", "margin", "limit", "attained", "")
+    return PageTable("The worst case", columns, rows, {0, 1, 6}, note)
 
 
 def _solve_row(problem: str, result: Outcome) -> tuple[str, str, str, str, str]:
