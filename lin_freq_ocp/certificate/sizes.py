@@ -143,13 +143,14 @@ def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
 
 
 class Scales(NamedTuple):
-    """Sizes of states (n,) and controls (m,), S, and slopes of costs by formulas.
+    """Sizes of states (n,) and controls (m,), S, ``reach_of_bounds``, and slopes of costs by formulas.
 
     ``slopes`` gives those for sizes (n + m,): (T+1, n + m), with zeros for u_T.
     """
 
     sizes: Sizes
     cost: float
+    reach: Array
     slopes: Callable[[Array], Array] | None = None
 
 
@@ -157,7 +158,8 @@ def scales_of(
     problem: OptimalControlProblem, trajectory: Trajectory, known: tuple[float, float] | None = None
 ) -> Scales:
     """Return the scales along a trajectory; ``known`` as for ``cost_scale``."""
-    return Scales(trajectory_sizes(problem, trajectory), cost_scale(problem, trajectory, known))
+    cost = cost_scale(problem, trajectory, known)
+    return Scales(trajectory_sizes(problem, trajectory), cost, reach_of_bounds(problem))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +171,9 @@ class Floors:
     z : (n + m,)
         Of states and controls; of states, at least their rounding divided by CONDITION_TOLERANCE.
     level : float
-        Of multipliers times signals: S, but at least SCALE_FLOOR of what a component of its size costs, by the median
-        over components and times. With eta_C = 0 there is no unit of cost: SCALE_FLOOR of the largest terms of the
-        Hamiltonian.
+        Of multipliers times signals: S, but at least SCALE_FLOOR of what a component costs that differs by its size, or
+        by its reach if that is less: the median over components and times. With eta_C = 0 there is no unit of cost:
+        SCALE_FLOOR of the largest terms of the Hamiltonian.
     slopes : (T+1, n + m)
         Of multipliers in the adjoint equation and in D_u H: a part of the slopes of the cost there, as a weight on one
         component or time says nothing of others; at least what rounding of the states changes in them, divided by
@@ -201,7 +203,7 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     with modes, that is only the average over modes.
     """
     problem, T, eta_C = extremal.problem, extremal.problem.horizon, extremal.multipliers.eta_C
-    (x, u), cost, slopes_at = scales
+    (x, u), cost, reach, slopes_at = scales
     # rounding of the states, in the coordinates of the user, and of the state equation
     start = problem.origin if origin is None else origin
     at = np.abs(extremal.trajectory.x)
@@ -224,8 +226,10 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
     else:
-        priced = [term.cost(*steady).ravel() for term in problem.terms if term.kind.is_cost]
-        costs = np.concatenate([(steep * size).ravel(), *priced])
+        varied = np.minimum(size, reach)
+        near, zero = split_signals(varied, len(x)), (np.zeros((T + 1, len(x))), np.zeros((T, len(u))))
+        priced = [np.abs(term.cost(*near) - term.cost(*zero)).ravel() for term in problem.terms if term.kind.is_cost]
+        costs = np.concatenate([(steep * varied).ravel(), *priced])
         costs, stage = np.sort(costs[costs > 0]), 0.0
         if len(costs):  # their median
             stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)

@@ -28,6 +28,7 @@ INFINITY, ZERO, ONE, UNIT, UNKNOWN = arb.pos_inf(), arb(0), arb(1), arb(0, 1), a
 LEAST_WORK, WORK_BY_BYTE = 2e7, 1000  # operations allowed: some seconds, and in proportion for long files
 MOST_SWITCHES, MOST_LEVELS, MOST_ORDER, MOST_LATTICE = 64, 64, 10**4, 10**6
 NEWTON_BITS = 40  # the box of angles in which amplitudes meet their limits is so small
+UNDERFLOW = arb(2) ** -1000  # more than all underflows of a recursion in doubles lose
 LATTICE, CURVATURE = 1, 2  # operations of a value of a recursion, and of an entry of a pivot
 STAGE, SINE, SAME_BLOCK = 24, 32, 512  # operations of a stage of lists, and of a sine; exponents within one product
 NUMBER = re.compile(r"(-?)0x([0-9a-f]+)(?:\.([0-9a-f]*))?(?:p([+-]?[0-9]{1,6}))?")
@@ -113,6 +114,18 @@ def number(text, infinite=False):
     sign, whole, part, power = found.groups(default="")
     Work.words = max(Work.words, 1 + (len(whole) + len(part)) // 16)
     return arb((int(sign + whole + part, 16), int(power or 0) - 4 * len(part)))
+
+
+def double(ball):
+    """Return the middle of a ball as a double. It is finite: minima with infinite ones may leave a train out."""
+    require(math.isfinite(float(ball)), "a sum is larger than all doubles")
+    return float(ball)
+
+
+def rounding(operations, largest):
+    """Return a bound of the error of sums in doubles, below and above the smallest normal one."""
+    double(2 * largest)
+    return operations * arb(2) ** -52 * largest + UNDERFLOW
 
 
 def matrix(value, rows, columns=None, infinite=False):
@@ -874,8 +887,8 @@ class Train:
             lower, upper = ((middle + side * width) / (h * s) + side * m for side in (-1, 1))
             first, last = (int(end.floor().unique_fmpz()) for end in (lower.lower(), upper.upper()))
             waves[i] = first, last, 8 * s / arb.pi() * bent, i * h
-        least, rounding = self.recursion(part, N, low, high, hold, waves, inside)
-        return INFINITY if least == math.inf else arb(least) - rounding - loss + ends
+        least, error = self.recursion(part, N, low, high, hold, waves, inside)
+        return INFINITY if least == math.inf else arb(least) - error - loss + ends
 
     def holds(self, h):
         """Return the whole steps h in each dwell."""
@@ -907,6 +920,7 @@ class Train:
         hold = self.holds(h)
         low, high = self.ranges(part, N, hold)
         ends = [one * (up if one > 0 else down) for one, down, up in zip(w, self.low, self.high) if not one.is_zero()]
+        error = rounding(2 * m + 2, m * factor * total(map(abs, w)))
         spend(SINE * len(w) * (N + 1) + 4 * m * N * len(self.levels(part)[-1]))
         waves = [
             float(factor * total(one * (k * i * h).cos() / k for one, k in zip(w, self.orders))) for i in range(N + 1)
@@ -921,9 +935,8 @@ class Train:
                 for i in range(N - 1, -1, -1):
                     costs[i] = min(costs[i], costs[i + 1])
             rest = before
-        least, size = rest[0][0], (2 * m + 2) * arb(2) ** -52 * m * factor * total(map(abs, w))
-        bent = factor * m * h * h / 8 * total(abs(one) * k for one, k in zip(w, self.orders))
-        require(least == inf or arb(least) - size - bent > total(ends), "trains may meet the limits of amplitudes")
+        least, bent = rest[0][0], factor * m * h * h / 8 * total(abs(one) * k for one, k in zip(w, self.orders))
+        require(least == inf or arb(least) - error - bent > total(ends), "trains may meet the limits of amplitudes")
 
     def recursion(self, part, N, low, high, hold, waves, inside):
         """Return the least E - 2 sum r_k b_k / k of trains of the lattice with a switch outside, and its rounding.
@@ -932,7 +945,7 @@ class Train:
         it stays the same while the level lasts, and a switch from v to v + t adds what is linear in n.
         """
         m, h, factor, levels = self.m, self.quarter / N, 4 * self.step**2 / arb.pi(), self.levels(part)
-        last = {v: float(factor * v * v * self.quarter**3 / 3) for v in levels[m]}
+        last = {v: double(factor * v * v * self.quarter**3 / 3) for v in levels[m]}
         rows, size = {v: [(N, v * N, [end], [math.inf])] for v, end in last.items()}, max(last.values(), default=0.0)
         for c in reversed(range(m)):
             before, most = {}, 0.0
@@ -949,8 +962,8 @@ class Train:
                     least, (low_end, high_end, sign) = None, inside[c] if inside else part[c]
                     for t, arm in arms:
                         arm.add(i + hold[c + 1])
-                        slope = float(-t * factor * h * theta**2)
-                        constant = float(-factor * theta**3 * (2 * v * t + 1) / 3 - t * bent)
+                        slope = double(-t * factor * h * theta**2)
+                        constant = double(-factor * theta**3 * (2 * v * t + 1) / 3 - t * bent)
                         most = max(most, abs(slope) * max(abs(first), abs(end)) + abs(constant))
                         out = not inside or sign == -t or (i <= low_end and fmpq(low_end, N) > part[c][0])
                         out = out or (i >= high_end and fmpq(high_end, N) < part[c][1])
@@ -961,7 +974,7 @@ class Train:
                     before[v].append((i, first + v * i, *least))
             rows, size = before, size + most
         found = min((min(chosen) for _, _, _, chosen in rows[0]), default=math.inf)
-        return found, (6 * m + 6) * arb(2) ** -52 * arb(size)
+        return found, rounding(6 * m + 6, arb(size))
 
     def least_by_curvature(self, part, line):
         """Return a lower bound on the energy of trains of a part by the Lagrangian at angles, where it is convex."""

@@ -177,7 +177,8 @@ class WorstCase:
         if broken:
             worst = max(broken, key=lambda one: one.violation)
             return f"Violated: {plural(len(broken), 'limit')}, {worst.name} by up to {number(worst.violation)}."
-        return f"No case violates one of these limits: proven, to {HOLDS_WITHIN:g} of their terms."
+        limits = "the hard limits" if self.soft else "these limits"
+        return f"No case violates one of {limits}: proven, to {HOLDS_WITHIN:g} of their terms."
 
     def __str__(self) -> str:
         head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"

@@ -57,3 +57,17 @@ def test_a_cost_that_no_control_changes_does_not_count():
     certificate = lfo.solve(problem).certificate
     assert certificate.globally_optimal
     assert certificate.cost_scale < 100 < 1e-6 * certificate.cost
+
+
+@pytest.mark.parametrize(
+    "cost", [lfo.QuadraticCost(R=10.0, q=[1.0]), lfo.QuadraticCost(R=10.0) + lfo.costs.L1Cost(x=1.0)]
+)
+def test_a_start_far_away_makes_no_trajectory_stationary(cost):
+    """A state of the size of the start costs 1e7, but no control changes it by more than 2."""
+    dynamics = lfo.LinearDynamics([[0.3]], [[1.0]])
+    problem = lfo.OptimalControlProblem(dynamics, 14, cost, CONTROLS, initial_state=[1e7])
+    result = lfo.solve(problem)
+    assert result.certificate.globally_optimal
+    certificate = lfo.certify(problem, 0.99 * result.control)
+    assert certificate.gap > 3e-6
+    assert certificate.pmp == "violated"

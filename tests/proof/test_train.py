@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import replace
 from itertools import combinations, product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,6 +96,48 @@ def test_that_no_train_meets_the_limits_is_proven(M, k, tmp_path):
     assert feasible != lines[1]
     with pytest.raises(lfo_check.Failed, match="trains may meet the limits"):
         check([lines[0], feasible, *lines[2:]])
+
+
+UP_AND_DOWN = {"sums": 400, "weights": ["-0x1p+0", "0x0p+0"]}  # the amplitude is less than 0.9 there
+UPWARDS = {"sums": 400, "weights": ["0x1p+1030", "0x0p+0"]}
+BEYOND_DOUBLES = {  # of a problem that has trains, with two steps up
+    "above all doubles": [{"split": 0}, {"split": 1}, UPWARDS, UP_AND_DOWN, UP_AND_DOWN],
+    "below all doubles": [{"sums": 400, "weights": ["-0x1p-20000", "0x0p+0"]}],
+}
+
+
+def stated(result: lfo.results.Result, folder: Path) -> list[dict]:
+    """Return the lines of the proof file of a result."""
+    result.write_proof(folder / "run.proof")
+    return [*map(json.loads, (folder / "run.proof").read_text().splitlines())]
+
+
+@pytest.mark.parametrize("nodes", BEYOND_DOUBLES)
+def test_weights_whose_sums_are_no_doubles_exclude_no_train(nodes, tmp_path):
+    first, problem, claim, head, *_, end = stated(lfo.solve(pattern(1.15, 8, **CLASS), throw=False), tmp_path)
+    problem["low"][0] = problem["high"][0] = (0.9).hex()
+    with pytest.raises(lfo_check.Failed, match=r"trains may meet the limits|larger than all doubles"):
+        check([json.dumps(line) + "\n" for line in (first, problem, claim, head, *BEYOND_DOUBLES[nodes], end)])
+
+
+def test_a_step_whose_energy_is_no_double_has_no_lower_bound(tmp_path):
+    """Energies of 2^-1120 are zero in doubles, and no less than any price of the amplitudes."""
+    power = -560
+    first, problem, claim, _, head, node, *_, end = stated(lfo.solve(pattern(0.9, 8)), tmp_path)
+
+    def scaled(number: str, by: int) -> str:
+        digits, exponent = number.split("p")
+        return f"{digits}p{int(exponent) + by}"
+
+    problem["step"], problem["price"] = scaled(problem["step"], power), scaled(problem["price"], -2 * power)
+    problem["offset"] = scaled(problem["offset"], 2 * power)
+    for side in ("low", "high"):
+        problem[side] = [scaled(limit, power) for limit in problem[side]]
+    claim |= {"lower": (0.01).hex(), "upper": "inf"}  # the least cost is 0.0018
+    node = {"lattice": 100, "whole": False, "prices": [scaled(price, power) for price in node["prices"]]}
+    lines = first, problem, claim, head | {"level": (0.011).hex()}, node, end
+    with pytest.raises(lfo_check.Failed, match=r"trains may cost less|larger than all doubles"):
+        check([json.dumps(line) + "\n" for line in lines])
 
 
 def test_a_search_that_was_ended_early_has_no_proof():

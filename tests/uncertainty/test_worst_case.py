@@ -290,3 +290,5 @@ def test_soft_limits_are_shown_at_their_worst_and_priced_but_break_nothing():
         assert one.attained == pytest.approx(one.planned + one.margin, rel=1e-12)
     assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
     assert str(worst).count("(soft)") == 3
+    assert not all(one.holds for one in worst.soft)
+    assert worst.verdict.startswith("No case violates one of the hard limits: proven")

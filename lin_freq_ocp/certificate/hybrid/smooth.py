@@ -45,6 +45,7 @@ from lin_freq_ocp.transform.hybrid.cost_state import CostState, cost_as_state
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine, piecewise_smooth
 from lin_freq_ocp.transform.reductions import Reduced
 from lin_freq_ocp.transform.reformulations import at_frequencies
+from lin_freq_ocp.transform.simulation import reach_of_bounds
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 OF_STATES = ("C-iii", "C-iv", "C-vi", "S-x", "N-x")  # the conditions whose components are states
@@ -128,7 +129,7 @@ def scales_with_cost(reduced: CostState, trajectory: Trajectory) -> Scales:
     stage = max(float(((steep + 0.5 * bent @ size) @ size).max()), float((end + 0.5 * bent_end @ x) @ x)) or 1.0
     stripped = replace_fields(problem, cost=problem.cost.without_formulas.at_dimensions(n, len(u), len(modes)))
     cost = cost_scale(stripped, trajectory) + float(values.sum())
-    return Scales((np.append(x, stage), u), cost, slopes)
+    return Scales((np.append(x, stage), u), cost, np.insert(reach_of_bounds(problem), n, np.inf, axis=1), slopes)
 
 
 def judged_modes(
