@@ -36,7 +36,7 @@ class Layer:
         require_problem(self.problem)
         if self.kinks not in ("error", "right"):
             raise ProblemError("kinks", repr(self.kinks), "'error' or 'right'")
-        data_for(self.problem, {name: self._known.get(name, 0.0) for name in self.names if name not in OF_EACH})
+        data_for(self.problem, {name: self._values.get(name, 0.0) for name in self.names if name not in OF_EACH})
 
     def batch(self, data: Sequence[Array]) -> int | None:
         """Return the number of problems that data of initial states and references are for; None for one."""
@@ -46,10 +46,10 @@ class Layer:
         return sizes.pop() if sizes else None
 
     def _has_batch(self, name: str, value: Array) -> bool:
-        return name in OF_EACH and value.ndim == 1 + self._known[name].ndim
+        return name in OF_EACH and value.ndim == 1 + self._values[name].ndim
 
     @cached_property
-    def _known(self) -> dict[str, Array]:
+    def _values(self) -> dict[str, Array]:
         return data_of(self.problem)
 
     def _of_each(self, data: Sequence[Array]) -> list[dict[str, Array]]:
