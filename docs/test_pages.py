@@ -3,6 +3,7 @@
 Run by .ci/run: python -m pytest docs/test_pages.py
 """
 
+import ast
 import re
 import shlex
 import subprocess
@@ -30,6 +31,17 @@ def test_what_a_page_shows_runs(page, tmp_path):
             (tmp_path / "page.py").write_text(text)
         arguments = ["page.py"] if kind == "python" else ["-m", "lin_freq_ocp", *shlex.split(text)[2:]]
         subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_every_example_has_the_sketch_of_one_plant():
+    assigned = {
+        node.targets[0].id: node.value
+        for node in ast.parse((ROOT / "docs" / "conf.py").read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
+    }
+    found = (name for value in assigned["SKETCHES"].values for name in ast.walk(value))
+    shown = [name.value for name in found if isinstance(name, ast.Constant)]
+    assert sorted(shown) == sorted(path.stem for path in (ROOT / "examples").glob("*/*.py"))
 
 
 @pytest.mark.parametrize(
