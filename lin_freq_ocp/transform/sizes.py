@@ -21,7 +21,6 @@ from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import reach_of_bounds
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
-ROUNDING = float(np.finfo(float).eps)
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
 WEIGHTY = 0.1  # a row limits a component whose coefficient is at least this part of the row's largest
 NO_GAIN = 1e-14  # entries of a row of [A, B] below this part of its largest are rounding
@@ -49,7 +48,7 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
-    return max(total, (cost.magnitudes.value(*rounding) + ROUNDING * cost.products(x, u)) / FINEST_GAP)
+    return max(total, cost.magnitudes.value(*rounding) / FINEST_GAP)
 
 
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:

@@ -71,3 +71,13 @@ def test_a_start_far_away_makes_no_trajectory_stationary(cost):
     certificate = lfo.certify(problem, 0.99 * result.control)
     assert certificate.gap > 3e-6
     assert certificate.pmp == "violated"
+
+
+def test_a_reference_out_of_reach_is_no_size_of_the_state():
+    """An error of 1e-3 in a state that moves by 8 is a millionth of a millionth of the reference."""
+    problem = problem_of(COSTS["squares"](1e9, 1.0))
+    result = lfo.solve(problem)
+    x = result.trajectory.x.copy()
+    x[4:] += 1e-3
+    broken = lfo.certify(problem, lfo.Trajectory(x, result.control))
+    assert "state equation" in [condition.name for condition in broken.failed]
