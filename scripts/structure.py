@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_577,
-    "code lines": 47_855,
-    "code lines, linear part": 22_702,
+    "shipped lines": 51_532,
+    "code lines": 47_810,
+    "code lines, linear part": 22_659,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 345,
@@ -63,7 +63,7 @@ LIMITS: dict[str, float] = {
     "names in __all__": 65,
     "lines of a file": 533,
     "lines of a function": 63,
-    "functions used once [%]": 12.1,
+    "functions used once [%]": 12.0,
     "files entered by a solve": 50,
     "functions entered by a solve": 385,
     "calls of a solve": 746,

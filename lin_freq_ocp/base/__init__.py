@@ -29,7 +29,8 @@ def lazy_exports(
 __all__, __getattr__ = lazy_exports(__name__, {
     "activity": "BETWEEN_SECONDS FIRST_SECONDS TERMINAL_SECONDS TICK_SECONDS activity_line report_progress",
     "archives": "LARGE MOST_COMPRESSED MOST_ENTRIES",
-    "arrays": "Array ComplexArray Indices assign first_largest", "clock": "now use_clock", "kinds": "register_all",
+    "arrays": "Array ComplexArray Indices assign first_largest split_signals stack_signals", "clock": "now use_clock",
+    "kinds": "register_all",
     "cones": "Cone apply_scaling apply_scaling_twice compute_scaling product quotient spectral_values steepest",
     "interrupts": "interrupts_noted leave leave_silently let_commands_decide",
     "phrases": "NOTHING join_words number runs_in_words split_unit", "semidefinite": "RISES is_semidefinite",

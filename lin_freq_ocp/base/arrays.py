@@ -208,7 +208,7 @@ def stack_signals(x: Array, u: Array) -> Array:
     return z
 
 
-def split_signals(z: Array, n: int) -> tuple[Array, Array]:
+def split_signals(z: NDArray[Entry], n: int) -> tuple[NDArray[Entry], NDArray[Entry]]:
     """Return the parts in x (..., T+1, n) and in u (..., T, m) of a stacked array, as views."""
     return z[..., :n], z[..., :-1, n:]
 

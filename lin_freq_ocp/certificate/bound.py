@@ -23,22 +23,24 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.linalg import block_diag
 
-from lin_freq_ocp.base.arrays import Array, split_signals, stack_signals, total
-from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_curvatures, state_residual
+from lin_freq_ocp.base.arrays import Array, split_signals, total
+from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_curvatures
 from lin_freq_ocp.certificate.reach import (
     Deviations,
     Pair,
     Region,
     box_around,
     cost_is_never_negative,
+    equation_rows,
     implied_bounds,
+    largest_residual,
     nearby_bounds,
     reachable_bounds,
     stated_bounds,
     units_of,
 )
 from lin_freq_ocp.certificate.sizes import trajectory_sizes
-from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, MAX_UNKNOWN, NUMERICAL_REACH, RADIUS_MARGIN
+from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, MAX_UNKNOWN, NUMERICAL_REACH
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
 
@@ -113,8 +115,7 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
     for around in (partial(nearby_bounds, allowed=allowed), partial(mistrusting, allowed=allowed), level_bounds):
         if cost - proven.value <= allowed:
             break
-        deviations = _deviations(found, curvatures, problem.state_dim)
-        nearby = around(problem, extremal.trajectory, deviations, cost)
+        nearby = around(problem, extremal.point, found.deviations, cost)
         if nearby is not None:
             of_nearby, _ = _evaluate(extremal, curvatures, nearby, cost, RIGOROUS)
             proven = of_nearby if of_nearby.value > proven.value else proven
@@ -122,16 +123,20 @@ def lower_bound(extremal: Extremal, allowed: float) -> Bound | None:
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    x, u = trajectory_sizes(problem, extremal.trajectory)
-    largest = NUMERICAL_REACH * x, NUMERICAL_REACH * u
-    near = _cut_sets(problem, curvatures, largest, f"{NUMERICAL_REACH:g} times the trajectory")
+    largest = NUMERICAL_REACH * np.concatenate(trajectory_sizes(problem, extremal.trajectory))
+    stated = stated_bounds(problem).bounds  # components without curvature are cut
+    cut = [np.where(curvatures > 0, side, at) for side, at in zip(stated, cut_bounds(stated, largest), strict=True)]
+    near = Region((cut[0], cut[1]), np.inf, f"{NUMERICAL_REACH:g} times the trajectory")
     numerical, _ = _evaluate(extremal, curvatures, near, cost, NUMERICAL)
     return numerical if numerical.value - proven.value > allowed else proven
 
 
-def level_bounds(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, cost: float
-) -> Region | None:
+def cut_bounds(bounds: Pair, largest: Array) -> Pair:
+    """Return bounds of which farther ones than ``largest`` are cut there."""
+    return np.clip(-largest, *bounds), np.clip(largest, *bounds)
+
+
+def level_bounds(problem: OptimalControlProblem, z: Array, deviations: Deviations, cost: float) -> Region | None:
     """Return the same box by the inverse Z of the Hessian H on all changes that keep the equations M, or None.
 
     Where d = Z H d + Y M d + E d and E is rounding, |d| <= sqrt(2 diag(Z H Z')) q + |Y| |M d| + |E| |d| by the
@@ -142,8 +147,8 @@ def level_bounds(
     if inverse is None:
         return None
     (beta, weights, through_fixed, error), free = inverse, lower < upper
-    residual = np.abs(state_residual(problem, trajectory)) + (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
-    missed = np.abs(lower - stack_signals(trajectory.x, trajectory.u))[~free]
+    residual = largest_residual(problem, Trajectory(*split_signals(z, problem.state_dim)))
+    missed = np.abs(lower - z)[~free]
     of_free, sides = [weights @ (residual.ravel() + through_fixed @ missed), beta], np.zeros((2, *free.shape))
     for k, radius in enumerate(of_free):
         added = error @ radius
@@ -151,9 +156,8 @@ def level_bounds(
             return None
         sides[k, free] = radius + 2 * added
     sides[0, ~free] = missed
-    alpha_beta_gamma = np.stack([sides[0], sides[1], 0 * sides[1]])[:, None].repeat(2, axis=1)
-    radii, lossless = split_signals(alpha_beta_gamma, problem.state_dim), [lost == 0 for lost in deviations.losses]
-    return box_around(problem, trajectory, deviations, cost, radii, lossless)
+    radii = np.stack([sides[0], sides[1], 0 * sides[1]])[:, None].repeat(2, axis=1)
+    return box_around(problem, z, deviations, cost, radii, deviations.losses == 0)
 
 
 @lru_cache(maxsize=2)  # for the candidates of one problem, one after another
@@ -167,13 +171,9 @@ def _level_inverse(problem: OptimalControlProblem) -> tuple[Array, Array, Array,
     curvatures, free = cost_curvatures(problem.quadratic, T), (lower < upper).ravel()
     if curvatures is None or problem.response is not None or free.sum() > MAX_UNKNOWN:
         return None
-    blocks, M = np.zeros((*lower.shape, lower.shape[1])), np.zeros((T, n, *lower.shape))
+    blocks, M = np.zeros((*lower.shape, lower.shape[1])), equation_rows(problem)
     blocks[:T], blocks[T, :n, :n] = problem.quadratic.stage_hessians, problem.quadratic.P
     H = block_diag(*(blocks - np.minimum(curvatures, 0.0)[..., None] * np.eye(lower.shape[1])))[np.ix_(free, free)]
-    for t in range(T):
-        A, B, _ = problem.linear.at(t)
-        M[t, :, t], M[t, :, t + 1, :n] = np.hstack([A, B]), -np.eye(n)
-    M = M.reshape(T * n, -1)
     system = np.block([[H, M[:, free].T], [M[:, free], np.zeros((T * n, T * n))]])
     units, eps = 1 / np.sqrt(units_of(system, axis=0)), np.finfo(float).eps
     units[len(H) :] = 1 / units_of(units[: len(H), None] * system[: len(H), len(H) :], axis=0)
@@ -198,12 +198,11 @@ def optimum_box(extremal: Extremal, allowed: float) -> Region:
     if curvatures is not None:
         cost = extremal.cost
         _, found = _evaluate(extremal, curvatures, stated_bounds(problem), cost, RIGOROUS)
-        deviations = _deviations(found, curvatures, problem.state_dim)
         summed = _sum_of_terms(extremal)
         level = float(cost + allowed - unit_rounding(problem) * summed - ARITHMETIC_ROUNDING * abs(cost))
-        farther = replace(deviations, left=deviations.left + allowed)
-        nearby = nearby_bounds(problem, extremal.trajectory, farther, level, allowed)
-        nearby = nearby or level_bounds(problem, extremal.trajectory, farther, level)
+        farther = replace(found.deviations, left=found.deviations.left + allowed)
+        nearby = nearby_bounds(problem, extremal.point, farther, level, allowed)
+        nearby = nearby or level_bounds(problem, extremal.point, farther, level)
         if nearby is not None:
             return nearby
     return reachable_bounds(problem)
@@ -216,7 +215,7 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
     other constraints, the bound is "numerical": it holds for distances from the trajectory up to a ``multiple`` of the
     sizes, (n,) and (m,), by default the largest that leaves half of D.
     """
-    problem, at = extremal.problem, extremal.trajectory
+    problem = extremal.problem
     uncurved = np.zeros_like(extremal.in_z)
     region = stated_bounds(problem)
     proven, _ = _evaluate(extremal, uncurved, region, 0.0, RIGOROUS)
@@ -227,9 +226,8 @@ def ray_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None) ->
         return proven
 
     def bound_within(multiple: float) -> Bound:
-        x, u = at.x, at.u
-        pairs = bounds_within(region.x, x, multiple * sizes[0]), bounds_within(region.u, u, multiple * sizes[1])
-        return _evaluate(extremal, uncurved, Region(*pairs, np.inf, region.follows_from), 0.0, NUMERICAL)[0]
+        bounds = bounds_within(region.bounds, extremal.point, multiple * np.concatenate(sizes))
+        return _evaluate(extremal, uncurved, replace(region, bounds=bounds), 0.0, NUMERICAL)[0]
 
     if multiple is not None:
         return bound_within(multiple)
@@ -260,18 +258,15 @@ def bounds_within(bounds: Pair, signal: Array, distance: Array) -> Pair:
 class Evaluation:
     """D over a box, and the parts of its difference from the cost; of N trajectories, with a leading axis.
 
-    As in ``Bound``, whose terms of dynamics, frequency and stages are ``residual_terms``. ``certain`` are the losses of
-    each component, errors of the slopes included, ``between`` the least and the greatest slope with these errors, and
-    ``left`` is the cost less the bound without these losses.
+    As in ``Bound``, whose terms of dynamics, frequency and stages are ``residual_terms``. Losses in ``deviations``
+    include errors of the slopes.
     """
 
     value: Array
     rounding: Array
     stage_gaps: Array
     residual_terms: tuple[Number, ...]
-    certain: Array
-    between: Array
-    left: Array
+    deviations: Deviations
 
 
 def evaluate_bound(
@@ -293,23 +288,17 @@ def evaluate_bound(
     without_losses = cost + dynamics_term + frequency_term - stage_term
     value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
     rounding = np.where(finite, certain, np.inf) - gap + in_sums
-    left, terms = cost - without_losses + in_sums, (dynamics_term, frequency_term, stage_term)
-    return Evaluation(value, rounding, stage_gaps, terms, losses, between, left)
+    terms = dynamics_term, frequency_term, stage_term
+    deviations = Deviations(between, curvatures, losses, cost - without_losses + in_sums)
+    return Evaluation(value, rounding, stage_gaps, terms, deviations)
 
 
 def _evaluate(extremal: Extremal, curvatures: Array, box: Region, cost: float, kind: str) -> tuple[Bound, Evaluation]:
     """Return D over a box of one trajectory."""
-    bounds = stack_signals(box.x[0], box.u[0]), stack_signals(box.x[1], box.u[1])
-    found = evaluate_bound(extremal, curvatures, bounds, cost, abs(cost), box.level)
+    found = evaluate_bound(extremal, curvatures, box.bounds, cost, abs(cost), box.level)
     dynamics, frequency, stages = map(float, found.residual_terms)
     terms = dynamics, frequency, stages, float(found.rounding)
     return Bound(float(found.value), kind, found.stage_gaps, *terms, box.follows_from), found
-
-
-def _deviations(found: Evaluation, curvatures: Array, n: int) -> Deviations:
-    """Return the losses of a bound on every component."""
-    slopes, curved, lost = (split_signals(part, n) for part in (found.between, curvatures, found.certain))
-    return Deviations(slopes, curved, lost, float(found.left))
 
 
 def _sum_of_terms(extremal: Extremal) -> Array:
@@ -335,13 +324,3 @@ def unit_rounding(problem: OptimalControlProblem) -> float:
     rows = sum(term.map.additions for term in problem.terms)
     operations = problem.state_dim + problem.control_dim + rows + 5 * math.log2(problem.horizon + 2) + 10
     return operations * EXTENDED
-
-
-def _cut_sets(problem: OptimalControlProblem, curvatures: Array, largest: Pair, follows_from: str) -> Region:
-    """Return the stated sets; components without curvature and with farther bounds are cut at ``largest``."""
-    stated, pairs = stated_bounds(problem), list[Pair]()
-    parts = split_signals(curvatures, problem.state_dim)
-    for (lower, upper), curvature, size in zip((stated.x, stated.u), parts, largest, strict=True):
-        low, high = (lower < -size) & (curvature <= 0), (upper > size) & (curvature <= 0)
-        pairs.append((np.where(low, np.minimum(-size, upper), lower), np.where(high, np.maximum(size, lower), upper)))
-    return Region(pairs[0], pairs[1], np.inf, follows_from)

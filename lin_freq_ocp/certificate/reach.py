@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask, stack_signals
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, split_signals, stack_signals
 from lin_freq_ocp.base.errors import NumericalError
 from lin_freq_ocp.certificate.hamiltonian import state_residual
 from lin_freq_ocp.certificate.tolerances import (
@@ -32,46 +31,48 @@ MOST_ONE_SIDED = 100  # components whose one-sided bounds are combined at once, 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A box (lower, upper) around every optimum: x (T+1, n), u (T, m).
+    """Bounds (lower, upper) of z_t = (x_t, u_t), (T+1, n + m) with zeros for u_T, around every optimum.
 
     Trajectories outside the box cost at least ``level``, inf if none is feasible. ``follows_from`` is the reason.
     """
 
-    x: Pair
-    u: Pair
+    bounds: Pair
     level: float
     follows_from: str
 
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Losses of a bound on every state (T+1, n) and control (T, m): they limit the distance of a better trajectory.
+    """Losses of a bound on every component of z_t, (T+1, n + m): they limit the distance of a better trajectory.
+
+    Those of N trajectories have a leading axis.
 
     Attributes
     ----------
-    slopes : Pair
-        The least and the greatest slope of l_t within rounding errors, (2, T+1, n) and (2, T, m).
-    curvatures : Pair
+    slopes : (2, T+1, n + m)
+        The least and the greatest slope of l_t within rounding errors.
+    curvatures : (T+1, n + m)
         A lower bound of the diagonal curvature of l_t.
-    losses : Pair
+    losses : (T+1, n + m)
         l_t at the trajectory less its minimum over the stated sets; inf if it has no minimum.
     left : float
         The cost of the trajectory less the bound without these losses.
     """
 
-    slopes: Pair
-    curvatures: Pair
-    losses: Pair
-    left: float
+    slopes: Array
+    curvatures: Array
+    losses: Array
+    left: Array | float
 
 
 def stated_bounds(problem: OptimalControlProblem) -> Region:
     """Return the problem's own sets; a control without any bin is zero."""
-    of_u, silent = problem.control_tube.bounds, problem.control_stop.all(axis=0)
+    lower, upper = problem.signal_bounds
+    silent = np.append(np.zeros(problem.state_dim, dtype=bool), problem.control_stop.all(axis=0))
     if silent.any():
-        rest = np.clip(0.0, *of_u)
-        of_u = np.where(silent, rest, of_u[0]), np.where(silent, rest, of_u[1])
-    return Region(problem.state_tube.bounds, of_u, np.inf, "the stated sets")
+        rest = np.clip(0.0, lower, upper)
+        lower, upper = np.where(silent, rest, lower), np.where(silent, rest, upper)
+    return Region((lower, upper), np.inf, "the stated sets")
 
 
 def reachable_bounds(problem: OptimalControlProblem) -> Region:
@@ -80,35 +81,32 @@ def reachable_bounds(problem: OptimalControlProblem) -> Region:
     States that an unbounded control or initial state affects have no other bounds than the stated ones.
     """
     stated = stated_bounds(problem)
-    reach = None if problem.response is not None else _forward_reach(problem, *stated.u)
+    reach = None if problem.response is not None else _forward_reach(problem, stated.bounds)
     if reach is None:
         return stated
-    return Region(_intersection(stated.x, reach), stated.u, np.inf, f"{stated.follows_from}, forward reach")
+    return Region(_intersection(stated.bounds, reach), np.inf, f"{stated.follows_from}, forward reach")
 
 
 @lru_cache(maxsize=1)  # for the rays of one problem, one after another
 def implied_bounds(problem: OptimalControlProblem) -> Region:
     """Return the reachable set with the bounds that it, the dynamics and other constraints imply."""
-    region, tubes = reachable_bounds(problem), (problem.state_tube, problem.control_tube)
-    signals, boxes = [tube.project(np.zeros_like(tube.lower)) for tube in tubes], (region.x, region.u)
-    x, u = (_stated_radii(z, box) for z, box in zip(signals, boxes, strict=True))
-    _propagate_radii(problem, Trajectory(*signals), (x, u))
-    pairs = [
-        _intersection(box, (signal - RADIUS_MARGIN * below, signal + RADIUS_MARGIN * above))
-        for signal, box, ((above, below), *_) in zip(signals, boxes, (x, u), strict=True)
-    ]
-    return Region(pairs[0], pairs[1], np.inf, f"{region.follows_from}, constraints and dynamics")
+    region, z = reachable_bounds(problem), np.clip(0.0, *problem.signal_bounds)
+    radii = _stated_radii(z, region.bounds)
+    _propagate_radii(problem, z, radii)
+    above, below = RADIUS_MARGIN * radii[0]
+    bounds = _intersection(region.bounds, (z - below, z + above))
+    return Region(bounds, np.inf, f"{region.follows_from}, constraints and dynamics")
 
 
 def nearby_bounds(
     problem: OptimalControlProblem,
-    trajectory: Trajectory,
+    z: Array,
     deviations: Deviations,
     cost: float,
     allowed: float,
     mistrusted: bool = False,
 ) -> Region | None:
-    """Return a box around all trajectories that cost no more than the given trajectory, or None if none is known.
+    """Return a box around all trajectories that cost no more than z, stacked signals, or None if none is known.
 
     A bound D adds up the losses of l_t on every component. A feasible trajectory at distances d that costs no more has
 
@@ -124,63 +122,47 @@ def nearby_bounds(
     stated bounds, or |d| <= q^2/s where the cost rises at least by s. Far ones come last, as they may be large numbers
     in place of none; if ``mistrusted``, also where the loss of the stated bounds is negligible.
     """
-    level = max(deviations.left, 0.0) + allowed
-    known, radii, others = _known_radii(problem, trajectory, deviations, allowed, level)
-    near = list[Array]()  # the smaller radius of a component, and those within the reach of the values of the signal
-    for signal, (alpha, beta, gamma) in zip((trajectory.x, trajectory.u), others, strict=True):
-        extent = alpha + gamma * level
-        is_near = extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(signal).max(axis=0))
-        near.append(np.stack([np.where(is_near, alpha, np.inf), beta, gamma]))
-    if mistrusted and not _replace(radii, near, [curvature <= 0 for curvature in deviations.curvatures]):
+    level = max(float(deviations.left), 0.0) + allowed
+    known, radii, others = _known_radii(problem, z, deviations, allowed, level)
+    # the smaller radius of a component, and those within the reach of the values of the signal
+    alpha, beta, gamma = others
+    extent = alpha + gamma * level
+    is_near = extent <= np.maximum(extent[::-1], NUMERICAL_REACH * np.abs(z).max(axis=0))
+    near = np.stack([np.where(is_near, alpha, np.inf), beta, gamma])
+    if mistrusted and not _replace(radii, near, deviations.curvatures <= 0):
         return None  # the same as with trust
-    changed, lossless = True, [lost == 0 for lost in deviations.losses]
+    changed, lossless = True, deviations.losses == 0
     level_of_terms = cost if cost_is_never_negative(problem) and not problem.cost.has_formulas else np.inf
     for further in (near, others, None):
         if changed:
-            _propagate_radii(problem, trajectory, radii, level_of_terms)
-            if all((np.isfinite(part[0]) | mask).all() for part, mask in zip(radii, lossless, strict=True)):
+            _propagate_radii(problem, z, radii, level_of_terms)
+            if (np.isfinite(radii[0]) | lossless).all():
                 break
         if further is None:
             return None
-        changed = _replace(radii, further, [np.isinf(part[0]) for part in radii])
-    return box_around(problem, trajectory, deviations, cost, radii, known)
+        changed = _replace(radii, further, np.isinf(radii[0]))
+    return box_around(problem, z, deviations, cost, radii, known)
 
 
 def box_around(
-    problem: OptimalControlProblem,
-    trajectory: Trajectory,
-    deviations: Deviations,
-    cost: float,
-    radii: Pair,
-    known: Sequence[Mask],
+    problem: OptimalControlProblem, z: Array, deviations: Deviations, cost: float, radii: Array, known: Mask
 ) -> Region | None:
-    """Return the box of these radii; of known components count the losses, of others the slopes."""
-    lossless = [lost == 0 for lost in deviations.losses]
-    loss, a, b, c = deviations.left, 0.0, 0.0, 0.0
-    for slopes, curvature, lost, mask, of_sides in zip(
-        deviations.slopes, deviations.curvatures, deviations.losses, known, radii, strict=True
-    ):
-        slope, bent = np.abs(slopes).max(0), np.maximum(-curvature, 0.0)
-        alpha, beta, gamma = np.where(mask, 0.0, of_sides.max(1))
-        loss += float(lost[mask].sum())
-        a += float(((slope + 0.5 * bent * alpha) * alpha).sum())
-        b += float(((slope + bent * alpha) * beta).sum())
-        c += float((slope * gamma + 0.5 * bent * beta**2).sum())
-        if (bent * gamma).any():
-            return None
-    if not c < MOST_BENT:
+    """Return the box of these radii around z; of known components count the losses, of others the slopes."""
+    slope, bent = np.abs(deviations.slopes).max(0), np.maximum(-deviations.curvatures, 0.0)
+    alpha, beta, gamma = np.where(known, 0.0, radii.max(1))
+    loss = deviations.left + float(deviations.losses[known].sum())
+    a = float(((slope + 0.5 * bent * alpha) * alpha).sum())
+    b = float(((slope + bent * alpha) * beta).sum())
+    c = float((slope * gamma + 0.5 * bent * beta**2).sum())
+    if (bent * gamma).any() or not c < MOST_BENT:
         return None
     q = RADIUS_MARGIN * (b + np.sqrt(b * b + 4 * (1 - c) * max(loss + a, 0.0))) / (2 * (1 - c))
-    pairs = list[Pair]()
-    boxes = (problem.state_tube, problem.control_tube)
-    for signal, box, mask, (alpha, beta, gamma) in zip(
-        (trajectory.x, trajectory.u), boxes, lossless, radii, strict=True
-    ):
-        above, below = RADIUS_MARGIN * (alpha + beta * q + gamma * q * q) + (RADIUS_MARGIN - 1) * np.abs(signal)
-        if not (np.isfinite([above, below]) | mask).all():
-            return None
-        pairs.append(_intersection((box.lower, box.upper), (signal - below, signal + above)))
-    return Region(pairs[0], pairs[1], cost, "trajectories that cost no more than this one")
+    alpha, beta, gamma = radii
+    above, below = RADIUS_MARGIN * (alpha + beta * q + gamma * q * q) + (RADIUS_MARGIN - 1) * np.abs(z)
+    if not (np.isfinite([above, below]) | (deviations.losses == 0)).all():
+        return None
+    bounds = _intersection(problem.signal_bounds, (z - below, z + above))
+    return Region(bounds, cost, "trajectories that cost no more than this one")
 
 
 def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
@@ -192,12 +174,11 @@ def cost_is_never_negative(problem: OptimalControlProblem) -> bool:
     return not stage.any() and end == 0
 
 
-def _replace(radii: Pair, others: Sequence[Array], chosen: Sequence[Mask]) -> bool:
+def _replace(radii: Array, others: Array, chosen: Mask) -> bool:
     """Replace the chosen radii by others, and return whether any differ."""
-    before = [part.copy() for part in radii]
-    for part, other, where in zip(radii, others, chosen, strict=True):
-        part[:] = np.where(where, other, part)
-    return not all(map(np.array_equal, radii, before))
+    before = radii.copy()
+    radii[:] = np.where(chosen, others, radii)
+    return not np.array_equal(radii, before)
 
 
 def _intersection(bounds: Pair, others: Pair) -> Pair:
@@ -207,49 +188,43 @@ def _intersection(bounds: Pair, others: Pair) -> Pair:
     return np.where(lower > upper, nearest, lower), np.where(lower > upper, nearest, upper)
 
 
-def _stated_radii(signal: Array, bounds: Pair) -> Array:
-    """Return the distances of a signal from its upper and lower bounds, 0 beyond them, as radii (3, 2, ..)."""
-    sides = np.maximum([bounds[1] - signal, signal - bounds[0]], 0.0)
+def _stated_radii(values: Array, bounds: Pair) -> Array:
+    """Return the distances of values from their upper and lower bounds, 0 beyond them, as radii (3, 2, ..)."""
+    sides = np.maximum([bounds[1] - values, values - bounds[0]], 0.0)
     return np.stack([sides, np.zeros_like(sides), np.zeros_like(sides)])
 
 
 def _known_radii(
-    problem: OptimalControlProblem, trajectory: Trajectory, deviations: Deviations, allowed: float, level: float
-) -> tuple[list[Mask], Pair, Pair]:
+    problem: OptimalControlProblem, z: Array, deviations: Deviations, allowed: float, level: float
+) -> tuple[Mask, Array, Array]:
     """Return which components are curved, or have negligible losses over their bounds, their radii, and other radii.
 
-    Radii are alpha, beta and gamma of d <= alpha + beta q + gamma q^2, and of -d: (3, 2, T+1, n) and (3, 2, T, m); inf
-    where unknown. The others are those of the stated bounds or, if less where q^2 is the ``level``, of the
-    rise of the cost.
+    Radii are alpha, beta and gamma of d <= alpha + beta q + gamma q^2, and of -d: (3, 2, T+1, n + m); inf where
+    unknown. The others are those of the stated bounds or, if less where q^2 is the ``level``, of the rise of the cost.
     """
-    known, radii, others = list[Mask](), list[Array](), list[Array]()
-    share = NEGLIGIBLE_SHARE * allowed / sum(lost.size for lost in deviations.losses)
-    boxes = (problem.state_tube, problem.control_tube)
-    for signal, box, slopes, curvature, lost in zip(
-        (trajectory.x, trajectory.u), boxes, deviations.slopes, deviations.curvatures, deviations.losses, strict=True
-    ):
-        stated = _stated_radii(signal, box.bounds)
-        curved = (curvature > 0) & (stated[0] > 0).any(0)
-        divisor, slope = np.where(curved, curvature, 1.0), np.abs(slopes).max(0)
-        of_curved = np.stack([2 * slope / divisor, np.sqrt(2 / divisor), np.zeros_like(divisor)])[:, None]
-        mask = curved | (lost <= share) | (stated[0] == 0).all(0)
-        known.append(mask)
-        radii.append(np.where(mask, np.where(curved, of_curved, stated), np.inf))
-        rises = np.where(mask & (curvature >= 0), [slopes[0], -slopes[1]], 0.0)
-        gamma = RADIUS_MARGIN / np.where(rises > 0, rises, 1.0)
-        steep = (rises > 0) & (gamma * level < stated[0])
-        others.append(np.where(steep, [np.zeros_like(gamma), np.zeros_like(gamma), gamma], stated))
-    return known, (radii[0], radii[1]), (others[0], others[1])
+    slopes, curvature, lost = deviations.slopes, deviations.curvatures, deviations.losses
+    share = NEGLIGIBLE_SHARE * allowed / (lost.size - problem.control_dim)
+    stated = _stated_radii(z, problem.signal_bounds)
+    curved = (curvature > 0) & (stated[0] > 0).any(0)
+    divisor, slope = np.where(curved, curvature, 1.0), np.abs(slopes).max(0)
+    of_curved = np.stack([2 * slope / divisor, np.sqrt(2 / divisor), np.zeros_like(divisor)])[:, None]
+    known = curved | (lost <= share) | (stated[0] == 0).all(0)
+    radii = np.where(known, np.where(curved, of_curved, stated), np.inf)
+    rises = np.where(known & (curvature >= 0), [slopes[0], -slopes[1]], 0.0)
+    gamma = RADIUS_MARGIN / np.where(rises > 0, rises, 1.0)
+    steep = (rises > 0) & (gamma * level < stated[0])
+    return known, radii, np.where(steep, [np.zeros_like(gamma), np.zeros_like(gamma), gamma], stated)
 
 
-def _propagate_radii(
-    problem: OptimalControlProblem, trajectory: Trajectory, radii: Pair, level: float = np.inf
-) -> None:
-    """Fill in the radii that the dynamics imply, and terms whose cost is at most ``level``."""
-    x, u = radii
-    residual = np.abs(state_residual(problem, trajectory))
-    residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
-    rows = _rows_of_steps(problem, trajectory, level)
+def largest_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return a bound on |x_{t+1} - f_t(x_t, u_t)| with its rounding, (T, n)."""
+    return np.abs(state_residual(problem, trajectory)) + (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
+
+
+def _propagate_radii(problem: OptimalControlProblem, z: Array, radii: Array, level: float = np.inf) -> None:
+    """Fill in the radii around z that the dynamics imply, and terms whose cost is at most ``level``."""
+    (x, u), trajectory = split_signals(radii, problem.state_dim), Trajectory(*split_signals(z, problem.state_dim))
+    residual, rows = largest_residual(problem, trajectory), _rows_of_steps(problem, z, level)
     left = np.zeros(problem.horizon, dtype=int)
     _propagate_one_step(problem, residual, rows, 0, radii, left, radii)
     if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
@@ -263,15 +238,14 @@ def _propagate_radii(
         return
     steps = range(problem.horizon)
     # each step alone comes first: radii grow with every step that they pass
-    for known, order in (((x.copy(), u.copy()), steps), (radii, (*steps, *reversed(steps), *steps))):
+    for known, order in ((radii.copy(), steps), (radii, (*steps, *reversed(steps), *steps))):
         for t in order:
             _propagate_one_step(problem, residual, rows, t, radii, left, known)
     _solve_all_steps(problem, trajectory, residual, radii)
 
 
-def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level: float) -> Rows:
-    """Return, per time, rows of (x_t, u_t) with the largest distance that their values can rise."""
-    signals = stack_signals(trajectory.x, trajectory.u)
+def _rows_of_steps(problem: OptimalControlProblem, z: Array, level: float) -> Rows:
+    """Return, per time, rows of z_t = (x_t, u_t) with the largest distance that their values can rise."""
     by_time: Rows = {}
     for term in problem.terms:
         rows = term.implied_rows(problem.state_dim, problem.control_dim, level)
@@ -279,19 +253,19 @@ def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level
             continue
         for group, t in enumerate(rows.times):
             matrix = rows.matrix(group)
-            by_time.setdefault(int(t), []).append((matrix, np.maximum(rows.e[group] - matrix @ signals[t], 0.0)))
+            by_time.setdefault(int(t), []).append((matrix, np.maximum(rows.e[group] - matrix @ z[t], 0.0)))
     return by_time
 
 
 def _propagate_one_step(
-    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Pair, left: Indices, known: Pair
+    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Array, left: Indices, known: Array
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that ``known`` radii, the equation and rows of this step imply.
 
     ``left`` (T,) says how many sides stay unknown: with so many, the step implies no more.
     """
-    n, m, (x, u) = problem.state_dim, problem.control_dim, known
-    values = np.concatenate([x[:, :, t], u[:, :, t], x[:, :, t + 1]], axis=2)
+    n = problem.state_dim
+    values = np.concatenate([known[:, :, t], known[:, :, t + 1, :n]], axis=2)
     if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
         return
     columns = [np.hstack([matrix, np.zeros((len(matrix), n))]) for matrix, _ in rows.get(t, [])]
@@ -300,40 +274,45 @@ def _propagate_one_step(
         A, B, _ = problem.linear.at(t)
         columns, limits = [np.hstack([A, B, -np.eye(n)]), *columns], [np.stack([residual[t]] * 2), *limits]
     if columns and _determine_radii(np.vstack(columns), np.hstack(limits), values):
-        own = radii[0][:, :, t], radii[1][:, :, t], radii[0][:, :, t + 1]
-        for part, new in zip(own, np.split(values, [n, n + m], axis=2), strict=True):
+        own = radii[:, :, t], radii[:, :, t + 1, :n]
+        for part, new in zip(own, np.split(values, [radii.shape[-1]], axis=2), strict=True):
             part[:] = np.where(np.isinf(part[0]), new, part)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
 
-def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, residual: Array, radii: Pair) -> None:
+def _solve_all_steps(problem: OptimalControlProblem, trajectory: Trajectory, residual: Array, radii: Array) -> None:
     """Fill in radii that only equations and constraints of all times determine.
 
     Such are those of a free state with partly fixed ends, and of a signal whose bins are all limited.
     """
-    x, u = radii
-    values = np.concatenate([part.reshape(3, 2, -1) for part in radii], axis=2)
+    values = radii.reshape(3, 2, -1)
     if not 0 < np.isinf(values[0]).any(0).sum() <= MAX_UNKNOWN:
         return
-    T, n = residual.shape
-    columns, of_u = np.zeros((T, n, values.shape[2])), (T + 1) * n + np.arange(u[0, 0].size).reshape(T, -1)
-    if problem.response is not None:
-        columns[..., x[0, 0].size :] = problem.response.matrix[n:].reshape(T, n, -1)
-    for t in range(T):
-        if problem.response is None:
-            A, B, _ = problem.linear.at(t)
-            columns[t][:, t * n : (t + 1) * n], columns[t][:, of_u[t]] = A, B
-        columns[t][:, (t + 1) * n : (t + 2) * n] = -np.eye(n)
-    rows, limits = [columns.reshape(T * n, -1)], [np.stack([residual.ravel()] * 2)]
+    rows, limits = [equation_rows(problem)], [np.stack([residual.ravel()] * 2)]
+    positions = split_signals(np.arange(values.shape[2]).reshape(len(trajectory.x), -1), problem.state_dim)
+    columns = np.concatenate([part.ravel() for part in positions])  # of all states, then of all controls
     at_zero = [(map, (np.zeros(1), np.zeros(1))) for map in problem.stop_band_maps]
     for map, bounds in (*((term.map, term.penalty.hard_bounds(term.shape)) for term in problem.terms), *at_zero):
         sides = _stated_radii(map.values(trajectory.x, trajectory.u), bounds)[0].reshape(2, -1)
         limited = np.flatnonzero(np.isfinite(sides).any(0))
-        rows.append(map.rows(T, n, problem.control_dim)[0][limited].toarray())
+        rows.append(np.zeros((len(limited), values.shape[2])))
+        rows[-1][:, columns] = map.rows(problem.horizon, problem.state_dim, problem.control_dim)[0][limited].toarray()
         limits.append(sides[:, limited])
-    if _determine_radii(np.vstack(rows), np.hstack(limits), values):
-        of_x, of_u = np.split(values, [x[0, 0].size], axis=2)
-        x[:], u[:] = of_x.reshape(x.shape), of_u.reshape(u.shape)
+    _determine_radii(np.vstack(rows), np.hstack(limits), values)
+
+
+def equation_rows(problem: OptimalControlProblem) -> Array:
+    """Return f_t(x_t, u_t) - x_{t+1} without its offset as rows on stacked signals, (T n, (T+1) (n + m))."""
+    T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+    rows = np.zeros((T, n, T + 1, n + m))
+    if problem.response is not None:
+        rows[:, :, :-1, n:] = problem.response.matrix[n:].reshape(T, n, T, m)
+    for t in range(T):
+        if problem.response is None:
+            A, B, _ = problem.linear.at(t)
+            rows[t, :, t] = np.hstack([A, B])
+        rows[t, :, t + 1, :n] = -np.eye(n)
+    return rows.reshape(T * n, -1)
 
 
 def _determine_radii(columns: Array, limits: Array, values: Array) -> bool:
@@ -434,12 +413,13 @@ def units_of(coefficients: Array, axis: int) -> Array:
     return np.where(largest > 0, largest, 1.0)
 
 
-def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Array) -> Pair | None:
-    """Return an interval around every state reachable from X_0; None if the simulation overflows.
+def _forward_reach(problem: OptimalControlProblem, bounds: Pair) -> Pair | None:
+    """Return the bounds with intervals around all states reachable from X_0; None if the simulation overflows.
 
     x_t lies within sum_s |A_{t-1} .. A_{s+1} B_s| r_s + |A_{t-1} .. A_0| r_0 of the trajectory of the interval centres.
     """
     start, none = problem.initial_box, np.zeros((problem.horizon, problem.state_dim))
+    u_lower, u_upper = (split_signals(side, problem.state_dim)[1] for side in bounds)
     boxes = [(u_lower, u_upper), (start.lower, start.upper)]
     free_u, free_0 = (np.isinf(lower) | np.isinf(upper) for lower, upper in boxes)
     free = np.zeros_like(problem.state_tube.lower, dtype=bool)
@@ -457,7 +437,7 @@ def _forward_reach(problem: OptimalControlProblem, u_lower: Array, u_upper: Arra
     radius = RADIUS_MARGIN * _radii_of(problem.linear, radius_0, radius_u, none)
     radius = np.where(free | ~np.isfinite(radius), np.inf, radius)
     rounding = (RADIUS_MARGIN - 1) * (np.abs(centre) + radius)
-    return centre - radius - rounding, centre + radius + rounding
+    return stack_signals(centre - radius - rounding, u_lower), stack_signals(centre + radius + rounding, u_upper)
 
 
 def _radii_of(dynamics: LinearDynamics, radius_0: Array, radius_u: Array, radius_d: Array) -> Array:

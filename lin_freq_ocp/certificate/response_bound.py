@@ -29,6 +29,7 @@ from lin_freq_ocp.certificate.bound import (
     Bound,
     bounds_within,
     box_minimum,
+    cut_bounds,
     farthest_bound,
     lower_bound,
     ray_bound,
@@ -40,7 +41,6 @@ from lin_freq_ocp.certificate.sizes import trajectory_sizes
 from lin_freq_ocp.certificate.tolerances import ARITHMETIC_ROUNDING, EIGENVALUE_ERROR, NUMERICAL_REACH
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.trajectory import Trajectory
 
 
@@ -62,13 +62,13 @@ def best_bound(extremal: Extremal, allowed: float) -> Bound | None:
     cost, tube = extremal.cost, problem.control_tube
     proven = _evaluate(extremal, response, curvature, tube.bounds, cost, RIGOROUS, "the stated bounds")
     if proven.value == -np.inf:
-        implied = implied_bounds(problem)
-        proven = _evaluate(extremal, response, curvature, implied.u, cost, RIGOROUS, implied.follows_from)
+        bounds, follows_from = _implied_bounds(problem)
+        proven = _evaluate(extremal, response, curvature, bounds, cost, RIGOROUS, follows_from)
     if proven.value < 0 and cost_is_never_negative(problem):
         proven = replace(proven, value=0.0, sets=NEVER_NEGATIVE)
     if cost - proven.value <= allowed:
         return proven
-    near = _cut_bounds(tube, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
+    near = cut_bounds(tube.bounds, NUMERICAL_REACH * trajectory_sizes(problem, extremal.trajectory)[1])
     sets = f"{NUMERICAL_REACH:g} times the trajectory"
     numerical = _evaluate(extremal, response, curvature, near, cost, NUMERICAL, sets)
     return numerical if numerical.value - proven.value > allowed else proven
@@ -82,7 +82,7 @@ def farkas_bound(extremal: Extremal, sizes: Pair, multiple: float | None = None)
         return ray_bound(extremal, sizes, multiple)
     flat, bounds, u = np.zeros(problem.control_dim), problem.control_tube.bounds, extremal.trajectory.u
     if not np.isfinite(bounds).all():
-        bounds = implied_bounds(problem).u
+        bounds, _ = _implied_bounds(problem)
     proven = _evaluate(extremal, response, flat, bounds, 0.0, RIGOROUS, "the stated bounds")
     if proven.value > -np.inf:
         return proven
@@ -116,10 +116,11 @@ def control_curvature(problem: OptimalControlProblem, response: Response) -> Arr
     return least if smallest < -2 * error else max(smallest, 0.0) * sizes
 
 
-def _cut_bounds(tube: Box, largest: Array) -> Pair:
-    """Return the bounds of the controls, cut at ``largest`` (m,)."""
-    lower, upper = tube.bounds
-    return np.maximum(lower, np.minimum(-largest, upper)), np.minimum(upper, np.maximum(largest, lower))
+def _implied_bounds(problem: OptimalControlProblem) -> tuple[Pair, str]:
+    """Return the bounds of the controls that all constraints imply, and what they follow from."""
+    region = implied_bounds(problem)
+    lower, upper = (split_signals(side, problem.state_dim)[1] for side in region.bounds)
+    return (lower, upper), region.follows_from
 
 
 def _evaluate(

@@ -20,7 +20,7 @@ from types import SimpleNamespace
 import numpy as np
 from flint import arb, ctx
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, stack_signals
 from lin_freq_ocp.base.errors import SolveError
 from lin_freq_ocp.base.semidefinite import is_semidefinite
 from lin_freq_ocp.base.status import Status
@@ -72,12 +72,9 @@ def raised_by(given: OptimalControlProblem, raised: OptimalControlProblem, regio
     if raised is given:
         return 0.0
     cost, other, total = given.quadratic, raised.quadratic, 0.0
-    x, u = (
-        np.maximum(np.abs(lower - ref), np.abs(upper - ref))
-        for (lower, upper), ref in ((region.x, cost.x_ref), (region.u, cost.u_ref))
-    )
-    stages = cost.stage_hessians, other.stage_hessians, np.hstack([x[:-1], u])
-    for old, new, v in (stages, (cost.P[None], other.P[None], x[-1:])):
+    z = np.maximum(*(np.abs(cost.deviations_of(side)) for side in region.bounds))
+    stages = cost.stage_hessians, other.stage_hessians, z[:-1]
+    for old, new, v in (stages, (cost.P[None], other.P[None], z[-1:, : given.state_dim])):
         change = np.maximum(np.abs(new - old), np.abs(new - np.swapaxes(old, 1, 2)))
         with np.errstate(invalid="ignore"):  # 0 times inf: components that are not raised may be unbounded
             total += float(np.where(change > 0, change * v[:, :, None] * v[:, None, :], 0.0).sum())
@@ -261,7 +258,8 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
         if whole is not None:  # a box around all trajectories
             lower, upper = whole.lower, whole.upper
             x = np.where(lower > -FINITE, lower, -np.inf), np.where(upper < FINITE, upper, np.inf)
-            region = Region(x, given.control_tube.bounds, np.inf, "forward reach")
+            low, high = map(stack_signals, x, given.control_tube.bounds)
+            region = Region((low, high), np.inf, "forward reach")
         by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
     return replace(proof, claim=_relaxed_claim(enclosure)), enclosure

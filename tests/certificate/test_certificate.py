@@ -477,7 +477,7 @@ def test_the_box_of_near_optima_holds_all_of_them():
     problem = lfo.OptimalControlProblem(lfo.LinearDynamics([[0.0]], [[1.0]]), 1, lfo.QuadraticCost(R=1.0))
     problem = problem.with_ends([0.0])
     extremal = extremal_at(problem, lfo.simulate(problem, [[0.0]]), multipliers_of(problem))
-    lower, upper = optimum_box(extremal, 0.02).u
+    lower, upper = (side[:, 1:] for side in optimum_box(extremal, 0.02).bounds)
     assert (lower[0, 0] <= -0.2, upper[0, 0] >= 0.2) == (True, True)
     assert upper[0, 0] < 1.0
 

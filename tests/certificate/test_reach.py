@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
 from lin_freq_ocp import certificate as judging
+from lin_freq_ocp.base import split_signals, stack_signals
 from lin_freq_ocp.certificate import extremal_at, implied_bounds, judge, optimum_box, reachable_bounds
 from lin_freq_ocp.testing import reference_problem
 
@@ -51,15 +52,15 @@ def test_forward_reach_is_the_tight_interval(kind):
                 normal = A.T @ normal
             start = np.where(normal > 0, task.initial_state.upper, task.initial_state.lower)
             highest = lfo.simulate(task, worst, start).x[t, i]
-            assert enclosure.x[1][t, i] >= highest
+            assert enclosure.bounds[1][t, i] >= highest
             if kind == "constant":  # one radius for all controls: tight only where their bounds do not vary
-                assert enclosure.x[1][t, i] == pytest.approx(highest, rel=1e-7)
+                assert enclosure.bounds[1][t, i] == pytest.approx(highest, rel=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["constant", "time-varying"])
 def test_forward_reach_holds_random_trajectories(kind):
     task, rng = problem(kind), np.random.default_rng(1)
-    lower, upper = reachable_bounds(task).x
+    lower, upper = (side[:, : task.state_dim] for side in reachable_bounds(task).bounds)
     for _ in range(50):
         u = np.where(rng.random((T, 1)) < 0.5, task.control_tube.lower, task.control_tube.upper)
         x = lfo.simulate(task, u, rng.uniform(task.initial_state.lower, task.initial_state.upper)).x
@@ -160,8 +161,9 @@ def test_no_price_bounds_anything_where_the_cost_may_be_negative():
     region = optimum_box(extremal_at(task, best.trajectory, best.multipliers), 0.1001)
     moved = lfo.simulate(task, np.array([[1.0], [0.0], [0.0]]))
     assert task.value(moved.x, moved.u) == pytest.approx(0.1)
-    assert (region.u[0] <= moved.u).all()
-    assert (moved.u <= region.u[1]).all()
+    lower, upper = (side[:-1, task.state_dim :] for side in region.bounds)
+    assert (lower <= moved.u).all()
+    assert (moved.u <= upper).all()
 
 
 def estimation(seed, in_x=1.0, in_J=1.0):
@@ -207,10 +209,10 @@ def test_the_box_of_such_a_cost_holds_all_that_costs_no_more(seed):
             step = far * np.sqrt(0.999 * allowed / rise)
             x, u = best.trajectory.x + step * along[0], best.control + step * along[1]
             assert task.value(x, u) <= best.cost + allowed
-            for signal, (lower, upper) in ((x, region.x), (u, region.u)):
-                assert (lower <= signal).all()
-                assert (signal <= upper).all()
-        assert np.abs(x[t, i] - best.trajectory.x[t, i]) > 0.99 * np.abs(region.x[0][t, i] - best.trajectory.x[t, i])
+            lower, upper = region.bounds
+            assert (lower <= stack_signals(x, u)).all()
+            assert (stack_signals(x, u) <= upper).all()
+        assert np.abs(x[t, i] - best.trajectory.x[t, i]) > 0.99 * np.abs(lower[t, i] - best.trajectory.x[t, i])
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
@@ -425,7 +427,8 @@ def test_a_box_of_one_sided_bounds_holds_all_that_it_claims(seed):
     region = optimum_box(extremal, allowed)
     for box, level in ((region, result.cost + allowed), (implied_bounds(task), 1e12)):
         least, most = extremes(task, level)
-        lower, upper = (np.r_[box.x[side].ravel(), box.u[side].ravel()] for side in (0, 1))
+        sides = (split_signals(side, task.state_dim) for side in box.bounds)
+        lower, upper = (np.r_[x.ravel(), u.ravel()] for x, u in sides)
         assert (lower <= least + 1e-6).all()
         assert (upper >= most - 1e-6).all()
         assert box is not region or np.isfinite([lower, upper]).all() == np.isfinite([least, most]).all()

@@ -9,7 +9,7 @@ import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.rounded_products import KINDS, exact_optimum, rounded_product
 from helpers.seeds import expensive, seeds
-from lin_freq_ocp.base import is_semidefinite
+from lin_freq_ocp.base import is_semidefinite, stack_signals
 from lin_freq_ocp.certificate import Region
 from lin_freq_ocp.proof import check, convex_problem, raised_by
 
@@ -98,10 +98,11 @@ def test_the_rise_is_charged_at_what_it_costs_in_a_region():
     rng = np.random.default_rng(0)
     for size in (1e-3, 1.0, 1e6):
         x, u = size * rng.uniform(-1, 1, (13, 3)), size * rng.uniform(-1, 1, (12, 1))
-        region = Region((-size + 0 * x, size + 0 * x), (-size + 0 * u, size + 0 * u), np.inf, "")
+        inside = size * stack_signals(np.ones((13, 3)), np.ones((12, 1)))
+        region = Region((-inside, inside), np.inf, "")
         extended = x.astype(np.longdouble), u.astype(np.longdouble)
         by = raised.value(*extended) - given.value(*extended)
         assert 0 <= by <= raised_by(given, raised, region) <= 1e-12 * size**2
-    everywhere = Region((-np.inf + 0 * x, np.inf + 0 * x), (-np.inf + 0 * u, np.inf + 0 * u), np.inf, "")
+    everywhere = Region((-np.inf * np.ones((13, 4)), np.inf * np.ones((13, 4))), np.inf, "")
     assert raised_by(given, raised, everywhere) == np.inf
     assert raised_by(given, given, everywhere) == 0

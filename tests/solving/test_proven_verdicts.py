@@ -12,6 +12,7 @@ from helpers.checks import rays
 from helpers.replacing import substitute
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp.api import raise_for
+from lin_freq_ocp.base import stack_signals
 from lin_freq_ocp.certificate import implied_bounds, prove_infeasible, reachable_bounds, unbounded_direction
 from lin_freq_ocp.methods import Candidate, steepest_recession
 from lin_freq_ocp.program import REGISTER, Claim, backend
@@ -253,24 +254,25 @@ def test_other_constraints_bound_signals_as_boxes_do(name):
     assert (result.status, result.bound) == ("infeasible", "rigorous")
     problem = replace(far, terminal_state=None, **BOUNDED[name])
     region = implied_bounds(problem)
-    assert all(np.isfinite(side).all() for side in (*region.x, *region.u))
+    lower, upper = region.bounds
+    assert np.isfinite(lower).all()
+    assert np.isfinite(upper).all()
     for r, q in (([1.0], [0.0, 0.0]), ([0.0], [-1.0, 0.0]), ([0.0], [0.0, 1.0])):
         extreme = lfo.solve(replace(problem, cost=lfo.QuadraticCost(r=r, q=q)), throw=False).trajectory
-        for signal, (lower, upper) in ((extreme.x, region.x), (extreme.u, region.u)):
-            assert (signal >= lower - 1e-6).all()
-            assert (signal <= upper + 1e-6).all()
+        assert (stack_signals(extreme.x, extreme.u) >= lower - 1e-6).all()
+        assert (stack_signals(extreme.x, extreme.u) <= upper + 1e-6).all()
 
 
 def test_components_that_an_unbounded_control_does_not_reach_keep_their_reach():
     two = lfo.LinearDynamics([[0.9, 0.0], [0.0, 0.8]], np.eye(2))
     held = lfo.Box([-0.1, None], [0.1, None])
     problem = lfo.OptimalControlProblem(two, 10, lfo.QuadraticCost(R=1.0), held, initial_state=[0.0, 0.0])
-    lower, upper = reachable_bounds(problem).x
+    lower, upper = reachable_bounds(problem).bounds
     assert upper[-1, 0] == pytest.approx(0.1 * sum(0.9**k for k in range(10)))
     assert np.isinf(upper[1:, 1]).all()
     assert np.isinf(lower[1:, 1]).all()
     coupled = replace(problem, dynamics=lfo.LinearDynamics([[0.9, 1e-300], [0.0, 0.8]], np.eye(2)))
-    assert np.isinf(reachable_bounds(coupled).x[1][2:, 0]).all()
+    assert np.isinf(reachable_bounds(coupled).bounds[1][2:, 0]).all()
 
 
 def test_multipliers_of_a_failed_solve_prove_only_what_is_rigorous():
