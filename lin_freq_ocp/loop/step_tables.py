@@ -265,12 +265,13 @@ class StepTables:
         fields += [("int", "members", max(indices, 1), ""), ("signed char", "flags", max(self.rows, 1), "")]
         return fields
 
-    def struct_bytes(self, pointer: int = POINTER_BYTES) -> int:
-        """Return the bytes of struct controller where pointers have so many bytes."""
+    @property
+    def ram(self) -> int:
+        """Return the bytes of struct controller on a small processor."""
         size = self.real.dtype.itemsize
-        sizes, widest = {"lfo_real": size, "int": INTEGER_BYTES, "signed char": 1}, max(pointer, size)
+        sizes, widest = {"lfo_real": size, "int": INTEGER_BYTES, "signed char": 1}, max(POINTER_BYTES, size)
         memory = [
-            (pointer, len(KERNEL_ARRAYS) + len(INDICES) + 1),
+            (POINTER_BYTES, len(KERNEL_ARRAYS) + len(INDICES) + 1),
             (INTEGER_BYTES, len(COUNTS)),
             (size, 2),
             (widest, 0),
@@ -295,11 +296,6 @@ class StepTables:
         )
         pointers = POINTER_BYTES + INTEGER_BYTES * len(WINDOW_INTEGERS)
         return sum(array.size * size for array, size in sizes) + self.integers["sets"] * pointers
-
-    @property
-    def ram(self) -> int:
-        """Return the bytes of struct controller on a small processor."""
-        return self.struct_bytes()
 
     @property
     def stack(self) -> int:

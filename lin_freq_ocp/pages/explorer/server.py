@@ -15,6 +15,7 @@ import secrets
 import sys
 import threading
 from contextlib import suppress
+from dataclasses import asdict
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
@@ -53,7 +54,7 @@ HEADERS = {
 
 def page(session: Session, solved: list[Data] | None = None) -> str:
     """Return the live page, or the page that contains these solved points."""
-    data: Data = {"sliders": [slider.data for slider in session.sliders], "points": solved}
+    data: Data = {"sliders": [asdict(slider) for slider in session.sliders], "points": solved}
     return render_template(
         "explore.html.jinja",
         title=session.problem.name or "Optimal control problem",

@@ -10,10 +10,10 @@ samples is |V_k| = |sum_t v_t exp(-2 pi i k t / N)|, k = 0 .. N//2, as in limits
 from __future__ import annotations
 
 import warnings
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +66,7 @@ SOLVE_SECONDS = 10.0  # time limit of one answer
 CACHED_PROBLEMS, CACHED_ANSWERS = 8, 64  # the latest ones
 
 Values = Mapping[str, float]  # the value of each slider, by its key
-Item = TypeVar("Item")
+Moved = tuple[tuple[str, float], ...]  # the keys and values of moved sliders
 
 
 def sliders_of(problem: OptimalControlProblem, rebuild: Rebuild | None) -> tuple[Slider, ...]:
@@ -130,8 +130,8 @@ class Session:
             )
         self.problem, self.rebuild = problem, rebuild
         self.sliders = sliders_of(problem, rebuild)
-        self._resolvers = Latest[Resolver](CACHED_PROBLEMS)
-        self._outcomes = Latest[Outcome](CACHED_ANSWERS)
+        self._resolver = lru_cache(CACHED_PROBLEMS)(self._resolver_at)
+        self._outcome = lru_cache(CACHED_ANSWERS)(self._solve)
 
     def answer(self, values: object) -> Data:
         """Return status, cost, certificate and trajectory at these values of the sliders."""
@@ -194,36 +194,21 @@ class Session:
         moved = [slider for slider in self.sliders if values[slider.key] != slider.value]
         if classical:
             moved = [slider for slider in moved if slider.group != GROUP_OF["control_spectrum"]]
-        cached, structure = dict[str, float](), dict[str, float]()  # values that keep the solver cache, and others
-        for slider in moved:
-            (cached if slider.group in CACHED else structure)[slider.key] = values[slider.key]
+        kept, others = (
+            tuple((slider.key, values[slider.key]) for slider in moved if (slider.group in CACHED) is cached)
+            for cached in (True, False)
+        )
+        return self._outcome(kept, others, classical)
 
-        def solve() -> Outcome:
-            resolver = self._resolvers.get(
-                (classical, *structure.items()),
-                lambda: Resolver(problem_at(self.problem, self.rebuild, structure, classical)),
-            )
-            fields: dict[str, Any] = changed_fields(resolver.problem, cached)
-            ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
-            return resolver.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
+    def _solve(self, kept: Moved, others: Moved, classical: bool) -> Outcome:
+        """Solve at values that keep the solver cache valid, and others."""
+        resolver = self._resolver(others, classical)
+        fields: dict[str, Any] = changed_fields(resolver.problem, dict(kept))
+        ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
+        return resolver.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
 
-        return self._outcomes.get((classical, *structure.items(), *cached.items()), solve)
-
-
-class Latest(Generic[Item]):
-    """A cache of the latest items, by their keys."""
-
-    def __init__(self, most: int):
-        self._most, self._items = most, OrderedDict[Hashable, Item]()
-
-    def get(self, key: Hashable, make: Callable[[], Item]) -> Item:
-        """Return the item of a key; make it if it is not cached."""
-        if key not in self._items:
-            self._items[key] = make()
-        self._items.move_to_end(key)
-        if len(self._items) > self._most:
-            self._items.popitem(last=False)
-        return self._items[key]
+    def _resolver_at(self, moved: Moved, classical: bool) -> Resolver:
+        return Resolver(problem_at(self.problem, self.rebuild, dict(moved), classical))
 
 
 def answer_data(outcome: Outcome) -> Data:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import floor, inf, log10
 
 from lin_freq_ocp.problem.numbers import NOTCHES, Number
@@ -44,11 +44,6 @@ class Slider:
     step: float
     value: float  # that of the problem
     relaxed: float
-
-    @property
-    def data(self) -> dict[str, object]:
-        """Return it as plain data."""
-        return asdict(self)
 
     def notch(self, n: int) -> float:
         """Return the value n notches from that of the problem."""
