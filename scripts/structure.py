@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_532,
-    "code lines": 47_810,
-    "code lines, linear part": 22_659,
+    "shipped lines": 51_507,
+    "code lines": 47_785,
+    "code lines, linear part": 22_648,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 345,

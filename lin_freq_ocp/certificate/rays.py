@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, to_long_double
+from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, split_signals, stack_signals, to_long_double
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
@@ -124,15 +124,9 @@ def _without_rounding(problem: OptimalControlProblem, ray: Multipliers) -> Multi
 
 def _sizes_in_words(problem: OptimalControlProblem, multiple: float) -> str:
     """Return the limits of the components without bounds up to which a numerical ray holds."""
-    tubes = (problem.state_tube, problem.state_names), (problem.control_tube, problem.control_names)
-    limits = [
-        f"|{name}| <= {multiple * size:.1e}"
-        for (tube, names), sizes in zip(tubes, stated_sizes(problem), strict=True)
-        for name, size, is_open in zip(
-            names, sizes, np.atleast_1d(np.isinf(np.concatenate(tube.bounds)).any(axis=0)), strict=True
-        )
-        if is_open
-    ]
+    names, sizes = [*problem.state_names, *problem.control_names], np.concatenate(stated_sizes(problem))
+    unbounded = np.flatnonzero(np.isinf(np.concatenate(problem.signal_bounds)).any(axis=0))
+    limits = [f"|{names[i]}| <= {multiple * sizes[i]:.1e}" for i in unbounded]
     return ", ".join(limits[:MOST_RUNS]) + (", ..." if len(limits) > MOST_RUNS else "")
 
 
@@ -175,10 +169,7 @@ def infeasibility_certificate(problem: OptimalControlProblem, ray: Multipliers) 
 
 def _point_nearest_zero(problem: OptimalControlProblem) -> Trajectory:
     """Return the point nearest to zero within the bounds, at every time."""
-    return Trajectory(
-        problem.state_tube.project(np.zeros((problem.horizon + 1, problem.state_dim))),
-        problem.control_tube.project(np.zeros((problem.horizon, problem.control_dim))),
-    )
+    return Trajectory(*split_signals(np.clip(0.0, *problem.signal_bounds), problem.state_dim))
 
 
 def _bound(problem: OptimalControlProblem, ray: Multipliers, multiple: float | None = None) -> Bound:
@@ -287,12 +278,10 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
         float(np.maximum(part.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
         for part, least, change in zip(at_point, natural, (along.x, along.u), strict=True)
     ]
-    tubes = problem.state_tube, problem.control_tube
-    for signal, change, tube, size in zip((x, u), (along.x, along.u), tubes, sizes, strict=True):
-        near = TOUCHING * (size + np.abs(signal))
-        above, below = tube.upper - signal <= near, signal - tube.lower <= near
-        left = np.maximum(np.where(above, change, 0.0), np.where(below, -change, 0.0))
-        residuals.append(float((left / size).max()))
+    z, change, stacked_sizes = stack_signals(x, u), stack_signals(along.x, along.u), np.concatenate(sizes)
+    (lower, upper), near = problem.signal_bounds, TOUCHING * (stacked_sizes + np.abs(z))
+    left = np.maximum(np.where(upper - z <= near, change, 0.0), np.where(z - lower <= near, -change, 0.0))
+    residuals.append(float((left / stacked_sizes).max()))
     for term in problem.terms:
         values = term.map.values(x, u)
         change = term.map.values(along.x, along.u) - term.map.values(0 * along.x, 0 * along.u)
@@ -318,10 +307,10 @@ def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Di
     length at which offsets, references and limits are rounding errors, so that the origin does not matter.
     """
     along = _normalised_direction(problem, along, stated_sizes(problem))
-    signals = along.x, along.u
-    for signal, tube in zip(signals, (problem.state_tube, problem.control_tube), strict=True):
-        if (np.isfinite(tube.upper) & (signal > 0)).any() or (np.isfinite(tube.lower) & (signal < 0)).any():
-            return None
+    signals, (lower, upper) = (along.x, along.u), problem.signal_bounds
+    z = stack_signals(*signals)
+    if (np.isfinite(upper) & (z > 0)).any() or (np.isfinite(lower) & (z < 0)).any():
+        return None
     equations, cost = problem.equations, problem.quadratic
     x, u = (FAR * to_long_double(signal) for signal in signals)
     rest = np.zeros_like(x), np.zeros_like(u)
@@ -359,7 +348,7 @@ def _relative_to(violation: Array, terms: Array) -> float:
 def _normalised_direction(problem: OptimalControlProblem, along: Trajectory, sizes: tuple[Array, Array]) -> Trajectory:
     """Return the direction with a largest entry of 1 in these sizes."""
     problem.require(along)
-    largest = max(float(np.abs(along.x / sizes[0]).max()), float(np.abs(along.u / sizes[1]).max()))
+    largest = float(np.abs(stack_signals(along.x, along.u) / np.concatenate(sizes)).max())
     return Trajectory(along.x / largest, along.u / largest) if largest > 0 else along
 
 
