@@ -11,7 +11,7 @@ import numpy as np
 import lin_freq_ocp as lfo
 from lin_freq_ocp.methods import library
 from lin_freq_ocp.methods.hybrid import path_library
-from lin_freq_ocp.methods.structured.kkt.loops_native import loops_library
+from lin_freq_ocp.methods.structured.kkt.recursions import loops_library
 
 MOST_SECONDS = 10.0
 

@@ -51,12 +51,12 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_507,
-    "code lines": 47_785,
-    "code lines, linear part": 22_648,
+    "shipped lines": 51_490,
+    "code lines": 47_768,
+    "code lines, linear part": 22_631,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
-    "files": 345,
+    "files": 342,
     "folders": 44,
     "folders at the root": 20,
     "modules at the root": 11,

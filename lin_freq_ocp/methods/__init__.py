@@ -9,8 +9,8 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "condensed.plans": "Budget CondensedSolver extremals_of unsettled_plan", "repair": "repair_trajectory",
     "condensed.tables": "CondensedTables GRADIENT_DEPENDENCE INFEASIBLE LIMIT ROW_TOLERANCE SOLVED condense",
     "condensed.windows": "ControlWindows",
-    "convex.attempts": "ACCURATE_ANSWER ScaledSolver", "convex.polish": "steepest_recession zero_rounding",
-    "convex.sparse_program": "MOST_PROGRAMS ProgramCache convex_candidates solve_convex",
+    "convex.polish": "steepest_recession zero_rounding", "convex.sparse_program":
+    "ACCURATE_ANSWER MOST_PROGRAMS ProgramCache ScaledSolver convex_candidates solve_convex",
     "fitted_multipliers": "MOST_GRADIENTS Uniqueness abnormal_multipliers fit_multipliers uniqueness",
     "long_problems": "LONGEST_FACTOR", "native_code": "DAY compiled_library compiler",
 })
