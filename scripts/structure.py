@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_490,
-    "code lines": 47_768,
-    "code lines, linear part": 22_631,
+    "shipped lines": 51_480,
+    "code lines": 47_758,
+    "code lines, linear part": 22_627,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

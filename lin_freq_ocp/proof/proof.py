@@ -137,7 +137,8 @@ def proof_of(outcome: Outcome) -> tuple[Proof | TrainProof, Enclosure]:
     """
     searched = tree_of(outcome)
     if outcome.method == Angles.shorthand:
-        proof, enclosure = _angle_proof(outcome)
+        proof = train_proof(outcome)
+        enclosure = checked_enclosure(proof.lines())
     else:
         proof, enclosure = _linear_proof(outcome) if searched is None else _tree_proof(outcome, searched.tree)
     certificate = outcome.certificate
@@ -150,18 +151,11 @@ def proof_of(outcome: Outcome) -> tuple[Proof | TrainProof, Enclosure]:
                 "Report the problem, and solve it with another method.",
                 outcome,
             )
-    return proof, enclosure
-
-
-def _angle_proof(outcome: Outcome) -> tuple[TrainProof, Enclosure]:
-    """Return a proof of the best pulse train, by the bounds over angles."""
-    proof = train_proof(outcome)
-    enclosure = checked_enclosure(proof.lines())
     return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
 
 
 def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
-    """Return a proof of an answer for linear dynamics, with a point if the checker accepts one.
+    """Return a proof of an answer for linear dynamics, without a claim, with a point if the checker accepts one.
 
     If Hessians are singular, exactly or up to rounding, two rises are tried, and the narrower interval counts.
     """
@@ -176,20 +170,15 @@ def _linear_proof(outcome: Outcome) -> tuple[Proof, Enclosure]:
 def _raised_proof(outcome: Outcome, least: float) -> tuple[Proof, Enclosure]:
     """Return a proof of the problem with Hessians raised by at least this much, and the interval of the given one."""
     bare, at = _bound_proof(outcome, least)
-    found = None
-    for point, _ in () if outcome.ray is not None else points(bare.problem, outcome, at):
-        with suppress(Failed):  # the first point that the checker accepts is the nearest to the trajectory
-            proof = replace(bare, point=point)
-            found = proof, checked_enclosure(proof.lines())
-            break
-    proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
+    nearest_first = () if outcome.ray is not None else points(bare.problem, outcome, at)
+    proof, enclosure = _first_accepted((replace(bare, point=point) for point, _ in nearest_first), bare, outcome)
     given, multipliers = outcome.problem, outcome.multipliers
     if outcome.ray is None and multipliers is not None and convex_problem(given, least) is not given:
         given = at_frequencies(given, multipliers.frequencies)
         region = optimum_box(extremal_at(given, at, multipliers), GAP_TOLERANCE * cost_scale(given, at))
         lower = _subtract_downwards(enclosure.lower, raised_by(given, bare.problem, region))
         enclosure = replace(enclosure, lower=min(lower, region.level))
-    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
+    return proof, enclosure
 
 
 def _bound_proof(outcome: Outcome, least: float = 0.0) -> tuple[Proof, Trajectory]:
@@ -216,10 +205,16 @@ def _require_statement(problem: OptimalControlProblem) -> None:
         pass
 
 
-def _confirmed_enclosure(proof: Proof, outcome: Outcome) -> Enclosure:
-    """Return the interval that the checker confirms; SolveError if the proof proves nothing."""
+def _first_accepted(proofs: Iterable[Proof], bare: Proof, outcome: Outcome) -> tuple[Proof, Enclosure]:
+    """Return the first proof that the checker accepts, with its interval; if none, that without a point.
+
+    SolveError if that proves nothing.
+    """
+    for proof in proofs:
+        with suppress(Failed):
+            return proof, checked_enclosure(proof.lines())
     try:
-        return checked_enclosure(proof.lines())
+        return bare, checked_enclosure(bare.lines())
     except Failed as failed:
         raise SolveError(f"The multipliers prove nothing ({failed}).", outcome) from failed
 
@@ -240,18 +235,17 @@ def _relaxed_claim(proven: Enclosure) -> Enclosure:
 
 def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
     """Return a proof by a search over modes, with the point of the best sequence alone if the checker accepts it."""
-    problem, found = convex_problem(outcome.problem), None
+    problem, with_point = convex_problem(outcome.problem), list[Proof]()
     _require_statement(problem)
     inside = within_level(problem, tree.level)
     dual = TreeDual(inside, written_nodes(inside, tree), tree.level)
     bare = Proof(problem, TREE_BITS, NOTHING, None, dual)
     if outcome.sequence is not None:
-        with suppress(SolveError, Failed):
+        with suppress(SolveError):
             alone, _ = _linear_proof(solve_judged(sequence_problem(problem, outcome.sequence)))
             point = alone.point and replace(alone.point, modes=outcome.sequence.tolist())
-            proof = replace(bare, bits=max(TREE_BITS, alone.bits), point=point)
-            found = proof, checked_enclosure(proof.lines())
-    proof, enclosure = (bare, _confirmed_enclosure(bare, outcome)) if found is None else found
+            with_point = [replace(bare, bits=max(TREE_BITS, alone.bits), point=point)]
+    proof, enclosure = _first_accepted(with_point, bare, outcome)
     if problem is not outcome.problem:
         given = within_level(outcome.problem, tree.level)
         region, whole = stated_bounds(given), IntervalReach(given).whole
@@ -262,7 +256,7 @@ def _tree_proof(outcome: Outcome, tree: ModeTree) -> tuple[Proof, Enclosure]:
             region = Region((low, high), np.inf, "forward reach")
         by = raised_by(outcome.problem, problem, region)
         enclosure = replace(enclosure, lower=_subtract_downwards(enclosure.lower, by))
-    return replace(proof, claim=_relaxed_claim(enclosure)), enclosure
+    return proof, enclosure
 
 
 def unchecked_proof(outcome: Outcome) -> Proof:

@@ -145,7 +145,6 @@ def _cartesian(file: str, columns: Sequence[tuple[str, str]], values: Array, fir
 
 NUMBERS = {"a": "A", "b": "B", "e": "E", "ts": "Ts"}  # fields of a plant, by their names in lower case
 NUMBERS |= {"inputdelay": "InputDelay", "iodelay": "ioDelay", "internaldelay": "InternalDelay"}
-TEXTS = {"statename", "inputname", "stateunit", "inputunit"}
 DELAYS = {"inputdelay", "iodelay", "internaldelay"}
 SAVE = "s = struct('A', sys.A, 'B', sys.B, 'Ts', sys.Ts); save plant.mat s -v7"
 
@@ -154,9 +153,9 @@ def plant_in_mat(path: Path) -> tuple[Array, Array, float, tuple[str, ...], tupl
     """Return A, B, the sampling time (0: continuous), and names of states and controls, if given, of a .mat file."""
     variables = mat_variables(str(path), read_bytes(path), SAVE)
     tables = {"": variables} | {f"{name}.": _structure(value) for name, value in variables.items()}
-    found = {
-        name: known for name, known in ((name, _plant_fields(table)) for name, table in tables.items()) if "b" in known
-    }
+    # fields in lower case: A of today's objects is a in older ones
+    fields = {name: {key.lower(): value for key, value in table.items()} for name, table in tables.items()}
+    found = {name: known for name, known in fields.items() if "b" in known}
     if len(found) != 1:
         several = f"the plants {', '.join(name.rstrip('.') or 'A, B' for name in found)}"
         got = several if found else f"the variables {', '.join(variables) or 'none'}"
@@ -188,11 +187,6 @@ def _structure(value: FileValue) -> dict[str, FileValue]:
     """Return the fields of a structure as scipy reads it; none of other variables."""
     names = getattr(getattr(value, "dtype", None), "names", None)
     return {} if not names or value.size != 1 else {name: value[name].item() for name in names}
-
-
-def _plant_fields(table: dict[str, FileValue]) -> dict[str, FileValue]:
-    """Return the fields of a plant in lower case: A of today's objects is a in older ones."""
-    return {name.lower(): value for name, value in table.items() if name.lower() in NUMBERS.keys() | TEXTS}
 
 
 def _labels(names: FileValue, units: FileValue) -> tuple[str, ...]:
