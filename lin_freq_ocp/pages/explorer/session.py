@@ -130,7 +130,9 @@ class Session:
             )
         self.problem, self.rebuild = problem, rebuild
         self.sliders = sliders_of(problem, rebuild)
-        self._resolver = lru_cache(CACHED_PROBLEMS)(self._resolver_at)
+        self._resolver = lru_cache(CACHED_PROBLEMS)(
+            lambda moved, classical: Resolver(problem_at(problem, rebuild, dict(moved), classical))
+        )
         self._outcome = lru_cache(CACHED_ANSWERS)(self._solve)
 
     def answer(self, values: object) -> Data:
@@ -206,9 +208,6 @@ class Session:
         fields: dict[str, Any] = changed_fields(resolver.problem, dict(kept))
         ends = (fields.pop(field, None) for field in ("initial_state", "terminal_state"))
         return resolver.solve(Change(*ends, bounds=fields or None), SOLVE_SECONDS)
-
-    def _resolver_at(self, moved: Moved, classical: bool) -> Resolver:
-        return Resolver(problem_at(self.problem, self.rebuild, dict(moved), classical))
 
 
 def answer_data(outcome: Outcome) -> Data:
