@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_480,
-    "code lines": 47_758,
-    "code lines, linear part": 22_627,
+    "shipped lines": 51_471,
+    "code lines": 47_749,
+    "code lines, linear part": 22_618,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -43,11 +43,8 @@ def repair_trajectory(problem: OptimalControlProblem, trajectory: Trajectory) ->
     values. A semi-infinite constraint is exceeded between its points; the judge finds by how much.
     """
     states, controls = problem.state_tube, problem.control_tube
-    hard, x, u = (
-        [term for term in problem.terms if term.hard and term.semi_infinite is None],
-        trajectory.x,
-        trajectory.u,
-    )
+    hard = [term for term in problem.terms if term.hard and term.semi_infinite is None]
+    x, u = trajectory.x, trajectory.u
     for surplus in SURPLUSES:
         repair = _Repair(problem, states.project(x), controls.project(u), surplus)
         entries = repair.count**2 + repair.on_x * (repair.x.size + repair.u.size)

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from lin_freq_ocp.base.arrays import Array, Mask, times_vectors
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, times_vectors
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.passed_bins import response_basis
@@ -32,13 +32,11 @@ COST_LEVEL = 10.0  # steepest slope of the scaled cost, the others being smaller
 
 def natural_scaling(linear: LinearProgram) -> Scaling:
     """Return the change of units that makes states and controls of order 1, and the cost gradient of order 10."""
-    guess = stated_sizes(linear.problem)
-    x, u = _relaxed_magnitudes(linear, guess)
+    stated = np.concatenate(stated_sizes(linear.problem))
+    sizes = _relaxed_magnitudes(linear, stated)
     if any(not term.hard or not term.kind.is_rows for term in linear.problem.terms):
-        x, u = (
-            np.clip(size, TERM_SHARE * stated, stated / TERM_SHARE) for size, stated in zip((x, u), guess, strict=True)
-        )
-    columns = linear.column_units(x, u)
+        sizes = np.clip(sizes, TERM_SHARE * stated, stated / TERM_SHARE)
+    columns = linear.column_units(*np.split(sizes, [linear.problem.state_dim]))
     return scale_rows_and_cost(linear, columns, columns)
 
 
@@ -99,10 +97,8 @@ def bounds_scaling(linear: LinearProgram, natural: Scaling) -> Scaling:
 
     They are for optima at far bounds.
     """
-    tubes = linear.problem.state_tube, linear.problem.control_tube
-    sides = [
-        np.maximum(*(np.where(np.isfinite(side), np.abs(side), 0.0) for side in (t.lower, t.upper))) for t in tubes
-    ]
+    bounds = np.abs(linear.problem.signal_bounds)
+    sides = split_signals(np.where(np.isfinite(bounds), bounds, 0.0).max(0), linear.problem.state_dim)
     units = natural.columns[: linear.signals]
     far = float((np.concatenate([side.ravel() for side in sides]) / units).max(initial=1.0))
     return scale_rows_and_cost(linear, far * natural.columns, far * natural.columns)
@@ -141,22 +137,21 @@ def scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -
     return Scaling(columns, rows, cost_factor(slopes, linear.priced))
 
 
-def _relaxed_magnitudes(linear: LinearProgram, guess: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the largest deviations from the references of the optimum without inequalities and bands."""
+def _relaxed_magnitudes(linear: LinearProgram, stated: Array) -> Array:
+    """Return the largest deviations from the references of the optimum without inequalities and bands, (n + m,)."""
     program, problem = linear.sparse, linear.problem
     if not program.P.nnz and program.q.any():  # without curvature, the minimum is unbounded
-        return guess
-    columns = linear.column_units(*guess)[: linear.signals]
+        return stated
+    columns = linear.column_units(*np.split(stated, [problem.state_dim]))[: linear.signals]
     z = _relaxed_response(linear, columns) if problem.response is not None else _relaxed_signals(linear, columns)
     if z is None:
-        return guess
+        return stated
     z = np.nan_to_num(z * columns, nan=0.0, posinf=0.0, neginf=0.0)
-    x, u = (signal.max(0) for signal in linear.split_signals(np.abs(z)))
+    sizes = np.concatenate([signal.max(0) for signal in linear.split_signals(np.abs(z))])
     # bounds cap the sizes: they say what is allowed, not what happens
-    widest = [np.maximum(np.abs(t.lower), np.abs(t.upper)).max(0) for t in (problem.state_tube, problem.control_tube)]
-    x, u = (np.minimum(size, np.where(w > 0, w, np.inf)) for size, w in zip((x, u), widest, strict=True))
-    x, u = (np.where(size > NEGLIGIBLE_SIZE * stated, size, stated) for size, stated in zip((x, u), guess, strict=True))
-    return x, u
+    widest = np.max(np.abs(problem.signal_bounds), axis=(0, 1))
+    sizes = np.minimum(sizes, np.where(widest > 0, widest, np.inf))
+    return np.where(sizes > NEGLIGIBLE_SIZE * stated, sizes, stated)
 
 
 def _relaxed_signals(linear: LinearProgram, columns: Array) -> Array | None:

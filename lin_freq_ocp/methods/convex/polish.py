@@ -141,8 +141,7 @@ def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> I
     also simulated from its first state and its controls.
     """
     yield along
-    lower, upper = (split_signals(side, problem.state_dim) for side in recession_bounds(problem))
-    signs = list(zip(lower, upper, strict=True))
+    signs = split_signals(np.stack(recession_bounds(problem)), problem.state_dim)
     if is_long(problem):
         nearest = nearest_of_long(problem, along)
         if nearest is not None:
@@ -167,7 +166,7 @@ def recession_directions(problem: OptimalControlProblem, along: Trajectory) -> I
             yield _simulate_to_end(problem, x, u, signs[0])
 
 
-def _simulate_to_end(problem: OptimalControlProblem, x: Array, u: Array, signs: tuple[Array, Array]) -> Trajectory:
+def _simulate_to_end(problem: OptimalControlProblem, x: Array, u: Array, signs: Array) -> Trajectory:
     """Return the direction of the first state and the controls, whose last ones are changed to lead to the end.
 
     What rounding of all controls leaves of a fixed end is more than rounding of the terms there.
