@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_471,
-    "code lines": 47_749,
+    "shipped lines": 51_458,
+    "code lines": 47_736,
     "code lines, linear part": 22_618,
-    "code lines, hybrid": 8_782,
+    "code lines, hybrid": 8_769,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
     "folders": 44,

@@ -41,6 +41,7 @@ from lin_freq_ocp.methods.hybrid.search.branch_and_bound import TreeSearch
 from lin_freq_ocp.methods.hybrid.search.common import SearchLimits, solve_relaxation
 from lin_freq_ocp.methods.hybrid.search.mixed import SolverClaim, solve_miqp
 from lin_freq_ocp.methods.hybrid.search.path_native import path_library
+from lin_freq_ocp.program.backends.base import Claim
 from lin_freq_ocp.program.program_rows import real_rows
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
@@ -151,7 +152,8 @@ def monolithic(backend: str) -> Contender:
 
     def solve(problem: lfo.OptimalControlProblem, limit: float, gap: float) -> Answer:
         outcome = solve_miqp(problem, backend, limit, gap)
-        return Answer(outcome.status, outcome.sequence, outcome.cost, outcome.bound)
+        status = "optimal" if outcome.status is Claim.SOLVED else outcome.status.value
+        return Answer(status, outcome.sequence, outcome.cost, outcome.bound)
 
     return solve
 
@@ -210,7 +212,7 @@ def row_of(case: str, name: str, problem: lfo.OptimalControlProblem, limit: floa
     seconds, busy = time.perf_counter() - started, time.process_time() - busy
     if answer.sequence is None:
         return Row(case, name, seconds, busy, None, None, answer.bound, answer.status)
-    outcome = SolverClaim("", np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, "")
+    outcome = SolverClaim(Claim.SOLVED, np.asarray(answer.sequence, dtype=np.intp), None, answer.claimed, None, "")
     again = resolved(problem, outcome)
     if again.cost is None:
         return Row(case, name, seconds, busy, None, None, answer.bound, answer.status, again.message)

@@ -9,10 +9,10 @@ import numpy as np
 
 from helpers.checks.claimed import differences
 from lin_freq_ocp.methods.candidate import require_convex
-from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim, solver_status
+from lin_freq_ocp.methods.hybrid.search.mixed import AGREEMENT, DEFAULT_GAP, SolverClaim
 from lin_freq_ocp.methods.hybrid.smooth.local_optimum import LocalOptimum, smooth_optimum
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.backends.base import Solution
+from lin_freq_ocp.program.backends.base import Claim, Solution
 from lin_freq_ocp.program.units import COST_LEVEL
 from lin_freq_ocp.transform.hybrid.forms import piecewise_smooth
 from verify import minlp_scip
@@ -70,7 +70,9 @@ def solve_minlp(
     if left is not None and left <= 0:
         words = f"time limit of {time_limit:.3g} s, over before the solver began"
         slope = program.cost(COST_LEVEL) * problem.horizon
-        return GlobalClaim("limit", None, None, None, None, words, {"setup": ready - started, "solve": 0.0}, slope)
+        return GlobalClaim(
+            Claim.TIME_LIMIT, None, None, None, None, words, {"setup": ready - started, "solve": 0.0}, slope
+        )
     solution = minlp_scip.solve(program, left, gap)
     return _claim(program, solution, {"setup": ready - started, "solve": time.perf_counter() - ready})
 
@@ -90,7 +92,7 @@ def polished(problem: OptimalControlProblem, claim: GlobalClaim, end: float = np
 
 def _claim(program: SmoothProgram, solution: Solution, seconds: dict[str, float]) -> GlobalClaim:
     bound = None if solution.bound is None else program.cost(solution.bound)
-    status, words = solver_status(solution)
+    status, words = solution.claim, solution.message
     slope = program.cost(COST_LEVEL) * program.problem.horizon
     if solution.z is None:
         return GlobalClaim(status, None, None, None, bound, words, seconds, slope, program.excluded)

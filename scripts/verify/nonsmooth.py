@@ -12,6 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 import lin_freq_ocp as lfo
+from lin_freq_ocp.program.backends.base import Claim
 from lin_freq_ocp.testing import PIECEWISE_SMOOTH
 
 COST, CONDITION = 1e-7, 1e-8  # relative difference of costs, and the worst condition of the certificate
@@ -73,7 +74,7 @@ def second_opinion(console: Console) -> bool:
         size, local = abs(optimum), polished(problem, claim)
         good &= claim.bound is None or claim.bound <= optimum + CLAIMED * size
         error = None if local is None or not local.feasible else (local.cost - optimum) / size
-        if claim.status == "optimal":
+        if claim.status is Claim.SOLVED:
             good &= claim.cost is not None and abs(claim.cost - optimum) <= CLAIMED * size
             good &= error is not None and abs(error) <= COST
         table.add_row(

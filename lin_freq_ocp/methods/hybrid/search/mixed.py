@@ -11,41 +11,24 @@ from lin_freq_ocp.base.clock import LEAST_SECONDS, now
 from lin_freq_ocp.methods.candidate import require_convex
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
-from lin_freq_ocp.program.backends.base import Claim, Solution, backend
+from lin_freq_ocp.program.backends.base import Claim, backend
 from lin_freq_ocp.program.hybrid.mixed_integer import big_m_program
 
 DEFAULT_GAP = 1e-6  # relative gap asked of a solver, as accurate as its rows
 AGREEMENT = 1e-6  # relative difference allowed between the claimed cost and that of the claimed trajectory
-
-STATUS = {
-    Claim.SOLVED: "optimal",
-    Claim.INFEASIBLE: "infeasible",
-    Claim.UNBOUNDED: "unbounded",
-    Claim.LIMIT: "limit",
-    Claim.TIME_LIMIT: "limit",
-    Claim.INTERRUPTED: "interrupted",
-    Claim.FAILED: "failed",
-}
 
 
 @dataclass(frozen=True, eq=False)
 class SolverClaim:
     """The claim of a mixed-integer solver about a problem, in the problem's units."""
 
-    status: str  # "optimal", "infeasible", "unbounded", "limit", "interrupted" or "failed"
+    status: Claim
     sequence: Indices | None  # modes (T,) of the best point found
     trajectory: Trajectory | None  # that point, as accurate as the solver's tolerances
     cost: float | None
     bound: float | None  # claimed lower bound on the cost
     message: str  # the status of the solver, and the fault of its claim if it has one
     seconds: dict[str, float] = field(default_factory=dict[str, float])  # wall times of "setup" and "solve"
-
-
-def solver_status(solution: Solution) -> tuple[str, str]:
-    """Return the status of a solver's solution and its message; a solution without a point is no optimum."""
-    if solution.claim is Claim.SOLVED and solution.z is None:
-        return "failed", f"{solution.message}, without a point"
-    return STATUS[solution.claim], solution.message
 
 
 # Violation of rows of order 1 by a point with rounded binaries: a solver's 1e-6 in the row and in each binary
@@ -67,22 +50,22 @@ def solve_miqp(
         mixed = big_m_program(problem, np.inf if time_limit is None else started + time_limit)
     except TimeoutError:
         seconds = {"setup": now() - started, "solve": 0.0}
-        return SolverClaim("limit", None, None, None, None, f"time limit of {time_limit:.3g} s", seconds)
+        return SolverClaim(Claim.TIME_LIMIT, None, None, None, None, f"time limit of {time_limit:.3g} s", seconds)
     ready = now()
     left = None if time_limit is None else max(time_limit - (ready - started), LEAST_SECONDS)
     solution = solver(mixed.program, gap, left)
     seconds = {"setup": ready - started, "solve": now() - ready}
     bound = None if solution.bound is None else mixed.cost(solution.bound)
-    status, message = solver_status(solution)
-    if status == "unbounded":  # impossible: all states and controls have bounds
-        status = "failed"
+    status, message = solution.claim, solution.message
+    if status is Claim.UNBOUNDED or (status is Claim.SOLVED and solution.z is None):  # all signals have bounds
+        status = Claim.FAILED
     if solution.z is None:
         return SolverClaim(status, None, None, None, bound, message, seconds)
     z, sequence = solution.z.copy(), mixed.sequence(solution.z)
     z[mixed.program.binaries] = mixed.deltas(sequence)
     violation = mixed.program.residuals(z, np.zeros(len(mixed.program.lower))).primal
     if violation > POINT_TOLERANCE:
-        status = "failed"
+        status = Claim.FAILED
         message = f"{message}, but with binaries rounded its point violates a row of order 1 by {violation:.1e}"
     cost = mixed.cost(mixed.program.objective(z))
     return SolverClaim(status, sequence, mixed.trajectory(z), cost, bound, message, seconds)
