@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.reformulations import translation_of
-from lin_freq_ocp.transform.simulation import reach_of_bounds
+from lin_freq_ocp.transform.simulation import reach_of_bounds, within_reach
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
@@ -54,7 +54,8 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), from the data alone, before anything is solved.
 
-    The first of these that a component has is its size: the largest of its ends, references and levels; its bounds; of
+    The first of these that a component has is its size: the largest of its ends, references, as far as bounds and
+    dynamics let it reach them, and levels; its bounds; of
     a control, the limits of other sets and rows; what the other components cause in it within the horizon; what it must
     be to cause the sizes of the others; the limits of other sets and rows; its ends; 1. A bound far above what ends,
     references and dynamics imply counts as none, and so does an end or reference far below what the others make of the
@@ -89,7 +90,8 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     """Return the largest of the ends, of values that controls are fixed at, of levels and references, (n+m,)."""
     cost = problem.quadratic
     of_x, of_u = cost.weighs
-    states = np.abs(np.where(of_x, cost.x_ref, 0.0)).reshape(-1, len(of_x)).max(0)
+    reached = within_reach(problem, cost.x_ref) if cost.x_ref.any() else cost.x_ref
+    states = np.abs(np.where(of_x, reached, 0.0)).reshape(-1, len(of_x)).max(0)
     controls = np.abs(np.where(of_u, cost.u_ref, 0.0)).reshape(-1, len(of_u)).max(0)
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
     tube = problem.control_tube

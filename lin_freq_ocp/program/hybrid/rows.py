@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.linear_program import signal_columns
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import StandardForm
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 
@@ -175,6 +176,14 @@ class ModeStages:
     def scaled(self, bounds: Array) -> Array:
         """Return bounds (T, modes, k) of (x_t, u_t) as bounds of y."""
         return (bounds - self.references[:, None]) / self.units
+
+
+def mode_programs(problem: OptimalControlProblem) -> list[LinearProgram]:
+    """Return the linear programs of each mode at all times, in deviations from the references."""
+    dynamics, (T, m), cost = piecewise_affine(problem), (problem.horizon, problem.control_dim), problem.quadratic
+    x, u = np.broadcast_to(cost.x_ref, (T + 1, problem.state_dim)), np.broadcast_to(cost.u_ref, (T, m))
+    along = (problem.with_dynamics(dynamics.along(np.full(T, mode))) for mode in range(len(dynamics.modes)))
+    return [LinearProgram(one, Trajectory(x, u)) for one in along]
 
 
 def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
