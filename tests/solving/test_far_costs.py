@@ -69,3 +69,25 @@ def test_a_loop_from_afar_does_what_single_solves_do(name):
         np.testing.assert_allclose(control, 1.0, rtol=0, atol=1e-5)
         state = state + control
     assert set(loop.log.statuses) == {"optimal"}
+
+
+@pytest.mark.parametrize("bound", [50.0, None])
+@pytest.mark.parametrize("far", [1e4, 1e8, -1e6])
+@pytest.mark.parametrize("name", ["squares", "L1"])
+def test_modes_are_searched_from_as_near_as_a_state_can_be(name, far, bound):
+    modes = [
+        lfo.AffineMode([[1.0]], [[1.0]], G=[[-1.0]], h=[0.0]),
+        lfo.AffineMode([[-0.5]], [[1.0]], G=[[1.0]], h=[0.0]),
+    ]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        6,
+        COSTS[name](far, 1.0),
+        lfo.Box(-1.0, 1.0),
+        state_set=None if bound is None else lfo.Box(-bound, bound),
+        initial_state=[0.3],
+    )
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert result.certificate.pmp == "satisfied"
+    np.testing.assert_allclose(result.control[:5], np.sign(far), rtol=0, atol=1e-5)
