@@ -10,7 +10,7 @@
 
 The variables are deviations from an origin, so that a small cost is not the difference of large numbers. Unless another
 is given, it is that of the references x_ref, u_ref, as near as bounds and dynamics let a state come to them, and of the
-least slacks there. Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs:
+slacks that nothing avoids. Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs:
 P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come out as in the maximum
 principle.
 
@@ -29,14 +29,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsqr
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, with_columns
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, split_signals, with_columns
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import sparse_rows
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
-from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
-from lin_freq_ocp.transform.simulation import within_reach
+from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, change_of_slacks, map_rows, stop_band_rows
+from lin_freq_ocp.transform.simulation import nearest_in_reach, reach_of_bounds, within_reach
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
@@ -54,7 +55,7 @@ class LinearProgram:
 
     problem: OptimalControlProblem
     given_origin: Trajectory | None = None  # None: the references, within reach
-    given_slacks: Sequence[Array] | None = None  # at the origin, of each term; None: the least ones
+    given_slacks: Sequence[Array] | None = None  # at the origin, of each term; None: those that nothing avoids
 
     @cached_property
     def origin(self) -> Trajectory:
@@ -90,10 +91,21 @@ class LinearProgram:
             box_rows(Block.CONTROL_SET, problem.control_tube, origin, layout.nu),
             *(stop_band_rows(map, origin, (layout.rho_x, layout.rho_u)) for map in problem.stop_band_maps),
         ]
-        slacks = self.given_slacks or [None] * len(problem.terms)
+        slacks = self.given_slacks or map(self._slacks_that_nothing_avoids, problem.terms)
         for term, target, at_origin in zip(problem.terms, layout.terms, slacks, strict=True):
             rows.append(map_rows(term.name, term.map, term.penalty, origin, target, at_origin))
         return tuple(rows)
+
+    def _slacks_that_nothing_avoids(self, term: Term) -> Array:
+        """Return the slacks of a term that no trajectory undercuts, as far as bounds and dynamics let it move."""
+        problem, (x, u) = self.problem, (self.origin.x, self.origin.u)
+        least = term.penalty.least_slacks(term.map.values(x, u))
+        if not least.any():
+            return least
+        nearest = term.map.values(nearest_in_reach(problem, x), problem.control_tube.project(u))
+        apart, paid = split_signals(reach_of_bounds(problem), problem.state_dim), term.penalty.conic(*term.shape).paid
+        moved = change_of_slacks(term.map, paid, apart)
+        return np.maximum(term.penalty.least_slacks(nearest) - moved, 0.0)
 
     @property
     def of_terms(self) -> tuple[ProgramRows, ...]:

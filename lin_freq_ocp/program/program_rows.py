@@ -117,8 +117,13 @@ class ProgramRows:
         """
         if self.map is None or not len(self.prices):
             return np.zeros(0)
-        moved = self.map.sizes(x, u) - self.map.sizes(np.zeros_like(x), np.zeros_like(u))
-        return moved.ravel()[self.paid].max(axis=1, initial=0.0)
+        return change_of_slacks(self.map, self.paid, (x, u))
+
+
+def change_of_slacks(map: AffineMap, paid: Indices, apart: tuple[Array, Array]) -> Array:
+    """Return how far slacks that measure the values ``paid`` of a map move with states and controls so far apart."""
+    moved = map.sizes(*apart) - map.sizes(*(np.zeros_like(part) for part in apart))
+    return moved.ravel()[paid].max(axis=1, initial=0.0)
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:
@@ -159,16 +164,16 @@ def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Array, Indices, Indices]
 
 
 def map_rows(
-    name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int, slacks: Array | None = None
+    name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int, slacks: Array
 ) -> ProgramRows:
     """Return the rows of a term h(L(x, u)) in deviations from the origin; ``target`` is its first multiplier.
 
-    The origin of the slacks is given, or the least ones there are at that of the signals: a price on a large value is a
-    constant, and a slope. Equations 0 = 0, such as those of the imaginary parts of real bins, are left out.
+    The slacks are deviations from ``slacks``. Equations 0 = 0, such as those of the imaginary parts of real bins, are
+    left out.
     """
-    form, at_origin = penalty.conic(*map.shape), map.values(origin.x, origin.u)
-    slacks = np.broadcast_to(penalty.least_slacks(at_origin) if slacks is None else slacks, form.prices.shape)
-    values = np.append(at_origin, 0.0)[form.entries] + form.slacks @ slacks
+    form = penalty.conic(*map.shape)
+    slacks = np.broadcast_to(slacks, form.prices.shape)
+    values = np.append(map.values(origin.x, origin.u), 0.0)[form.entries] + form.slacks @ slacks
     limits = form.lower - values, form.upper - values
     targets = np.where(form.entries >= 0, target + form.entries, -1)
     cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, seal, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, seal, split_signals, stack_signals
 from lin_freq_ocp.formulas.jets import jets_of
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, VARIABLE
@@ -35,7 +35,7 @@ KNOWN_SIZES: WeakKeyDictionary[OptimalControlProblem, tuple[Array, Array]] = Wea
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP.
 
-    The quadratic term of a time counts at most by what bounds and dynamics let it vary.
+    Each counts at most by what bounds and dynamics let it vary.
     """
     cost, (x, u), reach = problem.quadratic, (trajectory.x, trajectory.u), reach_of_bounds(problem)
     z, slopes = stack_signals(x, u), cost.linear_slopes(problem.horizon)
@@ -43,8 +43,10 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
     bent = cost.bend(deviations)
     varied = np.abs(bent) * reach + 0.5 * reach * cost.magnitudes.bend(reach)
     total = float(np.minimum(np.abs(0.5 * (deviations * bent).sum(-1)), varied.sum(-1)).sum())
-    total += 0.0 if slopes is None else float(np.abs(slopes * z).sum())
-    total += sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    total += 0.0 if slopes is None else float((np.abs(slopes) * np.minimum(np.abs(z), reach)).sum())
+    apart = split_signals(reach, problem.state_dim)
+    for term in problem.terms:
+        total += float(term.sizes_of_prices(term.map.values(x, u), term.cost(x, u), apart).sum())
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)

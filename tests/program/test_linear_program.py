@@ -299,4 +299,4 @@ def test_the_origin_is_as_near_to_a_reference_as_a_state_can_be():
     assert linear.sparse.objective(z) == pytest.approx(problem.value(trajectory.x, trajectory.u), rel=1e-14)
     shifted = dataclasses.replace(problem, initial_state=[1e6, 1.0], cost=lfo.costs.L1Cost(x=1.0))
     slacks = LinearProgram(shifted).of_terms[0].origin.reshape(5, 2)
-    np.testing.assert_allclose(slacks[:, 0], 1e6, rtol=1e-5)
+    np.testing.assert_allclose(slacks[:, 0], 1e6, atol=20.0)
