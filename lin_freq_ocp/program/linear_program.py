@@ -167,13 +167,14 @@ class LinearProgram:
     @cached_property
     def sparse(self) -> Program:
         """The program in the problem's own units; UnsupportedError if it does not fit into memory."""
-        dense, dynamics = dense_rows(self.problem), self.dynamics
+        dense = dense_rows(self.problem)
         require_memory(
             f"the frequency constraints, {dense.count} dense rows of a program of {dense.variables} variables,",
             dense.size,
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
+        dynamics = self.dynamics
         A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
         blocks, cones, first = {Block.DYNAMICS: slice(0, dynamics.shape[0])}, list[slice](), dynamics.shape[0]
         for block in BLOCKS:
