@@ -159,7 +159,9 @@ class Assembly:
 
 
 def assemble_stages(
-    problem: OptimalControlProblem, sizes: tuple[Array, Array] | None = None, slacks: Sequence[Array] | None = None
+    problem: OptimalControlProblem,
+    sizes: tuple[Array, Array] | None = None,
+    given_slacks: Sequence[Array] | None = None,
 ) -> Assembly:
     """Return the stages of a problem; UnsupportedError if its dynamics are not linear, or a term does not fit.
 
@@ -167,7 +169,7 @@ def assemble_stages(
     of each term is by default that of ``LinearProgram``.
     """
     origin, fixed = choose_origin(problem)
-    program, (T, m), n = LinearProgram(problem, origin, slacks), fixed.shape, problem.state_dim
+    program, (T, m), n = LinearProgram(problem, origin, given_slacks), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
     fixed_states = np.zeros((T + 1, n), dtype=bool)
     fixed_states[[0, -1]] = fixed_ends
