@@ -219,7 +219,7 @@ def cost_and_size(
     for term, at in zip(problem.terms, values, strict=True):
         paid = term.penalty.cost(at) if term.semi_infinite is None else term.cost(x, u)
         if paid.any():
-            price, size = price + paid.sum(-1), size + _size_of_price(term, at, paid, split_signals(reach, n)).sum(-1)
+            price, size = price + paid.sum(-1), size + term.sizes_of_prices(at, paid, split_signals(reach, n)).sum(-1)
     if slopes is not None:
         box = problem.initial_box
         start = np.where(box.fixed, x[..., 0, :], box.project(np.zeros_like(box.lower)))
@@ -234,16 +234,6 @@ def _reach_and_variation(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return ``reach_of_bounds``, and what the curvature of the cost makes of it, (T+1,)."""
     reach = reach_of_bounds(problem)
     return reach, 0.5 * (reach * problem.quadratic.magnitudes.bend(reach)).sum(-1)
-
-
-def _size_of_price(term: Term, values: Array, paid: Array, apart: tuple[Array, Array]) -> Array:
-    """Return the sizes of what groups of a term cost, (..., groups)."""
-    if term.semi_infinite is not None:  # its price is that of a peak
-        return np.abs(paid)
-    change = term.map.sizes(*apart) - term.map.sizes(*(np.zeros_like(part) for part in apart))
-    with np.errstate(over="ignore", invalid="ignore"):
-        others = [np.abs(term.penalty.cost(values + sign * change) - paid) for sign in (-1, 1)]
-    return np.fmin(np.abs(paid), np.fmax(*others))
 
 
 def state_residual(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:

@@ -58,7 +58,11 @@ def changed_equations(point: ExactPoint, change: Values) -> ChangedEquations:
         elif d.any():  # any step is exact; a large one leaves no rounding
             largest = max(float(np.abs(known[one]).max()) for one in (WEIGHTS if name in WEIGHTS else (name,)))
             step = (largest or 1.0) / float(np.abs(d).max())
-            other = LinearProgram(with_data(linear.problem, {name: known[name] + step * d}), linear.origin).sparse
+            moved, slacks = (
+                with_data(linear.problem, {name: known[name] + step * d}),
+                [one.origin for one in linear.of_terms],
+            )
+            other = LinearProgram(moved, linear.origin, slacks).sparse
             rows = (other.A - program.A) / step
             of_z += ((other.P - program.P) @ z + other.q - program.q) / step + rows.T @ y
             values += rows @ z
@@ -122,7 +126,8 @@ def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:
     index = linear.of_terms.index(part)
     term, target = linear.problem.terms[index], linear.layout.terms[index]
     amount = np.asarray(term.per_limit)[..., None] * d
-    moved = map_rows(term.name, term.map, term.penalty.relaxed(np.zeros(term.shape), amount)[1], linear.origin, target)
+    relaxed = term.penalty.relaxed(np.zeros(term.shape), amount)[1]
+    moved = map_rows(term.name, term.map, relaxed, linear.origin, target, part.origin)
     if len(moved.lower) != len(part.lower):
         got = f"a change of a limit of zero, of '{part.name}'"
         raise UnsupportedError(f"derivatives: got {got}; expected one above zero, with two sides.")

@@ -215,7 +215,8 @@ def to_cvxpy(problem: OptimalControlProblem) -> cvxpy.Problem:
         which = "P" if t < 0 else f"[[Q, S], [S', R]] at t = {t}"
         message = f"cost: {which} has the eigenvalue {eigenvalue:g} < 0, and CVXPY takes convex costs only."
         raise UnsupportedError(message)
-    (T, n, m), linear = (problem.horizon, problem.state_dim, problem.control_dim), LinearProgram(problem)
+    (T, n, m), slacks = (problem.horizon, problem.state_dim, problem.control_dim), [np.zeros(1)] * len(problem.terms)
+    linear = LinearProgram(problem, given_slacks=slacks)
     x, u = cp.Variable((T + 1, n), name="x"), cp.Variable((T, m), name="u")
     # Bounds on the state where an end fixes it would be redundant
     lower, upper = problem.state_boxes.lower.copy(), problem.state_boxes.upper.copy()

@@ -8,10 +8,11 @@
     CONTROL_SPECTRUM  R_j u^j = 0, rows of the DFT of T
     TERMS             every other term h(L(x, u)): v = L(x, u) with the conic form of h, and slacks s with prices
 
-The variables are deviations from an origin, so that a small cost is not the difference of large numbers: from the
-references x_ref, u_ref, unless another is given. Fixed ends are rows of STATE_SET with equal bounds: their dual is
-mu_0, mu_T. Signs: P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come
-out as in the maximum principle.
+The variables are deviations from an origin, so that a small cost is not the difference of large numbers. Unless another
+is given, it is that of the references x_ref, u_ref, as near as bounds and dynamics let a state come to them, and of the
+slacks that nothing avoids. Fixed ends are rows of STATE_SET with equal bounds: their dual is mu_0, mu_T. Signs:
+P z + q + A'y = 0 with all duals y, so that eta, mu, nu, rho and the multipliers of the terms come out as in the maximum
+principle.
 
 The rows have two forms. ``sparse`` is one matrix over x_0 .. x_T, u_0 .. u_{T-1}, and the slacks, for solvers of other
 projects; frequency constraints are dense rows there, whose memory and time are estimated before. The structured method
@@ -28,13 +29,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import lsqr
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, with_columns
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, split_signals, with_columns
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.terms.maps import sparse_rows
+from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
-from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
+from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, change_of_slacks, map_rows, stop_band_rows
+from lin_freq_ocp.transform.simulation import nearest_in_reach, reach_of_bounds, within_reach
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
 BYTES_OF_FACTOR = 12.0  # per entry of a solver's factor: a value and an index
@@ -51,7 +54,8 @@ class LinearProgram:
     """The program of a linear problem, with its own inverse for trajectories and multipliers."""
 
     problem: OptimalControlProblem
-    given_origin: Trajectory | None = None  # None: the references
+    given_origin: Trajectory | None = None  # None: the references, within reach
+    given_slacks: Sequence[Array] | None = None  # at the origin, of each term; None: those that nothing avoids
 
     @cached_property
     def origin(self) -> Trajectory:
@@ -59,7 +63,7 @@ class LinearProgram:
         if self.given_origin is not None:
             return self.given_origin
         problem = self.problem
-        x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, problem.state_dim))
+        x = within_reach(problem, problem.quadratic.x_ref)
         return Trajectory(x, np.broadcast_to(problem.quadratic.u_ref, (problem.horizon, problem.control_dim)))
 
     @cached_property
@@ -87,9 +91,21 @@ class LinearProgram:
             box_rows(Block.CONTROL_SET, problem.control_tube, origin, layout.nu),
             *(stop_band_rows(map, origin, (layout.rho_x, layout.rho_u)) for map in problem.stop_band_maps),
         ]
-        for term, target in zip(problem.terms, layout.terms, strict=True):
-            rows.append(map_rows(term.name, term.map, term.penalty, origin, target))
+        slacks = self.given_slacks or map(self._slacks_that_nothing_avoids, problem.terms)
+        for term, target, at_origin in zip(problem.terms, layout.terms, slacks, strict=True):
+            rows.append(map_rows(term.name, term.map, term.penalty, origin, target, at_origin))
         return tuple(rows)
+
+    def _slacks_that_nothing_avoids(self, term: Term) -> Array:
+        """Return the slacks of a term that no trajectory undercuts, as far as bounds and dynamics let it move."""
+        problem, (x, u) = self.problem, (self.origin.x, self.origin.u)
+        least = term.penalty.least_slacks(term.map.values(x, u))
+        if not least.any():
+            return least
+        nearest = term.map.values(nearest_in_reach(problem, x), problem.control_tube.project(u))
+        apart, paid = split_signals(reach_of_bounds(problem), problem.state_dim), term.penalty.conic(*term.shape).paid
+        moved = change_of_slacks(term.map, paid, apart)
+        return np.maximum(term.penalty.least_slacks(nearest) - moved, 0.0)
 
     @property
     def of_terms(self) -> tuple[ProgramRows, ...]:
@@ -100,6 +116,12 @@ class LinearProgram:
     def prices(self) -> Array:
         """The cost of one unit of each slack."""
         return np.concatenate([np.zeros(0), *(rows.prices for rows in self.rows)])
+
+    @property
+    def constant(self) -> float:
+        """Return the cost at the origin."""
+        of_slacks = sum(float(rows.prices @ rows.origin) for rows in self.of_terms)
+        return self.problem.quadratic.value(self.origin.x, self.origin.u) + of_slacks
 
     @property
     def priced(self) -> Mask:
@@ -145,14 +167,14 @@ class LinearProgram:
     @cached_property
     def sparse(self) -> Program:
         """The program in the problem's own units; UnsupportedError if it does not fit into memory."""
-        problem, dense = self.problem, dense_rows(self.problem)
+        dense = dense_rows(self.problem)
         require_memory(
             f"the frequency constraints, {dense.count} dense rows of a program of {dense.variables} variables,",
             dense.size,
             "Method 'spectral' needs no dense rows (time-invariant linear dynamics, quadratic costs, boxes, joint rows "
             "and stop bands; it says what it cannot take); else choose a shorter horizon or a longer sampling time.",
         )
-        origin, dynamics = self.origin, self.dynamics
+        dynamics = self.dynamics
         A = sp.csc_array(stack_rows([(dynamics, 0), (self.matrix(self.rows), 0)], dynamics.shape[1]))
         blocks, cones, first = {Block.DYNAMICS: slice(0, dynamics.shape[0])}, list[slice](), dynamics.shape[0]
         for block in BLOCKS:
@@ -161,15 +183,7 @@ class LinearProgram:
                 cones += [slice(first + int(start), first + int(stop)) for start, stop in part.cones]
                 first += len(part.lower)
             blocks[block] = slice(begin, first)
-        return Program(
-            self.hessian,
-            self.gradient,
-            A,
-            *self._limits,
-            problem.quadratic.value(origin.x, origin.u),
-            blocks,
-            tuple(cones),
-        )
+        return Program(self.hessian, self.gradient, A, *self._limits, self.constant, blocks, tuple(cones))
 
     def share_matrices(self, other: LinearProgram) -> bool:
         """Take over the matrices of a program that differs in right-hand sides and slopes alone; whether it does."""
@@ -183,11 +197,7 @@ class LinearProgram:
             return False
         lower, upper = self._limits
         self.__dict__["sparse"] = replace(
-            other.sparse,
-            q=self.gradient,
-            constant=new.quadratic.value(self.origin.x, self.origin.u),
-            lower=lower,
-            upper=upper,
+            other.sparse, q=self.gradient, constant=self.constant, lower=lower, upper=upper
         )
         return True
 
@@ -224,7 +234,8 @@ class LinearProgram:
     def point(self, trajectory: Trajectory) -> Array:
         """Return the point of the program of a trajectory, with the least slacks."""
         x, u = trajectory.x, trajectory.u
-        slacks = [term.penalty.least_slacks(term.map.values(x, u)) for term in self.problem.terms]
+        parts = zip(self.problem.terms, self.of_terms, strict=True)
+        slacks = [term.penalty.least_slacks(term.map.values(x, u)) - rows.origin for term, rows in parts]
         return np.concatenate([(x - self.origin.x).ravel(), (u - self.origin.u).ravel(), *slacks]).astype(np.float64)
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:

@@ -2,9 +2,9 @@
 
     lower <= weights * L(x, u) + S s <= upper,   or rows less their lower limits in second-order cones,
 
-for deviations (x, u) from an origin and slacks s. A row has at most one value of L, whose multiplier is the sum of the
-duals of its rows times their weights. Stop bands are terms, too: (Re, Im) of the bins of one component, with weights
-that make the rows orthonormal.
+for deviations (x, u) and s from an origin of signals and slacks. A row has at most one value of L, whose multiplier is
+the sum of the duals of its rows times their weights. Stop bands are terms, too: (Re, Im) of the bins of one component,
+with weights that make the rows orthonormal.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ class ProgramRows:
     lower: Array  # (rows,)
     upper: Array  # (rows,)
     slacks: sp.csr_array  # (rows, slacks)
+    origin: Array  # (slacks,): the slacks from which the variables are deviations
     prices: Array  # (slacks,)
     paid: Indices  # (slacks, k): the values whose violation each slack measures
     cones: Indices  # (cones, 2): first row, and the one after the last
@@ -116,7 +117,13 @@ class ProgramRows:
         """
         if self.map is None or not len(self.prices):
             return np.zeros(0)
-        return self.map.sizes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
+        return change_of_slacks(self.map, self.paid, (x, u))
+
+
+def change_of_slacks(map: AffineMap, paid: Indices, apart: tuple[Array, Array]) -> Array:
+    """Return how far slacks that measure the values ``paid`` of a map move with states and controls so far apart."""
+    moved = map.sizes(*apart) - map.sizes(*(np.zeros_like(part) for part in apart))
+    return moved.ravel()[paid].max(axis=1, initial=0.0)
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:
@@ -150,22 +157,28 @@ def stop_band_rows(map: SpectrumMap, origin: Trajectory, targets: tuple[int, int
 
 
 @lru_cache(maxsize=64)  # a sparse matrix takes as long to make as the other arrays of a stop band
-def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Indices, Indices]:
-    """Return empty slacks, prices, paid values and cones for so many rows."""
-    return sp.csr_array((rows, 0)), np.zeros(0), np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
+def _no_slacks(rows: int) -> tuple[sp.csr_array, Array, Array, Indices, Indices]:
+    """Return empty slacks, their origin, prices, paid values and cones for so many rows."""
+    none = np.zeros(0)
+    return sp.csr_array((rows, 0)), none, none, np.zeros((0, 1), dtype=int), np.zeros((0, 2), dtype=int)
 
 
-def map_rows(name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int) -> ProgramRows:
+def map_rows(
+    name: str, map: AffineMap, penalty: Penalty, origin: Trajectory, target: int, slacks: Array
+) -> ProgramRows:
     """Return the rows of a term h(L(x, u)) in deviations from the origin; ``target`` is its first multiplier.
 
-    Equations 0 = 0, such as those of the imaginary parts of real bins, are left out.
+    The slacks are deviations from ``slacks``. Equations 0 = 0, such as those of the imaginary parts of real bins, are
+    left out.
     """
-    form, values = penalty.conic(*map.shape), np.append(map.values(origin.x, origin.u), 0.0)
-    limits = form.lower - values[form.entries], form.upper - values[form.entries]
+    form = penalty.conic(*map.shape)
+    slacks = np.broadcast_to(slacks, form.prices.shape)
+    values = np.append(map.values(origin.x, origin.u), 0.0)[form.entries] + form.slacks @ slacks
+    limits = form.lower - values, form.upper - values
     targets = np.where(form.entries >= 0, target + form.entries, -1)
     cones = np.array([(cone.start, cone.stop) for cone in form.cones], dtype=int).reshape(-1, 2)
     at, shape = (map, form.entries, targets, None), (len(origin.u), origin.x.shape[1], origin.u.shape[1])
-    rows = ProgramRows(Block.TERMS, name, shape, *at, *limits, form.slacks, form.prices, form.paid, cones)
+    rows = ProgramRows(Block.TERMS, name, shape, *at, *limits, form.slacks, slacks, form.prices, form.paid, cones)
     equal = np.flatnonzero(form.lower == form.upper)
     empty = equal[rows.empty[equal]] if len(equal) else equal
     if not len(empty):

@@ -121,7 +121,8 @@ def cost_factor(slopes: Array, priced: Mask, mean: Callable[[Array], np.floating
     Those of variables that are not ``priced`` count where there are no others: the cost has penalties only.
     """
     counted = slopes[priced & (slopes > 0)] if (slopes[priced] > 0).any() else slopes[slopes > 0]
-    return COST_LEVEL / float(mean(counted)) if len(counted) and np.isfinite(counted).all() else 1.0
+    factor = COST_LEVEL / float(mean(counted)) if len(counted) else np.inf
+    return factor if 0 < factor < np.inf else 1.0
 
 
 def scale_rows_and_cost(linear: LinearProgram, columns: Array, typical: Array) -> Scaling:

@@ -9,5 +9,5 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "reductions": "Change Reduced Reduction reduce_problem",
     "reformulations": "RATE_LIMIT far_origin rate_limit sampled_masks semi_infinite_terms translated_by translation_of",
     "response_curvature": "BinCurvature bin_curvature", "simulation": "motions_at_rest reach_of_bounds",
-    "sizes": "stated_sizes", "starts": "start_of",
+    "sizes": "search_scale stated_sizes", "starts": "start_of",
 })

@@ -7,7 +7,7 @@ points, which ``at_frequencies`` chooses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,6 +32,7 @@ from lin_freq_ocp.problem.terms.semi_infinite import SemiInfiniteConstraint
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.transform.reductions import Change, Reduced
+from lin_freq_ocp.transform.simulation import within_reach
 
 FAR_FROM_ZERO = 10.0  # distance of an origin, in distances between the data of a state, that costs more than a digit
 ROUNDING = 1e-12  # largest value of a bin, relative to its terms, that a constant does not change
@@ -120,16 +121,17 @@ def translated_by(problem: OptimalControlProblem, origin: Array) -> Translation:
 def far_origin(problem: OptimalControlProblem) -> Array:
     """Return the origin for a translation, (n,); zero in components whose data are near zero.
 
-    The position of a state is that of its fixed ends, else its reference, else the middle of its bounds. It is far from
-    zero if it exceeds FAR_FROM_ZERO times the differences of these values, and FAR_FROM_ZERO times the drift over the
-    horizon without control at the rate of the first step. A spectrum that limits the mean of a state keeps its zero.
+    The position of a state is that of its fixed ends, else its reference, as far as bounds and dynamics let the state
+    reach it, else the middle of its bounds. It is far from zero if it exceeds FAR_FROM_ZERO times the differences of
+    these values, and FAR_FROM_ZERO times the drift over the horizon without control at the rate of the first step. A
+    spectrum that limits the mean of a state keeps its zero.
     """
-    positions = _known_positions(problem)
-    centre, highest, lowest = positions[0], positions[0], positions[0]
-    for position in positions[1:]:
-        centre = np.where(np.isnan(centre), position, centre)
-        highest, lowest = np.fmax(highest, position), np.fmin(lowest, position)
-    spread, unknown = highest - lowest, np.isnan(centre)
+    ends = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
+    centre, spread = _centre_and_spread([*ends, *_references(problem)])
+    nearest, apart = _centre_and_spread(ends)
+    if ((np.abs(nearest) > FAR_FROM_ZERO * apart) & (np.abs(nearest) <= FAR_FROM_ZERO * spread)).any():
+        centre, spread = _centre_and_spread([*ends, *_references(problem, partial(within_reach, problem))])
+    unknown = np.isnan(centre)
     if unknown.any():  # of the first set that bounds the state on both sides
         middle = half = np.full(problem.state_dim, np.nan)
         for box in (problem.state_boxes.at(0), *reversed(problem.ends)):
@@ -148,19 +150,28 @@ def far_origin(problem: OptimalControlProblem) -> Array:
     return np.where(far & ~_limited_about_zero(problem), centre, 0.0)
 
 
-def _known_positions(problem: OptimalControlProblem) -> list[Array]:
-    """Return fixed ends and references of the states, (n,) each, in order of preference; nan where there is none."""
+def _centre_and_spread(positions: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the first known position of each state, (n,), and the distance of the outermost ones; nan for none."""
+    known = np.array(positions)
+    first = np.argmin(np.isnan(known), axis=0)
+    return np.take_along_axis(known, first[None], 0)[0], np.fmax.reduce(known) - np.fmin.reduce(known)
+
+
+def _references(problem: OptimalControlProblem, reached: Callable[[Array], Array] = np.asarray) -> list[Array]:
+    """Return references of the states, (n,) each, in order of preference; nan where there is none.
+
+    ``reached`` returns what a trajectory can reach of references, (T+1, n).
+    """
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
-    positions = [np.where(end.fixed, end.lower, np.nan) for end in problem.ends]
-    references = [cost.x_ref]
-    if cost.x_ref.ndim == 2:
-        references = [cost.x_ref[0], cost.x_ref.max(0), cost.x_ref.min(0)]
-    positions += [np.where(cost.weighs[0], reference, np.nan) for reference in references]
+    given = reached(cost.x_ref)
+    references = [given] if given.ndim == 1 else [given[0], given.max(0), given.min(0)]
+    positions = [np.where(cost.weighs[0], reference, np.nan) for reference in references]
     for norm in problem.cost.norms:
         for i in range(n):
             reference, weighted = norm.references(i, True, T) or (np.zeros(()), np.zeros(T + 1, dtype=bool))
             if weighted.any():
-                values = np.broadcast_to(reference if reference.ndim == 0 else reference[..., i], T + 1)[weighted]
+                own = np.broadcast_to(reference if reference.ndim == 0 else reference[..., i], T + 1)
+                values = np.broadcast_to(reached(np.broadcast_to(own[:, None], (T + 1, n))), (T + 1, n))[weighted, i]
                 positions += [np.where(np.arange(n) == i, value, np.nan) for value in (values.max(), values.min())]
     return positions
 

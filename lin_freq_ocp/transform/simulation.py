@@ -94,6 +94,29 @@ def reach_of_bounds(problem: OptimalControlProblem) -> Array:
     return np.minimum(stack_signals(of_x, of_u), INFINITE)
 
 
+def within_reach(problem: OptimalControlProblem, x: Array) -> Array:
+    """Return x, (n,) or (T+1, n), as (T+1, n); of a state that cannot be there at any time, the nearest it can be."""
+    given, nearest = np.broadcast_to(x, (problem.horizon + 1, problem.state_dim)), nearest_in_reach(problem, x)
+    return np.where((nearest == given).any(axis=0), given, nearest)
+
+
+def nearest_in_reach(problem: OptimalControlProblem, x: Array) -> Array:
+    """Return the states, (T+1, n), nearest to x, (n,) or (T+1, n), that bounds and affine dynamics leave."""
+    low, high = problem.state_tube.bounds
+    with np.errstate(over="ignore", invalid="ignore"):  # nan where powers of A overflow
+        if _is_recursion_without_modes(problem):
+            box = problem.initial_box
+            start = np.where(box.fixed, box.lower, box.project(np.zeros_like(box.lower)))
+            motion = problem.state_tube.project(motions_at_rest(problem, start)[-1])
+            centre = np.where(np.abs(motion) < INFINITE, motion, np.nan)
+            far = reach_of_bounds(problem)[:, : problem.state_dim]
+            low, high = np.fmax(low, centre - far), np.fmin(high, centre + far)
+        elif problem.response is None and problem.form.affine:
+            largest = _largest_states(problem)
+            low, high = np.fmax(low, -largest), np.fmin(high, largest)
+        return np.clip(x, low, high)
+
+
 def _is_recursion_without_modes(problem: OptimalControlProblem) -> bool:
     return problem.response is None and problem.form.affine and not problem.mode_names
 

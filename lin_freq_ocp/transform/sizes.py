@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, seal, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, seal, split_signals, stack_signals
 from lin_freq_ocp.formulas.jets import jets_of
 from lin_freq_ocp.formulas.nodes import kinks
 from lin_freq_ocp.formulas.operations import MAXIMUM, MINIMUM, VARIABLE
@@ -18,7 +18,7 @@ from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.terms.penalty import Penalty
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.transform.reformulations import translation_of
-from lin_freq_ocp.transform.simulation import reach_of_bounds
+from lin_freq_ocp.transform.simulation import reach_of_bounds, within_reach
 
 SOLVER_ROUNDING = 1e-12  # deviations relative to sizes that the search does not distinguish from zero
 FINEST_GAP = 1e-6  # smallest relative gap of a search: what SOLVER_ROUNDING costs is this part of the scale
@@ -35,7 +35,7 @@ KNOWN_SIZES: WeakKeyDictionary[OptimalControlProblem, tuple[Array, Array]] = Wea
 def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> float:
     """Return the sum of the absolute terms of the cost, at least the cost of rounding errors over FINEST_GAP.
 
-    The quadratic term of a time counts at most by what bounds and dynamics let it vary.
+    Each counts at most by what bounds and dynamics let it vary.
     """
     cost, (x, u), reach = problem.quadratic, (trajectory.x, trajectory.u), reach_of_bounds(problem)
     z, slopes = stack_signals(x, u), cost.linear_slopes(problem.horizon)
@@ -43,8 +43,10 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
     bent = cost.bend(deviations)
     varied = np.abs(bent) * reach + 0.5 * reach * cost.magnitudes.bend(reach)
     total = float(np.minimum(np.abs(0.5 * (deviations * bent).sum(-1)), varied.sum(-1)).sum())
-    total += 0.0 if slopes is None else float(np.abs(slopes * z).sum())
-    total += sum(float(np.abs(term.cost(x, u)).sum()) for term in problem.terms)
+    total += 0.0 if slopes is None else float((np.abs(slopes) * np.minimum(np.abs(z), reach)).sum())
+    apart = split_signals(reach, problem.state_dim)
+    for term in problem.terms:
+        total += float(term.sizes_of_prices(term.map.values(x, u), term.cost(x, u), apart).sum())
     total += float(np.abs(problem.cost.formula_values(x, u)).sum())
     sizes = zip(stated_sizes(problem), (x, u), strict=True)
     rounding = (np.broadcast_to(SOLVER_ROUNDING * size, signal.shape) for size, signal in sizes)
@@ -54,7 +56,8 @@ def search_scale(problem: OptimalControlProblem, trajectory: Trajectory) -> floa
 def stated_sizes(problem: OptimalControlProblem) -> tuple[Array, Array]:
     """Return sizes of states, (n,), and controls, (m,), from the data alone, before anything is solved.
 
-    The first of these that a component has is its size: the largest of its ends, references and levels; its bounds; of
+    The first of these that a component has is its size: the largest of its ends, references, as far as bounds and
+    dynamics let it reach them, and levels; its bounds; of
     a control, the limits of other sets and rows; what the other components cause in it within the horizon; what it must
     be to cause the sizes of the others; the limits of other sets and rows; its ends; 1. A bound far above what ends,
     references and dynamics imply counts as none, and so does an end or reference far below what the others make of the
@@ -89,7 +92,8 @@ def _sizes_of_ends(problem: OptimalControlProblem) -> Array:
     """Return the largest of the ends, of values that controls are fixed at, of levels and references, (n+m,)."""
     cost = problem.quadratic
     of_x, of_u = cost.weighs
-    states = np.abs(np.where(of_x, cost.x_ref, 0.0)).reshape(-1, len(of_x)).max(0)
+    reached = within_reach(problem, cost.x_ref) if cost.x_ref.any() else cost.x_ref
+    states = np.abs(np.where(of_x, reached, 0.0)).reshape(-1, len(of_x)).max(0)
     controls = np.abs(np.where(of_u, cost.u_ref, 0.0)).reshape(-1, len(of_u)).max(0)
     ends = np.concatenate([_finite(problem.initial_box), _finite(problem.terminal_box)]).max(0)
     tube = problem.control_tube

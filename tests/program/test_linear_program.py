@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import lin_freq_ocp as lfo
 from helpers.linear_kinds import KINDS, T
 from helpers.transcribed import M, N, each_problem, small_problem
 from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCost, Trajectory
@@ -279,3 +280,23 @@ def test_a_program_with_the_matrices_of_another_is_that_of_its_own_problem():
     assert shared.share_matrices(LinearProgram(old))
     for part in ("q", "constant", "lower", "upper"):
         np.testing.assert_array_equal(getattr(shared.sparse, part), getattr(own.sparse, part))
+
+
+def test_the_origin_is_as_near_to_a_reference_as_a_state_can_be():
+    """Signals and slacks are deviations that bounds and dynamics leave, however far the reference is."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 0.0], [0.0, 1.0]], np.eye(2)),
+        5,
+        lfo.QuadraticCost(Q=1.0, R=1.0, x_ref=[1e6, 3.0]) + lfo.costs.L1Cost(x=[1.0, 0.0]) + lfo.costs.LInfCost(x=2.0),
+        lfo.Box(-1.0, 1.0),
+        initial_state=[0.0, 1.0],
+    )
+    linear, trajectory = LinearProgram(problem), lfo.simulate(problem, np.ones((5, 2)))
+    np.testing.assert_array_equal(linear.origin.x[:, 1], 3.0)
+    assert np.abs(linear.origin.x[:, 0]).max() <= 10.0
+    z = linear.point(trajectory)
+    assert np.abs(z).max() < 50.0
+    assert linear.sparse.objective(z) == pytest.approx(problem.value(trajectory.x, trajectory.u), rel=1e-14)
+    shifted = dataclasses.replace(problem, initial_state=[1e6, 1.0], cost=lfo.costs.L1Cost(x=1.0))
+    slacks = LinearProgram(shifted).of_terms[0].origin.reshape(5, 2)
+    np.testing.assert_allclose(slacks[:, 0], 1e6, atol=20.0)

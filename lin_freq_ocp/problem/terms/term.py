@@ -111,6 +111,15 @@ class Term:
             values, penalty = constraint.at(peaks_above(constraint, x, u, 1.0)[0])
         return penalty.cost(values.values(x, u))
 
+    def sizes_of_prices(self, values: Array, paid: Array, apart: tuple[Array, Array]) -> Array:
+        """Return the sizes of what groups pay, (..., groups): at most what states and controls so far apart change."""
+        if self.semi_infinite is not None:  # its price is that of a peak
+            return np.abs(paid)
+        change = self.map.sizes(*apart) - self.map.sizes(*(np.zeros_like(part) for part in apart))
+        with np.errstate(over="ignore", invalid="ignore"):
+            others = [np.abs(self.penalty.cost(values + sign * change) - paid) for sign in (-1, 1)]
+        return np.fmin(np.abs(paid), np.fmax(*others))
+
     def readings(self, x: Array, u: Array) -> Iterator[Reading]:
         """Yield the values of a limited spectrum and their limits, in the unit in which the limits were stated."""
         statement, constraint = self.statement, self.semi_infinite

@@ -28,6 +28,7 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.problem.hybrid.piecewise_affine import ModeArrays
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.hybrid.rows import mode_programs
 from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import Block, Program, Scaling
 from lin_freq_ocp.program.units import common_scaling
@@ -149,8 +150,7 @@ def big_m_program(problem: OptimalControlProblem, end: float = np.inf) -> MixedI
     """
     dynamics, T = piecewise_affine(problem), problem.horizon
     arrays, bounds = dynamics.arrays(T), big_m_bounds(problem)
-    hosts = [LinearProgram(problem.with_dynamics(dynamics.along(np.full(T, i)))) for i in range(len(dynamics.modes))]
-    n, m = problem.state_dim, problem.control_dim
+    hosts, n, m = mode_programs(problem), problem.state_dim, problem.control_dim
     columns = _Columns(
         x=np.arange((T + 1) * n).reshape(T + 1, n),
         y=signal_columns(T, n, m),

@@ -37,14 +37,13 @@ from lin_freq_ocp.program.hybrid.rows import (
     PathModel,
     RowTemplate,
     Sense,
+    mode_programs,
     mode_rows,
     mode_stages,
     symmetric_roots,
 )
-from lin_freq_ocp.program.linear_program import LinearProgram
 from lin_freq_ocp.program.program import Block, StandardForm
 from lin_freq_ocp.program.units import common_scaling
-from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
 from lin_freq_ocp.transform.hybrid.mode_reach import LARGEST_BOUND, ModeReach, Reach
 from lin_freq_ocp.transform.sizes import stated_sizes
 
@@ -74,18 +73,14 @@ class ModeRelaxation:
 
     def __init__(self, problem: OptimalControlProblem, level: float = np.inf):
         self.problem, self.reach = problem, ModeReach(problem)
-        T, n, m, modes = problem.horizon, problem.state_dim, problem.control_dim, len(piecewise_affine(problem).modes)
-        hosts = [
-            LinearProgram(problem.with_dynamics(piecewise_affine(problem).along(np.full(T, mode))))
-            for mode in range(modes)
-        ]
+        T, n, m, hosts = problem.horizon, problem.state_dim, problem.control_dim, mode_programs(problem)
         self._host, units = hosts[0], common_scaling(hosts, stated_sizes(problem))
         self._scaling = replace(units, cost=max(COST_SHARE * units.cost, 1 / (level or np.inf)))
         self._program = self._host.sparse.scaled(self._scaling)
         states = (T + 1) * n
         sizes = np.concatenate([units.columns[:n], units.columns[states : states + m]])
         self._stages, self._n = mode_stages(problem, sizes), n
-        self._at = ModeColumns(T, modes, n, m, len(self._program.q))
+        self._at = ModeColumns(T, len(hosts), n, m, len(self._program.q))
         template = RowTemplate()
         # the rows of the host program other than dynamics and boxes: spectra and terms
         others = np.ones(len(self._program.lower), dtype=bool)

@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.polyhedra import box_minimiser
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
-from lin_freq_ocp.program.linear_program import signal_columns
+from lin_freq_ocp.problem.trajectory import Trajectory
+from lin_freq_ocp.program.linear_program import LinearProgram, signal_columns
 from lin_freq_ocp.program.program import StandardForm
 from lin_freq_ocp.transform.hybrid.forms import piecewise_affine
+from lin_freq_ocp.transform.simulation import within_reach
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -152,7 +154,7 @@ ZERO_CURVATURE = 1e-12  # eigenvalues of a stage's Hessian below this part of th
 
 @dataclass(frozen=True, eq=False)
 class ModeStages:
-    """All modes in y = (x - x_ref, u - u_ref) / units, of k = n + m components.
+    """All modes in deviations y from the references, within reach, in units; k = n + m components.
 
     Attributes
     ----------
@@ -177,11 +179,19 @@ class ModeStages:
         return (bounds - self.references[:, None]) / self.units
 
 
+def mode_programs(problem: OptimalControlProblem) -> list[LinearProgram]:
+    """Return the linear programs of each mode at all times, in deviations from the references, within reach."""
+    dynamics, (T, m), cost = piecewise_affine(problem), (problem.horizon, problem.control_dim), problem.quadratic
+    x, u = within_reach(problem, cost.x_ref), np.broadcast_to(cost.u_ref, (T, m))
+    along = (problem.with_dynamics(dynamics.along(np.full(T, mode))) for mode in range(len(dynamics.modes)))
+    return [LinearProgram(one, Trajectory(x, u)) for one in along]
+
+
 def mode_stages(problem: OptimalControlProblem, units: Array) -> ModeStages:
     """Return the modes in units (k,) of states and controls."""
     T, n = problem.horizon, problem.state_dim
     arrays, cost = piecewise_affine(problem).arrays(T), problem.quadratic
-    states = np.broadcast_to(cost.x_ref, (T + 1, n))
+    states = within_reach(problem, cost.x_ref)
     references = np.hstack([states[:-1], np.broadcast_to(cost.u_ref, (T, problem.control_dim))])
     offsets = np.einsum("tijk,tk->tij", arrays.maps, references) + arrays.offset - states[1:, None]
     limits = arrays.h - np.einsum("tirk,tk->tir", arrays.rows, references)

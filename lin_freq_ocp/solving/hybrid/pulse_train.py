@@ -243,10 +243,14 @@ class _TrainSearch:
             first = problem.ends[0].project(np.zeros(problem.state_dim))
             first[CURRENT] = -self._dynamics.step * directions[:-1] @ (QUARTER - angles)
             train = simulate(problem, np.column_stack([dwell, directions / 2]), first)
-            multipliers = best_multipliers(problem, train, zero_multipliers(problem, 1.0)).multipliers
-            local = LocalOptimum((directions < 0).astype(np.intp), train, multipliers, self._cost, 0.0)
-            judged = refine_optimum(problem, local, self._started + self._request.time_limit)
-            judged = judged.with_bound(Bound(self._value, RIGOROUS, sets=ANGLES))
+            plain = best_multipliers(problem, train, zero_multipliers(problem, 1.0))
+            local = LocalOptimum((directions < 0).astype(np.intp), train, plain.multipliers, self._cost, 0.0)
+            refined = refine_optimum(problem, local, self._started + self._request.time_limit)
+            bound = Bound(self._value, RIGOROUS, sets=ANGLES)
+            # a cost of zero is rounding after a step
+            judged, plain = (one.with_bound(bound) for one in (refined, plain))
+            if plain.certificate.cost < judged.certificate.cost and plain.certificate.globally_optimal:
+                judged = plain
             status = judged.certificate.status_within(self._gap)
             status = Status.LIMIT if status == Status.NUMERICAL_ERROR and message else status
             message = message or ("" if judged.certificate.feasible else _broken_bound(problem, train))

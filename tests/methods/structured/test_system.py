@@ -175,6 +175,30 @@ def test_the_optimum_is_clarabels(side, seed, compiled):
     assert max(answer.errors[:2]) <= 1e-10
 
 
+def test_a_stage_that_becomes_singular_ends_the_method_with_its_best_point(monkeypatch):
+    """Numbers vanish where no step improves a point any more; before the first point, that is an error."""
+    factor, calls = StepSystem.factor, [0]
+
+    def singular(limit):
+        calls[0] = 0
+
+        def counted(self):
+            calls[0] += 1
+            if calls[0] > limit:
+                raise np.linalg.LinAlgError("singular")
+            factor(self)
+
+        monkeypatch.setattr(StepSystem, "factor", counted)
+
+    singular(5)
+    _, answer = embedded(soft_stages(0), False)
+    assert answer.end is End.STALLED
+    assert 0 < answer.errors.gap < np.inf
+    singular(0)
+    with pytest.raises(np.linalg.LinAlgError):
+        embedded(soft_stages(0), False)
+
+
 @expensive
 def test_correctors_save_steps_near_the_boundary_of_cones(monkeypatch):
     """How many steps one problem takes depends on rounding; the sum of twelve does so by a few percent."""

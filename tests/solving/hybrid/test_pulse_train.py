@@ -167,7 +167,7 @@ def test_without_amplitudes_the_level_that_stays_at_zero_is_the_best(monkeypatch
         initial_state=lfo.Box([0, 0, -quarter, 0], [0, 0, quarter, 0]),
         terminal_state=lfo.Box([quarter, -1, 0, 0], [quarter, 1, 0, 4]),
     )
-    result = lfo.solve(problem, time_limit=2.0)
+    result = lfo.solve(problem)
     assert result.status == "optimal"
     assert result.cost == pytest.approx(0.0, abs=1e-9)
     assert len(parts) < 100

@@ -230,8 +230,8 @@ def _state_range(problem: OptimalControlProblem) -> tuple[Array, Array]:
 
 SHARES = (0.5, 0.1, 0.9, 0.3, 0.7)  # constant controls to start from, between lower and upper bound
 # Sizes of random controls that follow where nothing bounds controls and no start led to a trajectory: from near, the
-# violation has local minima
-FAR_REACHES = 4 * (16.0, 64.0, 256.0)
+# violation has local minima. The last one that random problems needed was the 12th or 13th, by rounding
+FAR_REACHES = 8 * (16.0, 64.0, 256.0)
 SIDES = (1.0, -1.0)  # of an obstacle
 REACHES = tuple(2.0**k for k in range(-16, 12))  # sizes of a state by which a line is bent to pass an obstacle
 BETWEEN = tuple(k / 8 for k in range(1, 8))  # parts of a step at which a line that passes an obstacle is outside, too

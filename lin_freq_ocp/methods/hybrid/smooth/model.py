@@ -198,7 +198,8 @@ class SmoothModel:
             cost=problem.cost.without_formulas.at_dimensions(given.state_dim, given.control_dim, given.horizon),
             stage_rows=tuple(rows.pattern(trajectory.x, trajectory.u, sizes) for rows in problem.stage_rows),
         )
-        model = cls(problem, pieces, assemble_stages(linear, sizes))
+        slacks = [np.zeros(1)] * len(linear.terms) if problem.path_constraints else None  # whose values are not affine
+        model = cls(problem, pieces, assemble_stages(linear, sizes, slacks))
         if problem.path_constraints:
             model = model.without_constants()
         return model.with_end_weighted(trajectory)
