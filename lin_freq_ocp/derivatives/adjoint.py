@@ -17,36 +17,42 @@ constraints determine the weighted sum, and methods find no units for an answer 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Indices, Mask, split_signals, stack_signals
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.certificate.hamiltonian import cost_curvatures, extremal_within
-from lin_freq_ocp.derivatives.data import Variables
+from lin_freq_ocp.derivatives.data import Values, Variables
 from lin_freq_ocp.derivatives.derivatives import (
     DEPENDENT_ROWS,
+    NO_REACH,
     SEEN,
     UNSETTLED,
     WEAK,
-    Derivative,
     ExistenceFields,
+    Reach,
+    Side,
+    SidesAlong,
     SolutionDerivatives,
+    reach,
+    require_multipliers,
 )
+from lin_freq_ocp.derivatives.equations import ChangedSignals, changed_signals, hessian_of, level_signal
 from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
 from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
-from lin_freq_ocp.methods.candidate import zero_multipliers
+from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.correction import deviation_units
 from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON
 
-LONG = "so many bins are removed that derivatives come from adjoint problems, which have weights of x and u only"
 Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T+1, n+m), offsets of dynamics (T, n)
 
 
@@ -68,6 +74,12 @@ class LongSolution:
     def trajectory(self) -> Trajectory:
         """Return the states and controls."""
         return Trajectory(*split_signals(self.z, self.multipliers.eta.shape[1]))
+
+    @property
+    def side(self) -> Side:
+        """Return states, controls and multipliers as a derivative."""
+        x, u = split_signals(self.z, self.multipliers.eta.shape[1])
+        return Side(x, u, self.multipliers)
 
     @property
     def normals(self) -> Array:
@@ -140,17 +152,12 @@ class LongKKT:
 
     def _with_sides(self, right: Sides) -> OptimalControlProblem:
         """Return the problem whose optimum is the solution for a right-hand side."""
-        (of_x, of_u), cost = split_signals(-right[0], self.n), self.problem.quadratic
-        cost = replace(cost, q=of_x[:-1], r=of_u, p=of_x[-1], x_ref=0 * cost.x_ref, u_ref=0 * cost.u_ref)
         lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
-        return with_sides(self.problem, lower, upper, right[2], cost)
+        return stated(self.problem, right[0], (lower, upper), right[2])
 
     def _answer(self, right: Sides) -> LongSolution | None:
         """Return the answer of a method for a right-hand side; None if none finds an optimum."""
-        found = solve_long(self._with_sides(right))
-        if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
-            return None
-        return LongSolution(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
+        return answer_of(solve_long(self._with_sides(right)))
 
 
 def derivatives_of(
@@ -176,74 +183,180 @@ def derivatives_of(
     return kind(problem, trajectory, multipliers)
 
 
+@dataclass(frozen=True, eq=False)
+class LongPoint:
+    """An optimum of H z + M'y = c, M z = b within bounds, (T+1, n+m), its K, and the bounds that are active.
+
+    ``active`` are those with a multiplier that are no equations, ``above`` upper bounds where the nearer bound counts,
+    ``weak`` those with multiplier and slack zero. ``settled``: no sign is wrong.
+    """
+
+    kkt: LongKKT
+    at: LongSolution
+    active: Mask
+    above: Mask
+    weak: Mask
+    settled: bool
+
+
+def settle(kkt_of: Callable[[Mask], LongKKT], right: Sides, bounds: tuple[Array, Array], at: LongSolution) -> LongPoint:
+    """Return the exact optimum near an answer: bounds are exchanged until no sign is wrong."""
+    lower, upper = bounds
+    free, kkt = lower < upper, kkt_of(lower >= upper)
+    units, slope_units = kkt.units[1], kkt.slope_units
+    price, above = at.normals / slope_units, at.normals > 0
+    active = free & ((price > (upper - at.z) / units) | (-price > (at.z - lower) / units))
+    weak, settled = ~free & free, False
+    for _ in range(POINT_STEPS):
+        kkt = kkt_of(~free | active) if active.any() else kkt
+        exact = kkt.solve((right[0], np.where(above, upper, lower), right[2]))
+        if exact is None:
+            break
+        at = exact
+        of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.error)
+        price, over, under = np.where(above, 1, -1) * at.normals / slope_units, upper - at.z, at.z - lower
+        room, error = np.where(active, price, np.minimum(over, under) / units), np.where(active, of_y, of_z)
+        weak, wrong = free & (np.abs(room) <= error), free & (room < -error)
+        settled = not wrong.any()
+        if settled:
+            break
+        above, active = np.where(wrong & ~active, over < under, above), active ^ wrong
+    return LongPoint(kkt, at, active, np.where(active, above, upper - at.z <= at.z - lower), weak, settled)
+
+
 class AdjointDerivatives(SolutionDerivatives):
-    """The derivatives of the optimum of a long problem with bounds, fixed ends and stop bands: ``vjp`` alone.
+    """The derivatives of the optimum of a long problem with bounds, ends and stop bands.
 
     Bounds are exchanged until no sign is wrong, as for ``SolutionDerivatives``; arrays are those of z_t = (x_t, u_t).
     """
 
     def __init__(self, problem: OptimalControlProblem, trajectory: Trajectory, multipliers: Multipliers):
-        self.problem, cost, n, (lower, upper) = problem, problem.quadratic, problem.state_dim, problem.signal_bounds
-        free, curvatures = lower < upper, cost_curvatures(cost, problem.horizon)
+        self.problem, cost, n, bounds = problem, problem.quadratic, problem.state_dim, problem.signal_bounds
+        free, curvatures = bounds[0] < bounds[1], cost_curvatures(cost, problem.horizon)
         units = np.concatenate(deviation_units(problem, trajectory))
         flat = free if curvatures is None else free & (curvatures <= 0)
         if curvatures is None or flat[:, n:].any() or flat[0].any():
             got = "a cost that is not strictly convex in the controls and in a free initial state"
             raise UnsupportedError(f"derivatives: got {got}; expected one, as many bins are removed.")
         slope_units = float((curvatures * units**2).max()) / units
-        slope = stack_signals(*cost.gradient(*split_signals(np.zeros(lower.shape), n)))
+        self._kkt_of = partial(LongKKT, problem, units, slope_units)
+        slope = stack_signals(*cost.gradient(*split_signals(np.zeros(free.shape), n)))
         offset = np.broadcast_to(problem.linear.offset, (problem.horizon, n))
-        at = LongSolution(stack_signals(trajectory.x, trajectory.u), multipliers)
-        above, slack = at.normals > 0, np.minimum(upper - at.z, at.z - lower)
-        active, weak, self._reason = free & (np.abs(at.normals) / slope_units > slack / units), ~free & free, UNSETTLED
-        for _ in range(POINT_STEPS):
-            self._kkt = LongKKT(problem, units, slope_units, ~free | active)
-            exact = self._kkt.solve((-slope, np.where(above, upper, lower), offset))
-            if exact is None:
-                break
-            at = exact
-            of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.error)
-            price, over, under = np.where(above, 1, -1) * at.normals / slope_units, upper - at.z, at.z - lower
-            room = np.where(active, price, np.minimum(over, under) / units)
-            error = np.where(active, of_y, of_z)
-            weak, wrong = free & (np.abs(room) <= error), free & (room < -error)
-            if not wrong.any():
-                self._reason = ""
-                break
-            above, active = np.where(wrong & ~active, over < under, above), active ^ wrong
-        held = self._kkt.held
-        every = LongKKT(problem, units, slope_units, held | weak) if weak.any() else self._kkt
-        if not self._reason and every.random is None:  # weak rows depend on the active rows, or on each other
+        answer = LongSolution(stack_signals(trajectory.x, trajectory.u), multipliers)
+        point = settle(self._kkt_of, (-slope, slope, offset), bounds, answer)
+        weak, held = point.weak, point.kkt.held
+        every = self._kkt_of(held | weak) if (weak & ~held).any() else point.kkt
+        self._reason = "" if point.settled else UNSETTLED
+        if point.settled and every.random is None:  # weak rows depend on the active rows, or on each other
             self._reason = DEPENDENT_ROWS
-        if weak.any():
-            self._kkt = LongKKT(problem, units, slope_units, held & ~weak)
-        self._weak, self._point = weak, at
-        self._signals = Variables.at(problem, at.trajectory, at.multipliers)
+        self._point, self._weak, self._bounds = point.at, weak, bounds
+        self._above, self._active = point.above, point.active & ~weak
+        self._kkt = self._kkt_of(held & ~weak) if (weak & held).any() else point.kkt
+        self._signals = Variables.at(problem, point.at.trajectory, point.at.multipliers)
 
     def _adjoint(self, of_x: Array, of_u: Array, multipliers: Multipliers | None) -> tuple[Variables, ExistenceFields]:
-        if multipliers is not None:
-            raise UnsupportedError(f"derivatives: got weights of multipliers; {LONG}.")
         zbar = stack_signals(of_x, of_u)
-        found = self._kkt.solve((zbar, 0 * zbar, 0 * of_x[1:]))
+        right, levels = (zbar, 0 * zbar, 0 * of_x[1:]), 0 * zbar
+        if multipliers is not None:
+            require_multipliers(self.problem, multipliers)
+            levels = level_signal(self.problem, multipliers.rho_u, multipliers.rho_x)
+            right = zbar, stack_signals(multipliers.mu, multipliers.nu), multipliers.eta
+        found, gap = self._solve(right, levels)
+        seen = np.argwhere(self._weak & (np.abs(gap) > SEEN * max(self._kkt.sizes(found))))
+        return Variables.along(found.trajectory, found.multipliers), self._existence_of(found, seen)
+
+    def _sides(self, given: Values) -> SidesAlong:
+        changed = changed_signals(self.problem, self._signals, given)
+        right = -changed.of_z, np.where(self._above, changed.upper, changed.lower), changed.offset
+        found, gap = self._solve(right, changed.levels)
+        violation = np.where(self._weak & (not self._reason), gap, 0.0)
+        size = max(*self._kkt.sizes(found), float(np.abs(violation).max()))
+        meets = np.abs(violation) > SEEN * size
+        side, existence = found.side, self._existence_of(found, np.argwhere(meets))
+        if self._weak.any() or not changed.affine:
+            below, above = (
+                self._one_sided(sign * size, right, changed.levels) if (sign * violation > SEEN * size).any() else side
+                for sign in (-1.0, 1.0)
+            )
+            return existence, below, above, *NO_REACH
+        return existence, side, side, *self._reach(changed, found)
+
+    def _solve(self, right: Sides, levels: Array) -> tuple[LongSolution, Array]:
+        """Return the solution of K for removed bins with levels, and what it leaves outside of bounds, (T+1, n+m)."""
+        found = self._kkt.solve(shifted(self.problem, right, levels))
         if found is None:
             raise UnsupportedError("derivatives: no method solves the adjoint problem.")
+        found = replace(found, z=found.z + levels)
+        return found, np.where(self._above, 1, -1) * (found.z - right[1]) / self._kkt.units[1]
+
+    def _one_sided(self, size: float, right: Sides, levels: Array) -> Side | None:
+        """Return the derivative on the side of a signed size, the optimum with weak rows as inequalities, or None."""
+        of_z, values, offset = (part / size for part in shifted(self.problem, right, levels))
+        held, problem = self._kkt.held, self.problem
+        bounds = (
+            np.where(held | (self._weak & (self._above == is_upper)), values, absent)
+            for is_upper, absent in ((False, -np.inf), (True, np.inf))
+        )
+        lower, upper = bounds
+        answer = answer_of(solve_long(stated(problem, of_z, (lower, upper), offset)))
+        if answer is None:
+            return None
+        point = settle(self._kkt_of, (of_z, values, offset), (lower, upper), answer)
+        none = LongSolution(levels, zero_multipliers(problem, 1.0))
+        return none.plus(point.at, size).side if point.settled else None
+
+    def _reach(self, changed: ChangedSignals, found: LongSolution) -> Reach:
+        """Return the steps up to which slacks and multipliers keep their signs, and the bounds there."""
+        at, (lower, upper), slope_units = self._point, self._bounds, self._kkt.slope_units
+        sign, units, inside = np.where(self._above, 1, -1), self._kkt.units[1], (lower < upper) & ~self._active
+        parts = [  # bounds, what must stay above zero, its rate, and whether they are upper ones
+            (inside, (upper - at.z) / units, (changed.upper - found.z) / units, np.ones_like(inside)),
+            (inside, (at.z - lower) / units, (found.z - changed.lower) / units, np.zeros_like(inside)),
+            (self._active, sign * at.normals / slope_units, sign * found.normals / slope_units, self._above),
+        ]
+        slack, rate, above = (np.concatenate([part[i][part[0]] for part in parts]) for i in (1, 2, 3))
+        places = np.concatenate([np.argwhere(part[0]) for part in parts])
+        return reach(slack, rate, lambda k: self._name_bound(*places[k].tolist(), bool(above[k])))
+
+    def _existence_of(self, found: LongSolution, seen: Indices) -> ExistenceFields:
+        """Return whether a derivative exists where a solution of K moves these weak rows, (rows, 2)."""
         size = max(self._kkt.sizes(found))
         error = max(found.error) / size if size > 0 else 0.0
-        seen = np.argwhere(self._weak & (np.abs(found.z / self._kkt.units[1]) > SEEN * size))
-        rows, reason = tuple(self._name_bound(*place) for place in seen.tolist()), self._reason
+        rows, reason = tuple(self._name_bound(t, i, bool(self._above[t, i])) for t, i in seen.tolist()), self._reason
         if not reason and error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         if not reason and rows:
             reason = f"{WEAK}: {plural(len(rows), 'row')}"
-        return Variables.along(found.trajectory, found.multipliers), (not reason, rows, reason, error)
+        return not reason, rows, reason, error
 
-    def jvp(self, **change: ArrayLike) -> Derivative:
-        """Raise UnsupportedError: the derivative along a change needs the factor of K."""
-        raise UnsupportedError(f"derivatives: got a change of {', '.join(change) or 'nothing'}; {LONG}.")
-
-    def _name_bound(self, t: int, i: int) -> str:
+    def _name_bound(self, t: int, i: int, above: bool) -> str:
         """Return the name of a bound with its time and component."""
-        n, (lower, upper) = self.problem.state_dim, self.problem.signal_bounds
-        side = "upper" if upper[t, i] - self._point.z[t, i] <= self._point.z[t, i] - lower[t, i] else "lower"
+        n, side = self.problem.state_dim, "upper" if above else "lower"
         signal, component = ("state set", i) if i < n else ("control set", i - n)
         return f"{signal}, t = {t}, component {component}, {side}"
+
+
+def shifted(problem: OptimalControlProblem, right: Sides, by: Array) -> Sides:
+    """Return a right-hand side for z less a signal (T+1, n+m)."""
+    if not by.any():
+        return right
+    x, u = split_signals(by, problem.state_dim)
+    motion = x[1:] - replace(problem.linear, offset=0 * problem.linear.offset).successors(x, u)
+    return right[0] - stack_signals(*hessian_of(problem).gradient(x, u)), right[1] - by, right[2] - motion
+
+
+def stated(
+    problem: OptimalControlProblem, of_z: Array, bounds: tuple[Array, Array], offset: Array
+) -> OptimalControlProblem:
+    """Return the problem with the cost 1/2 z'H z - <of_z, z>, other bounds (T+1, n+m), and another offset (T, n)."""
+    of_x, of_u = split_signals(-of_z, problem.state_dim)
+    cost = problem.quadratic
+    cost = replace(cost, q=of_x[:-1], r=of_u, p=of_x[-1], x_ref=0 * cost.x_ref, u_ref=0 * cost.u_ref)
+    return with_sides(problem, *bounds, offset, cost)
+
+
+def answer_of(found: Candidate | None) -> LongSolution | None:
+    """Return the optimum that a method claims; None if it has none."""
+    if found is None or found.status != Status.OPTIMAL or found.trajectory is None or found.multipliers is None:
+        return None
+    return LongSolution(stack_signals(found.trajectory.x, found.trajectory.u), found.multipliers)
