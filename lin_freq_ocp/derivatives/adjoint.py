@@ -17,9 +17,9 @@ constraints determine the weighted sum, and methods find no units for an answer 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -49,6 +49,7 @@ from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.correction import deviation_units
 from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
+from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON
@@ -99,10 +100,13 @@ class LongKKT:
         drawn = np.random.default_rng(0).standard_normal((2, *held.shape))
         drawn[:, -1, self.n :] = 0.0  # there is no u_T
         drawn[0, :, : self.n] = 0.0  # slopes in u move z by its units, those in x by far more
-        self._drawn = drawn[0] * slope_units, drawn[1] * units, np.zeros((problem.horizon, self.n))
+        self._drawn: Sides = drawn[0] * slope_units, drawn[1] * units, np.zeros((problem.horizon, self.n))
+        self._solver: SpectralSolver | None = None
+        with suppress(UnsupportedError):
+            self._solver = SpectralSolver(self._with_sides(self._drawn))
         found = self._answer(self._drawn)
         exact = found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR
-        self.random = found if exact else None
+        self.random, self._noise = found if exact else None, np.full(2, np.inf)
 
     def sizes(self, point: LongSolution) -> tuple[float, float]:
         """Return the largest values of z and of y, in units of order 1."""
@@ -113,42 +117,54 @@ class LongKKT:
     def solve(self, right: Sides) -> LongSolution | None:
         """Return the solution for a right-hand side; None if no method finds any.
 
-        Its error is the last correction, times the part of the correction before that it was.
+        Its error is the last correction, times the part of the correction before that it was. Without a second one, it
+        is the largest second correction of other right-hand sides, relative to their sizes, with a factor of safety.
         """
         point = LongSolution(np.zeros(self.held.shape), zero_multipliers(self.problem, 1.0))
-        left, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf
+        left, first, before = (right[0], np.where(self.held, right[1], 0.0), right[2]), np.inf, np.inf
         for _ in range(KKT_REFINEMENTS):
             if (amount := self._amount(left)) == 0:
                 return replace(point, error=(0.0, 0.0))
-            share = 0.0 if self.random is None else 1.0
-            c, values, offset = (part / amount + share * drawn for part, drawn in zip(left, self._drawn, strict=True))
-            step = self._answer((c, values, offset))
+            step = self._step(left, amount)
             if step is None:
                 break
-            step = step if self.random is None else step.plus(self.random, -1.0)
             correction = amount * np.array(self.sizes(step))
-            contraction = float(correction.max()) / before
-            if contraction > 0.5:  # rounding, or nothing that converges
+            if correction.max() > 0.5 * before:  # rounding, or nothing that converges
                 break
+            if before < np.inf:
+                error = correction * (correction.max() / before)
+                self._noise = np.fmax(correction / first, np.where(self._noise < np.inf, self._noise, 0.0))
+            else:
+                error, first = SAFETY * amount * self._noise, amount
             point, before = point.plus(step, amount), float(correction.max())
             sizes = np.array(self.sizes(point))
-            error = np.maximum(correction * (contraction or 1.0), EPSILON * sizes)
+            error = np.maximum(error, EPSILON * sizes)
             point = replace(point, error=(float(error[0]), float(error[1])))
             if error.max() <= FORWARD * sizes.max():
                 break
             left = self._residual(right, point)
-        return point if np.isfinite(before) else None
+        return point if before < np.inf else None
+
+    def _step(self, left: Sides, amount: float) -> LongSolution | None:
+        """Return the solution for a right-hand side of this size, over its size; None if no method finds any."""
+        share = 0.0 if self.random is None else 1.0
+        c, values, offset = (part / amount + share * drawn for part, drawn in zip(left, self._drawn, strict=True))
+        found = self._answer((c, values, offset))
+        return found if found is None or self.random is None else found.plus(self.random, -1.0)
 
     def _amount(self, sides: Sides, rows: bool = False) -> float:
         """Return the size of a right-hand side, or of its part of rows, in units of order 1."""
         return max(float(np.abs(part / unit).max()) for part, unit in [*zip(sides, self.units, strict=True)][rows:])
 
+    @cached_property
+    def _homogeneous(self) -> OptimalControlProblem:
+        return self._with_sides((0 * self._drawn[0], 0 * self._drawn[1], self._drawn[2]))
+
     def _residual(self, right: Sides, point: LongSolution) -> Sides:
         """Return what a point leaves of a right-hand side."""
-        stated = self._with_sides(right)
-        at = extremal_within(stated, point.trajectory, point.multipliers, stated.signal_bounds)
-        of_z, values = -at.slopes - point.normals, np.where(self.held, right[1] - point.z, 0.0)
-        return of_z.astype(np.float64), values, -at.residual.astype(np.float64)
+        at = extremal_within(self._homogeneous, point.trajectory, point.multipliers, self._homogeneous.signal_bounds)
+        of_z, values = right[0] - at.slopes - point.normals, np.where(self.held, right[1] - point.z, 0.0)
+        return of_z.astype(np.float64), values, (right[2] - at.residual).astype(np.float64)
 
     def _with_sides(self, right: Sides) -> OptimalControlProblem:
         """Return the problem whose optimum is the solution for a right-hand side."""
@@ -157,7 +173,7 @@ class LongKKT:
 
     def _answer(self, right: Sides) -> LongSolution | None:
         """Return the answer of a method for a right-hand side; None if none finds an optimum."""
-        return answer_of(solve_long(self._with_sides(right)))
+        return answer_of(solve_long(self._with_sides(right), solver=self._solver))
 
 
 def derivatives_of(
@@ -199,16 +215,20 @@ class LongPoint:
     settled: bool
 
 
-def settle(kkt_of: Callable[[Mask], LongKKT], right: Sides, bounds: tuple[Array, Array], at: LongSolution) -> LongPoint:
-    """Return the exact optimum near an answer: bounds are exchanged until no sign is wrong."""
-    lower, upper = bounds
-    free, kkt = lower < upper, kkt_of(lower >= upper)
-    units, slope_units = kkt.units[1], kkt.slope_units
+def settle(
+    problem: OptimalControlProblem,
+    sizes: tuple[Array, Array],
+    right: Sides,
+    bounds: tuple[Array, Array],
+    at: LongSolution,
+) -> LongPoint:
+    """Return the exact optimum near an answer: bounds are exchanged until no sign is wrong. Sizes: of z, of slopes."""
+    (units, slope_units), (lower, upper), free = sizes, bounds, bounds[0] < bounds[1]
     price, above = at.normals / slope_units, at.normals > 0
     active = free & ((price > (upper - at.z) / units) | (-price > (at.z - lower) / units))
     weak, settled = ~free & free, False
     for _ in range(POINT_STEPS):
-        kkt = kkt_of(~free | active) if active.any() else kkt
+        kkt = LongKKT(problem, units, slope_units, ~free | active)
         exact = kkt.solve((right[0], np.where(above, upper, lower), right[2]))
         if exact is None:
             break
@@ -239,19 +259,19 @@ class AdjointDerivatives(SolutionDerivatives):
             got = "a cost that is not strictly convex in the controls and in a free initial state"
             raise UnsupportedError(f"derivatives: got {got}; expected one, as many bins are removed.")
         slope_units = float((curvatures * units**2).max()) / units
-        self._kkt_of = partial(LongKKT, problem, units, slope_units)
+        self._sizes, kkt_of = (units, slope_units), partial(LongKKT, problem, units, slope_units)
         slope = stack_signals(*cost.gradient(*split_signals(np.zeros(free.shape), n)))
         offset = np.broadcast_to(problem.linear.offset, (problem.horizon, n))
         answer = LongSolution(stack_signals(trajectory.x, trajectory.u), multipliers)
-        point = settle(self._kkt_of, (-slope, slope, offset), bounds, answer)
+        point = settle(problem, self._sizes, (-slope, slope, offset), bounds, answer)
         weak, held = point.weak, point.kkt.held
-        every = self._kkt_of(held | weak) if (weak & ~held).any() else point.kkt
+        every = kkt_of(held | weak) if (weak & ~held).any() else point.kkt
         self._reason = "" if point.settled else UNSETTLED
         if point.settled and every.random is None:  # weak rows depend on the active rows, or on each other
             self._reason = DEPENDENT_ROWS
         self._point, self._weak, self._bounds = point.at, weak, bounds
         self._above, self._active = point.above, point.active & ~weak
-        self._kkt = self._kkt_of(held & ~weak) if (weak & held).any() else point.kkt
+        self._kkt = kkt_of(held & ~weak) if (weak & held).any() else point.kkt
         self._signals = Variables.at(problem, point.at.trajectory, point.at.multipliers)
 
     def _adjoint(self, of_x: Array, of_u: Array, multipliers: Multipliers | None) -> tuple[Variables, ExistenceFields]:
@@ -301,7 +321,7 @@ class AdjointDerivatives(SolutionDerivatives):
         answer = answer_of(solve_long(stated(problem, of_z, (lower, upper), offset)))
         if answer is None:
             return None
-        point = settle(self._kkt_of, (of_z, values, offset), (lower, upper), answer)
+        point = settle(problem, self._sizes, (of_z, values, offset), (lower, upper), answer)
         none = LongSolution(levels, zero_multipliers(problem, 1.0))
         return none.plus(point.at, size).side if point.settled else None
 

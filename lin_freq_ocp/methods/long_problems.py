@@ -32,15 +32,18 @@ def is_long(problem: OptimalControlProblem) -> bool:
 
 
 def solve_long(
-    problem: OptimalControlProblem, options: SolveOptions = DEFAULTS, spectral: bool = True
+    problem: OptimalControlProblem,
+    options: SolveOptions = DEFAULTS,
+    spectral: bool = True,
+    solver: SpectralSolver | None = None,
 ) -> Candidate | None:
     """Return the answer of the Fourier-domain method, or of the structured one if that has no optimum or ray.
 
-    None if no method takes the problem.
+    ``solver`` is one of a problem of the same structure. None if no method takes the problem.
     """
     with suppress(UnsupportedError):
         if spectral:
-            found = SpectralSolver(problem).solve(time_limit=options.time_limit)
+            found = (solver or SpectralSolver(problem)).solve_similar(problem, options.time_limit)
             if found.status in (Status.OPTIMAL, Status.INFEASIBLE):
                 return found
     with suppress(UnsupportedError):

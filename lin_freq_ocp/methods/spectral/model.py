@@ -111,6 +111,18 @@ class Lti:
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
 
     @cached_property
+    def limited(self) -> Mask:
+        """Which rows of F have a bound at some time that is no equation, (rows,)."""
+        lower, upper = self.bounds.lower, self.bounds.upper
+        return ((np.isfinite(lower) | np.isfinite(upper)) & (lower < upper)).any(1)
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether any constraint is more than an equation."""
+        last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper])
+        return bool(self.limited.any() or (last & np.isnan(self.end)).any())
+
+    @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
         """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""
         f, t = np.nonzero(self.bounds.lower == self.bounds.upper)

@@ -61,14 +61,14 @@ def bounded_rows(rows: Rows, lti: Lti) -> Rows:
 class Violations:
     """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
-    ``rows`` are the rows of F with a bound at some time. ``violation`` (bounded, T) is their violation at t < T,
+    ``rows`` are the rows of F with a limit at some time. ``violation`` (bounded, T) is their violation at t < T,
     ``last`` (n,) the violation of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations
     fix. These rows, and saturated rows, whose price is paid, do not count as violated.
     """
 
     def __init__(self, lti: Lti):
         self.lti, n, bounds = lti, lti.state_dim, lti.bounds
-        self.rows = np.flatnonzero((np.isfinite(bounds.lower) | np.isfinite(bounds.upper)).any(1))
+        self.rows = np.flatnonzero(lti.limited)
         self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
         largest = np.zeros(len(lti.F))

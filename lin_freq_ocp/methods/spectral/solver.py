@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import brief, positive_number
+from lin_freq_ocp.base.arrays import positive_number
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
@@ -178,26 +178,43 @@ class SpectralSolver:
         """Solve the changed problem; see ``solve``."""
         with self._lock:
             started = now()
-            problem, lti = self.changed_problem(change)
-            ray = contradiction_at_ends(problem)
-            if ray is not None:
-                message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
-                return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
-            first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
-            if warm_start is not None:
-                self._require_same_shape(warm_start)
-                first = warm_start.active
-            with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
-                stop = deadline(time_limit, interrupt.is_set)
-                answer = outcome, _ = self._exchange(lti, first, allowed, stop)
-                units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
-                if units is not None:  # the first units were wrong
-                    better = SpectralSolver._in_units(self.problem, units)
-                    second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                    if second[0].status == "optimal":
-                        self.__dict__.update(better.__dict__)
-                        answer = second
-                return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
+            return self._solve(*self.changed_problem(change), warm_start, tolerance, time_limit, started)
+
+    def solve_similar(self, problem: OptimalControlProblem, time_limit: float | None = None) -> SpectralSolution:
+        """Solve a problem with other ends, linear costs, offsets and bounds; ProblemError for another structure."""
+        with self._lock:
+            started, lti = now(), self._lti if problem is self.problem else lti_problem(problem, self._units)
+            self._require_same_structure(lti)
+            return self._solve(problem, lti, None, None, time_limit, started)
+
+    def _solve(
+        self,
+        problem: OptimalControlProblem,
+        lti: Lti,
+        warm_start: SpectralSolution | None,
+        tolerance: float | None,
+        time_limit: float | None,
+        started: float,
+    ) -> SpectralSolution:
+        ray = contradiction_at_ends(problem)
+        if ray is not None:
+            message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
+            return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
+        first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
+        if warm_start is not None:
+            self._require_same_shape(warm_start)
+            first = warm_start.active
+        with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
+            stop = deadline(time_limit, interrupt.is_set)
+            answer = outcome, _ = self._exchange(lti, first, allowed, stop)
+            units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
+            if units is not None:  # the first units were wrong
+                better = SpectralSolver._in_units(self.problem, units)
+                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                if second[0].status == "optimal":
+                    self.__dict__.update(better.__dict__)
+                    answer = second
+            return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
 
     def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
@@ -216,9 +233,14 @@ class SpectralSolver:
         ends_only = not (data or (terminal_state is not None and self._lti.prices is not None))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
+        self._require_same_structure(lti)
+        return problem, lti
+
+    def _require_same_structure(self, lti: Lti) -> None:
+        """Raise ProblemError if other components or values are fixed, or only one of both problems is periodic."""
         if lti.periodic != self._lti.periodic:
             expected = "None: the ends are periodic"
-            raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
+            raise ProblemError("terminal_state", "other ends", expected, "Make a new SpectralSolver.")
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),
@@ -230,7 +252,6 @@ class SpectralSolver:
         if not all(old is new or np.array_equal(old, new) for old, new in points):
             got = "other values fixed by lower == upper"
             raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
-        return problem, lti
 
     def _require_same_shape(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):
