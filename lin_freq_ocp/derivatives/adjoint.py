@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +54,7 @@ from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON
 
+SLOW_FACTOR = 5e-3  # seconds of a factorisation, estimated, above which adjoint problems are faster
 Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T+1, n+m), offsets of dynamics (T, n)
 
 
@@ -99,12 +100,14 @@ class LongKKT:
         self.units, self.slope_units = (slope_units, units, units[: self.n]), slope_units
         drawn = np.random.default_rng(0).standard_normal((2, *held.shape))
         drawn[:, -1, self.n :] = 0.0  # there is no u_T
-        drawn[0, :, : self.n] = 0.0  # slopes in u move z by its units, those in x by far more
-        self._drawn: Sides = drawn[0] * slope_units, drawn[1] * units, np.zeros((problem.horizon, self.n))
-        self._solver: SpectralSolver | None = None
+        drawn[0, :, : self.n] = 0.0  # slopes in x move z by far more than its units
+        curvatures = cost_curvatures(problem.quadratic, problem.horizon)
+        assert curvatures is not None  # the cost is convex
+        self._drawn: Sides = drawn[0] * curvatures * units, drawn[1] * units, np.zeros((problem.horizon, self.n))
+        self._base, self._solver = self._with_sides(self._drawn), None
         with suppress(UnsupportedError):
-            self._solver = SpectralSolver(self._with_sides(self._drawn))
-        found = self._answer(self._drawn)
+            self._solver = SpectralSolver(self._base)
+        found = answer_of(solve_long(self._base, solver=self._solver))
         exact = found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR
         self.random, self._noise = found if exact else None, np.full(2, np.inf)
 
@@ -149,31 +152,24 @@ class LongKKT:
         """Return the solution for a right-hand side of this size, over its size; None if no method finds any."""
         share = 0.0 if self.random is None else 1.0
         c, values, offset = (part / amount + share * drawn for part, drawn in zip(left, self._drawn, strict=True))
-        found = self._answer((c, values, offset))
+        found = answer_of(solve_long(self._with_sides((c, values, offset)), solver=self._solver))
         return found if found is None or self.random is None else found.plus(self.random, -1.0)
 
     def _amount(self, sides: Sides, rows: bool = False) -> float:
         """Return the size of a right-hand side, or of its part of rows, in units of order 1."""
         return max(float(np.abs(part / unit).max()) for part, unit in [*zip(sides, self.units, strict=True)][rows:])
 
-    @cached_property
-    def _homogeneous(self) -> OptimalControlProblem:
-        return self._with_sides((0 * self._drawn[0], 0 * self._drawn[1], self._drawn[2]))
-
     def _residual(self, right: Sides, point: LongSolution) -> Sides:
         """Return what a point leaves of a right-hand side."""
-        at = extremal_within(self._homogeneous, point.trajectory, point.multipliers, self._homogeneous.signal_bounds)
-        of_z, values = right[0] - at.slopes - point.normals, np.where(self.held, right[1] - point.z, 0.0)
+        at = extremal_within(self._base, point.trajectory, point.multipliers, self._base.signal_bounds)
+        of_z = right[0] - self._drawn[0] - at.slopes - point.normals
+        values = np.where(self.held, right[1] - point.z, 0.0)
         return of_z.astype(np.float64), values, (right[2] - at.residual).astype(np.float64)
 
     def _with_sides(self, right: Sides) -> OptimalControlProblem:
         """Return the problem whose optimum is the solution for a right-hand side."""
         lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
         return stated(self.problem, right[0], (lower, upper), right[2])
-
-    def _answer(self, right: Sides) -> LongSolution | None:
-        """Return the answer of a method for a right-hand side; None if none finds an optimum."""
-        return answer_of(solve_long(self._with_sides(right), solver=self._solver))
 
 
 def derivatives_of(
@@ -195,8 +191,16 @@ def derivatives_of(
             f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
             "limits at bins. The derivatives of the cost, result.sensitivities, exist."
         )
-    kind = AdjointDerivatives if is_long(problem) else SolutionDerivatives
-    return kind(problem, trajectory, multipliers)
+    found = None
+    if is_long(problem, SLOW_FACTOR):
+        try:
+            found = AdjointDerivatives(problem, trajectory, multipliers)
+        except UnsupportedError:
+            if is_long(problem):
+                raise
+    if found is None or (found.reason and not is_long(problem)):  # a factor names the rows that depend on each other
+        return SolutionDerivatives(problem, trajectory, multipliers)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,9 +270,9 @@ class AdjointDerivatives(SolutionDerivatives):
         point = settle(problem, self._sizes, (-slope, slope, offset), bounds, answer)
         weak, held = point.weak, point.kkt.held
         every = kkt_of(held | weak) if (weak & ~held).any() else point.kkt
-        self._reason = "" if point.settled else UNSETTLED
+        self.reason = "" if point.settled else UNSETTLED
         if point.settled and every.random is None:  # weak rows depend on the active rows, or on each other
-            self._reason = DEPENDENT_ROWS
+            self.reason = DEPENDENT_ROWS
         self._point, self._weak, self._bounds = point.at, weak, bounds
         self._above, self._active = point.above, point.active & ~weak
         self._kkt = kkt_of(held & ~weak) if (weak & held).any() else point.kkt
@@ -289,7 +293,7 @@ class AdjointDerivatives(SolutionDerivatives):
         changed = changed_signals(self.problem, self._signals, given)
         right = -changed.of_z, np.where(self._above, changed.upper, changed.lower), changed.offset
         found, gap = self._solve(right, changed.levels)
-        violation = np.where(self._weak & (not self._reason), gap, 0.0)
+        violation = np.where(self._weak & (not self.reason), gap, 0.0)
         size = max(*self._kkt.sizes(found), float(np.abs(violation).max()))
         meets = np.abs(violation) > SEEN * size
         side, existence = found.side, self._existence_of(found, np.argwhere(meets))
@@ -342,7 +346,7 @@ class AdjointDerivatives(SolutionDerivatives):
         """Return whether a derivative exists where a solution of K moves these weak rows, (rows, 2)."""
         size = max(self._kkt.sizes(found))
         error = max(found.error) / size if size > 0 else 0.0
-        rows, reason = tuple(self._name_bound(t, i, bool(self._above[t, i])) for t, i in seen.tolist()), self._reason
+        rows, reason = tuple(self._name_bound(t, i, bool(self._above[t, i])) for t, i in seen.tolist()), self.reason
         if not reason and error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"
         if not reason and rows:

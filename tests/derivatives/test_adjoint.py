@@ -10,6 +10,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.checks.derivatives import exact, inner, moved, random_change
 from helpers.seeds import expensive, seeds
+from lin_freq_ocp import SpectralSolver
 from lin_freq_ocp.derivatives import AdjointDerivatives, SolutionDerivatives
 
 
@@ -253,7 +254,54 @@ def test_second_derivatives_of_the_cost_of_a_long_problem():
         np.testing.assert_array_equal(adjoint.prices_along(step, initial_state=[1.0, 0.0])[name], found[name])
 
 
+def test_states_that_cost_far_more_than_controls_are_not_denied_a_derivative():
+    """A random right-hand side in the units of the states moved controls by 1e7: its rows seemed to be dependent."""
+    _, adjoint, factored = both(lfo.library.quadcopter())
+    weights = np.random.default_rng(0).standard_normal((60, 4))
+    one, other = adjoint.vjp(u=weights), factored.vjp(u=weights)
+    assert one.exists
+    for name in ("A", "R", "x_ref", "initial_state"):
+        np.testing.assert_allclose(one[name], other[name], atol=1e-8 * np.abs(np.nan_to_num(other[name])).max())
+
+
+def test_a_factor_is_taken_where_it_is_faster_or_says_more():
+    dependent = regulator(200, control_spectrum=lfo.spectrum.stop_band(bins=range(1, 101)), initial_state=[-60.0, 0.0])
+    dependent = replace(dependent, cost=replace(dependent.cost, r=[-50.0]))
+    flat = replace(regulator(300), cost=lfo.QuadraticCost(Q=np.eye(2), R=[[0.0]]))
+    kinds = [type(lfo.solve(problem).derivatives) for problem in (regulator(), regulator(200), dependent, flat)]
+    assert kinds == [SolutionDerivatives, AdjointDerivatives, SolutionDerivatives, SolutionDerivatives]
+    assert lfo.solve(dependent).derivatives.vjp(u=np.ones((200, 1))).rows
+
+
 LONG = regulator(2000)
+
+
+@pytest.fixture
+def rounds(monkeypatch):
+    """Return the list of the rounds of each solve of the Fourier-domain method that another one prepared."""
+    solve, found = SpectralSolver.solve_similar, list[int]()
+
+    def noting(solver, problem, *others):
+        found.append((answer := solve(solver, problem, *others)).rounds)
+        return answer
+
+    monkeypatch.setattr(SpectralSolver, "solve_similar", noting)
+    return found
+
+
+def test_a_further_right_hand_side_takes_one_solve(rounds):
+    derivatives = lfo.solve(LONG).derivatives
+    rounds.clear()
+    gradient = derivatives.vjp(u=np.cos(np.arange(2000.0))[:, None])
+    assert rounds == [1]
+    assert gradient.error < 1e-11
+
+
+def test_equations_alone_take_few_rounds(rounds):
+    """Unknowns along which the cost is nearly flat took 30 steps, each longer than the one before."""
+    assert lfo.solve(lfo.library.double_integrator(horizon=20_000)).derivatives.vjp(u=np.ones((20_000, 1))).exists
+    assert len(rounds) > 3
+    assert max(rounds) <= 3
 
 
 def test_how_far_a_change_of_a_long_problem_holds():
