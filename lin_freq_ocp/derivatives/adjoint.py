@@ -169,7 +169,7 @@ class LongKKT:
     def _with_sides(self, right: Sides) -> OptimalControlProblem:
         """Return the problem whose optimum is the solution for a right-hand side."""
         lower, upper = (np.where(self.held, right[1], side) for side in (-np.inf, np.inf))
-        return stated(self.problem, right[0], (lower, upper), right[2])
+        return adjoint_problem(self.problem, right[0], (lower, upper), right[2])
 
 
 def derivatives_of(
@@ -307,7 +307,7 @@ class AdjointDerivatives(SolutionDerivatives):
 
     def _solve(self, right: Sides, levels: Array) -> tuple[LongSolution, Array]:
         """Return the solution of K for removed bins with levels, and what it leaves outside of bounds, (T+1, n+m)."""
-        found = self._kkt.solve(shifted(self.problem, right, levels))
+        found = self._kkt.solve(shift_sides(self.problem, right, levels))
         if found is None:
             raise UnsupportedError("derivatives: no method solves the adjoint problem.")
         found = replace(found, z=found.z + levels)
@@ -315,14 +315,14 @@ class AdjointDerivatives(SolutionDerivatives):
 
     def _one_sided(self, size: float, right: Sides, levels: Array) -> Side | None:
         """Return the derivative on the side of a signed size, the optimum with weak rows as inequalities, or None."""
-        of_z, values, offset = (part / size for part in shifted(self.problem, right, levels))
+        of_z, values, offset = (part / size for part in shift_sides(self.problem, right, levels))
         held, problem = self._kkt.held, self.problem
         bounds = (
             np.where(held | (self._weak & (self._above == is_upper)), values, absent)
             for is_upper, absent in ((False, -np.inf), (True, np.inf))
         )
         lower, upper = bounds
-        answer = answer_of(solve_long(stated(problem, of_z, (lower, upper), offset)))
+        answer = answer_of(solve_long(adjoint_problem(problem, of_z, (lower, upper), offset)))
         if answer is None:
             return None
         point = settle(problem, self._sizes, (of_z, values, offset), (lower, upper), answer)
@@ -360,7 +360,7 @@ class AdjointDerivatives(SolutionDerivatives):
         return f"{signal}, t = {t}, component {component}, {side}"
 
 
-def shifted(problem: OptimalControlProblem, right: Sides, by: Array) -> Sides:
+def shift_sides(problem: OptimalControlProblem, right: Sides, by: Array) -> Sides:
     """Return a right-hand side for z less a signal (T+1, n+m)."""
     if not by.any():
         return right
@@ -369,7 +369,7 @@ def shifted(problem: OptimalControlProblem, right: Sides, by: Array) -> Sides:
     return right[0] - stack_signals(*hessian_of(problem).gradient(x, u)), right[1] - by, right[2] - motion
 
 
-def stated(
+def adjoint_problem(
     problem: OptimalControlProblem, of_z: Array, bounds: tuple[Array, Array], offset: Array
 ) -> OptimalControlProblem:
     """Return the problem with the cost 1/2 z'H z - <of_z, z>, other bounds (T+1, n+m), and another offset (T, n)."""

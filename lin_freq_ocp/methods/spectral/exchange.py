@@ -117,7 +117,7 @@ class Exchange:
                 prices = self.working.prices(data.lti)
                 self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
-        self.proximal = data.lti.curvature_unit if data.lti.has_limits else self.kkt.least_proximal
+        self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
         self.best, self.stalled = np.inf, 0
         self.flattest, self.farthest = np.inf, 0.0
         self.diagonal_bound = structure.diagonal_bound

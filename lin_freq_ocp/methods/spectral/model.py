@@ -110,17 +110,13 @@ class Lti:
         """Cost of a stage or the end where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
 
-    @cached_property
-    def limited(self) -> Mask:
-        """Which rows of F have a bound at some time that is no equation, (rows,)."""
-        lower, upper = self.bounds.lower, self.bounds.upper
-        return ((np.isfinite(lower) | np.isfinite(upper)) & (lower < upper)).any(1)
-
     @property
     def has_limits(self) -> bool:
         """Whether any constraint is more than an equation."""
-        last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper])
-        return bool(self.limited.any() or (last & np.isnan(self.end)).any())
+        sides = self.bounds.lower, self.bounds.upper
+        limited = (np.isfinite(sides) & (sides[0] < sides[1])).any()
+        last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper]) & np.isnan(self.end)
+        return bool(limited or last.any())
 
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:

@@ -97,7 +97,7 @@ class SpectralSolver:
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
         self.problem = problem
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._set_up(natural_units(problem))
 
     def __getstate__(self) -> dict[str, object]:
@@ -106,7 +106,7 @@ class SpectralSolver:
 
     def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state, with a new lock."""
-        self.__dict__.update(state, _lock=threading.Lock())
+        self.__dict__.update(state, _lock=threading.RLock())
 
     def _set_up(self, units: LtiUnits) -> None:
         """Compute everything that does not depend on data, in the given units."""
@@ -173,48 +173,43 @@ class SpectralSolver:
         return self.solve_changed(change, warm_start, tolerance, time_limit)
 
     def solve_changed(
-        self, change: Change, warm_start: SpectralSolution | None, tolerance: float | None, time_limit: float | None
+        self,
+        change: Change,
+        warm_start: SpectralSolution | None = None,
+        tolerance: float | None = None,
+        time_limit: float | None = None,
+        known: ChangedProblem | None = None,
     ) -> SpectralSolution:
-        """Solve the changed problem; see ``solve``."""
+        """Solve the changed problem, if not given; see ``solve``."""
         with self._lock:
             started = now()
-            return self._solve(*self.changed_problem(change), warm_start, tolerance, time_limit, started)
+            problem, lti = known or self.changed_problem(change)
+            ray = contradiction_at_ends(problem)
+            if ray is not None:
+                message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
+                return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
+            first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
+            if warm_start is not None:
+                self._require_same_shape(warm_start)
+                first = warm_start.active
+            with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
+                stop = deadline(time_limit, interrupt.is_set)
+                answer = outcome, _ = self._exchange(lti, first, allowed, stop)
+                units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
+                if units is not None:  # the first units were wrong
+                    better = SpectralSolver._in_units(self.problem, units)
+                    second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                    if second[0].status == "optimal":
+                        self.__dict__.update(better.__dict__)
+                        answer = second
+                return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
 
     def solve_similar(self, problem: OptimalControlProblem, time_limit: float | None = None) -> SpectralSolution:
         """Solve a problem with other ends, linear costs, offsets and bounds; ProblemError for another structure."""
         with self._lock:
-            started, lti = now(), self._lti if problem is self.problem else lti_problem(problem, self._units)
+            lti = self._lti if problem is self.problem else lti_problem(problem, self._units)
             self._require_same_structure(lti)
-            return self._solve(problem, lti, None, None, time_limit, started)
-
-    def _solve(
-        self,
-        problem: OptimalControlProblem,
-        lti: Lti,
-        warm_start: SpectralSolution | None,
-        tolerance: float | None,
-        time_limit: float | None,
-        started: float,
-    ) -> SpectralSolution:
-        ray = contradiction_at_ends(problem)
-        if ray is not None:
-            message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
-            return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
-        first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
-        if warm_start is not None:
-            self._require_same_shape(warm_start)
-            first = warm_start.active
-        with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
-            stop = deadline(time_limit, interrupt.is_set)
-            answer = outcome, _ = self._exchange(lti, first, allowed, stop)
-            units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
-            if units is not None:  # the first units were wrong
-                better = SpectralSolver._in_units(self.problem, units)
-                second = better._exchange(lti_problem(problem, units), None, allowed, stop)
-                if second[0].status == "optimal":
-                    self.__dict__.update(better.__dict__)
-                    answer = second
-            return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
+            return self.solve_changed(Change(), time_limit=time_limit, known=(problem, lti))
 
     def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
