@@ -250,8 +250,8 @@ def _propagate_radii(
     residual = np.abs(state_residual(problem, trajectory))
     residual += (RADIUS_MARGIN - 1) * np.abs(trajectory.x[1:])
     rows = _rows_of_steps(problem, trajectory, level)
-    left = np.zeros(problem.horizon, dtype=int)
-    _propagate_one_step(problem, residual, rows, 0, radii, left, radii)
+    left, barren = np.zeros(problem.horizon, dtype=int), set[bytes]()
+    _propagate_one_step(problem, residual, rows, 0, radii, (left, barren), radii)
     if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
@@ -262,10 +262,13 @@ def _propagate_radii(
     if problem.horizon > MAX_STEPS:
         return
     steps = range(problem.horizon)
-    # each step alone comes first: radii grow with every step that they pass
-    for known, order in (((x.copy(), u.copy()), steps), (radii, (*steps, *reversed(steps), *steps))):
+    # each step alone comes first: radii grow with every step that they pass; without a new one, others imply none
+    for known, order in (((x.copy(), u.copy()), steps), (radii, steps), (radii, steps[::-1]), (radii, steps)):
+        before = _count_unknown(radii)
         for t in order:
-            _propagate_one_step(problem, residual, rows, t, radii, left, known)
+            _propagate_one_step(problem, residual, rows, t, radii, (left, barren), known)
+        if _count_unknown(radii) == before:
+            break
     _solve_all_steps(problem, trajectory, residual, radii)
 
 
@@ -283,16 +286,33 @@ def _rows_of_steps(problem: OptimalControlProblem, trajectory: Trajectory, level
     return by_time
 
 
+def _count_unknown(radii: Pair) -> int:
+    return sum(int(np.count_nonzero(np.isinf(part[0]))) for part in radii)
+
+
 def _propagate_one_step(
-    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Pair, left: Indices, known: Pair
+    problem: OptimalControlProblem,
+    residual: Array,
+    rows: Rows,
+    t: int,
+    radii: Pair,
+    barren: tuple[Indices, set[bytes]],
+    known: Pair,
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that ``known`` radii, the equation and rows of this step imply.
 
-    ``left`` (T,) says how many sides stay unknown: with so many, the step implies no more.
+    ``barren`` (T,) says how many sides stay unknown: with so many, the step implies no more. Its set has the unknown
+    sides of steps of constant dynamics without rows that implied none: which are implied does not depend on values.
     """
     n, m, (x, u) = problem.state_dim, problem.control_dim, known
-    values = np.concatenate([x[:, :, t], u[:, :, t], x[:, :, t + 1]], axis=2)
-    if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
+    values, (left, patterns) = np.concatenate([x[:, :, t], u[:, :, t], x[:, :, t + 1]], axis=2), barren
+    unknown = np.isinf(values[0])
+    pattern, count = unknown.tobytes(), np.count_nonzero(unknown)
+    if count in (0, left[t]):
+        return
+    constant = problem.response is None and not problem.linear.time_varying and t not in rows
+    if constant and pattern in patterns:
+        left[t] = count
         return
     columns = [np.hstack([matrix, np.zeros((len(matrix), n))]) for matrix, _ in rows.get(t, [])]
     limits = [np.stack([slack, np.full_like(slack, np.inf)]) for _, slack in rows.get(t, [])]
@@ -303,6 +323,8 @@ def _propagate_one_step(
         own = radii[0][:, :, t], radii[1][:, :, t], radii[0][:, :, t + 1]
         for part, new in zip(own, np.split(values, [n, n + m], axis=2), strict=True):
             part[:] = np.where(np.isinf(part[0]), new, part)
+    elif constant and np.isfinite(residual[t]).all():
+        patterns.add(pattern)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
 

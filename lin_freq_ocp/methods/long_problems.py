@@ -25,10 +25,10 @@ from lin_freq_ocp.transform.sizes import stated_sizes
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 
 
-def is_long(problem: OptimalControlProblem, seconds: float = LONGEST_FACTOR) -> bool:
-    """Whether a problem of bounds, ends and stop bands has too many dense rows for a factor in these seconds."""
-    plain = problem.response is None and not problem.terms
-    return plain and dense_rows(problem).factorisation_seconds > seconds
+def is_long(problem: OptimalControlProblem, seconds: float | None = None) -> bool:
+    """Whether a problem of bounds, ends and stop bands has too many dense rows for a factor in LONGEST_FACTOR."""
+    plain, most = problem.response is None and not problem.terms, LONGEST_FACTOR if seconds is None else seconds
+    return plain and dense_rows(problem).factorisation_seconds > most
 
 
 def solve_long(

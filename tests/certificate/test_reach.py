@@ -429,3 +429,40 @@ def test_a_box_of_one_sided_bounds_holds_all_that_it_claims(seed):
         assert (lower <= least + 1e-6).all()
         assert (upper >= most - 1e-6).all()
         assert box is not region or np.isfinite([lower, upper]).all() == np.isfinite([least, most]).all()
+
+
+@pytest.fixture
+def steps_looked_at(monkeypatch):
+    """Return the list of the times at which the judge reads the dynamics of one step."""
+    at, times = lfo.LinearDynamics.at, list[int]()
+
+    def noting(dynamics, t):
+        times.append(t)
+        return at(dynamics, t)
+
+    monkeypatch.setattr(lfo.LinearDynamics, "at", noting)
+    return times
+
+
+def test_equal_steps_that_imply_no_radius_are_looked_at_once(steps_looked_at):
+    """Free controls, a constant cost: every step has the same unknown sides, and implies none of them."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    ends = {"initial_state": [0.0, 0.0], "terminal_state": [0.0, 0.0]}
+    flat = lfo.OptimalControlProblem(dynamics, 400, lfo.QuadraticCost(r=[-1.0]), **ends)
+    at_rest = lfo.simulate(flat, np.zeros((400, 1)))
+    extremal = extremal_at(flat, at_rest, lfo.solve(flat, throw=False).multipliers)
+    steps_looked_at.clear()
+    optimum_box(extremal, 1e-6)
+    assert 400 < len(steps_looked_at) < 430  # each once more, for the equations of all times together
+
+
+def test_a_step_that_implies_radii_is_looked_at_although_an_equal_one_implied_none():
+    """Bounds on x_9 and u_8 reach x_8 only backwards, and from there all earlier states whose controls are bounded."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [-0.1, 0.9]], [[0.0], [0.1]])
+    upper = np.full((12, 1), np.inf)
+    upper[3:9] = 1.0
+    sets = [lfo.sets.Everything() if t != 9 else lfo.Box(-2.0, 2.0) for t in range(13)]
+    problem = lfo.OptimalControlProblem(dynamics, 12, lfo.QuadraticCost(R=1.0), lfo.Box(-upper, upper), sets)
+    region = implied_bounds(problem)
+    known = np.isfinite(region.x[0]).all(axis=1) & np.isfinite(region.x[1]).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(known), np.arange(3, 10))
