@@ -31,14 +31,13 @@ from lin_freq_ocp.certificate.hamiltonian import cost_curvatures, extremal_withi
 from lin_freq_ocp.derivatives.data import Values, Variables
 from lin_freq_ocp.derivatives.derivatives import (
     DEPENDENT_ROWS,
-    NO_REACH,
     SEEN,
     UNSETTLED,
     WEAK,
+    Derivative,
     ExistenceFields,
     Reach,
     Side,
-    SidesAlong,
     SolutionDerivatives,
     reach,
     require_multipliers,
@@ -48,11 +47,12 @@ from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
 from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
 from lin_freq_ocp.methods.correction import deviation_units
-from lin_freq_ocp.methods.long_problems import is_long, solve_long, with_sides
+from lin_freq_ocp.methods.long_problems import LONGEST_FACTOR, is_long, solve_long, with_sides
 from lin_freq_ocp.methods.spectral.solver import SpectralSolver
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.active_rows import EPSILON
+from lin_freq_ocp.program.linear_program import dense_rows
 
 SLOW_FACTOR = 5e-3  # seconds of a factorisation, estimated, above which adjoint problems are faster
 Sides = tuple[Array, Array, Array]  # slopes c and values of fixed components (T+1, n+m), offsets of dynamics (T, n)
@@ -191,6 +191,13 @@ def derivatives_of(
             f"derivatives: '{at_points[0]}' holds at every frequency, and its peaks move with the data; expected "
             "limits at bins. The derivatives of the cost, result.sensitivities, exist."
         )
+    seconds = dense_rows(problem).factorisation_seconds
+    if seconds > LONGEST_FACTOR and problem.terms:
+        raise UnsupportedError(
+            f"derivatives: got '{problem.terms[0].name}' beside so many rows of bins that one factor takes about "
+            f"{seconds:.2g} s; expected {LONGEST_FACTOR:g} s at most, or bounds, ends and stop bands alone, whose "
+            "derivatives come from adjoint problems. Those of the cost, result.sensitivities, exist."
+        )
     found = None
     if is_long(problem, SLOW_FACTOR):
         try:
@@ -231,8 +238,8 @@ def settle(
     price, above = at.normals / slope_units, at.normals > 0
     active = free & ((price > (upper - at.z) / units) | (-price > (at.z - lower) / units))
     weak, settled = ~free & free, False
+    kkt = LongKKT(problem, units, slope_units, ~free | active)
     for _ in range(POINT_STEPS):
-        kkt = LongKKT(problem, units, slope_units, ~free | active)
         exact = kkt.solve((right[0], np.where(above, upper, lower), right[2]))
         if exact is None:
             break
@@ -245,6 +252,7 @@ def settle(
         if settled:
             break
         above, active = np.where(wrong & ~active, over < under, above), active ^ wrong
+        kkt = LongKKT(problem, units, slope_units, ~free | active)
     return LongPoint(kkt, at, active, np.where(active, above, upper - at.z <= at.z - lower), weak, settled)
 
 
@@ -289,7 +297,7 @@ class AdjointDerivatives(SolutionDerivatives):
         seen = np.argwhere(self._weak & (np.abs(gap) > SEEN * max(self._kkt.sizes(found))))
         return Variables.along(found.trajectory, found.multipliers), self._existence_of(found, seen)
 
-    def _sides(self, given: Values) -> SidesAlong:
+    def _along(self, given: Values, cost: float) -> Derivative:
         changed = changed_signals(self.problem, self._signals, given)
         right = -changed.of_z, np.where(self._above, changed.upper, changed.lower), changed.offset
         found, gap = self._solve(right, changed.levels)
@@ -302,8 +310,8 @@ class AdjointDerivatives(SolutionDerivatives):
                 self._one_sided(sign * size, right, changed.levels) if (sign * violation > SEEN * size).any() else side
                 for sign in (-1.0, 1.0)
             )
-            return existence, below, above, *NO_REACH
-        return existence, side, side, *self._reach(changed, found)
+            return Derivative(*existence, cost, below, above)
+        return Derivative(*existence, cost, side, side, *self._reach(changed, found))
 
     def _solve(self, right: Sides, levels: Array) -> tuple[LongSolution, Array]:
         """Return the solution of K for removed bins with levels, and what it leaves outside of bounds, (T+1, n+m)."""
@@ -330,17 +338,22 @@ class AdjointDerivatives(SolutionDerivatives):
         return none.plus(point.at, size).side if point.settled else None
 
     def _reach(self, changed: ChangedSignals, found: LongSolution) -> Reach:
-        """Return the steps up to which slacks and multipliers keep their signs, and the bounds there."""
+        """Return the steps up to which slacks and multipliers stay above zero, and the bounds there."""
         at, (lower, upper), slope_units = self._point, self._bounds, self._kkt.slope_units
         sign, units, inside = np.where(self._above, 1, -1), self._kkt.units[1], (lower < upper) & ~self._active
-        parts = [  # bounds, what must stay above zero, its rate, and whether they are upper ones
-            (inside, (upper - at.z) / units, (changed.upper - found.z) / units, np.ones_like(inside)),
-            (inside, (at.z - lower) / units, (found.z - changed.lower) / units, np.zeros_like(inside)),
-            (self._active, sign * at.normals / slope_units, sign * found.normals / slope_units, self._above),
-        ]
-        slack, rate, above = (np.concatenate([part[i][part[0]] for part in parts]) for i in (1, 2, 3))
-        places = np.concatenate([np.argwhere(part[0]) for part in parts])
-        return reach(slack, rate, lambda k: self._name_bound(*places[k].tolist(), bool(above[k])))
+        masks = inside, inside, self._active  # upper bounds, lower ones, those with a multiplier
+        rooms = (upper - at.z) / units, (at.z - lower) / units, sign * at.normals / slope_units
+        rates = (changed.upper - found.z) / units, (found.z - changed.lower) / units, sign * found.normals / slope_units
+        slack, rate = (
+            np.concatenate([part[mask] for part, mask in zip(parts, masks, strict=True)]) for parts in (rooms, rates)
+        )
+        places, first = np.concatenate([np.argwhere(mask) for mask in masks]), int(np.count_nonzero(inside))
+
+        def name_row(k: int) -> str:
+            t, i = places[k].tolist()
+            return self._name_bound(t, i, k < first or (k >= 2 * first and bool(self._above[t, i])))
+
+        return reach(slack, rate, name_row)
 
     def _existence_of(self, found: LongSolution, seen: Indices) -> ExistenceFields:
         """Return whether a derivative exists where a solution of K moves these weak rows, (rows, 2)."""

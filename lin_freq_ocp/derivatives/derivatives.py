@@ -174,9 +174,6 @@ class Derivative(Existence):
         )
 
 
-SidesAlong = tuple[ExistenceFields, Side | None, Side | None, *Reach]
-
-
 class SolutionDerivatives:
     """The derivatives of an optimum by the data of its problem, from one factorisation.
 
@@ -292,11 +289,10 @@ class SolutionDerivatives:
         """
         given = data_for(self.problem, change)
         cost = sum(float(np.nansum((np.conj(self.prices[name]) * d).real)) for name, d in given.items())
-        existence, *found = self._sides(given)
-        return Derivative(*existence, cost, *found)
+        return self._along(given, cost)
 
-    def _sides(self, given: Values) -> SidesAlong:
-        """Return the fields of a ``Derivative`` along a change of the data, but for the cost."""
+    def _along(self, given: Values, cost: float) -> Derivative:
+        """Return the derivative along a change of the data, with that of the cost."""
         point, weak = self._point, self._point.weak
         forced, active = changed_equations(point, given), point.kkt.active
         at_lower = active.below.copy()
@@ -306,7 +302,7 @@ class SolutionDerivatives:
         p, q, error = point.kkt.solve(-forced.of_z, of_rows)
         if not len(weak.rows):
             side = self._side(p, q)
-            return self._existence((), error), side, side, *_reach(point, forced, p, q)
+            return Derivative(*self._existence((), error), cost, side, side, *_reach(point, forced, p, q))
         v, size = weak.F @ p - weak.choice @ of_rows, float(np.abs(p).max(initial=0.0))
         left, right = one_sided(point, p, q, v, -1.0), one_sided(point, p, q, v, 1.0)
         blocked = point.dependent & (np.abs(v) > SEEN * size if forced.affine else np.ones(len(v), dtype=bool))
@@ -316,7 +312,7 @@ class SolutionDerivatives:
             None if (blocked & (sign * v > SEEN * size)).any() else self._side(*side)
             for sign, side in ((-1.0, left), (1.0, right))
         )
-        return self._existence(rows, error, blocked), below, above, *NO_REACH
+        return Derivative(*self._existence(rows, error, blocked), cost, below, above)
 
     def prices_along(self, step: Derivative | None = None, /, **change: ArrayLike) -> Values:
         """Return the derivative of ``prices`` along a change of the data: second derivatives of the optimal cost.

@@ -7,10 +7,11 @@ difference of two programs, exact but for rounding. The other data are slopes of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, stack_signals
+from lin_freq_ocp.base.arrays import Array, ComplexArray, stack_signals
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.derivatives.data import (
     BINS,
@@ -113,16 +114,18 @@ def changed_signals(problem: OptimalControlProblem, at: Variables, change: Value
         for block, side in zip((Block.STATE_SET, Block.CONTROL_SET), sides, strict=True):
             if name in OF_BLOCK[block]:
                 side += _bound_changes(problem, at.multipliers, block is Block.STATE_SET, name, d)
+    lower, upper = map(stack_signals, *sides)
     return ChangedSignals(
         stack_signals(np.concatenate([of_x[:-1] - through[0], of_x[-1:]]), of_u - through[1]),
-        *map(stack_signals, *sides),
+        lower,
+        upper,
         dynamics.successors(at.x, at.u),
-        level_signal(problem, *(change.get(name) for name in BINS)),
+        level_signal(problem, *(cast("ComplexArray | None", change.get(name)) for name in BINS)),
         not any(is_matrix(name) and d.any() for name, d in change.items()),
     )
 
 
-def level_signal(problem: OptimalControlProblem, of_u: Array | None, of_x: Array | None) -> Array:
+def level_signal(problem: OptimalControlProblem, of_u: ComplexArray | None, of_x: ComplexArray | None) -> Array:
     """Return the signal z (T+1, n+m) whose removed bins have these levels, without other bins."""
     signals, T = list[Array](), problem.horizon
     for levels, stop, samples in ((of_x, problem.state_stop, T + 1), (of_u, problem.control_stop, T)):

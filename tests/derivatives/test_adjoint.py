@@ -337,8 +337,18 @@ def test_weights_that_do_not_fit_and_rows_are_refused():
     with pytest.raises(lfo.errors.ProblemError, match=r"u: got shape \(3,\)"):
         derivatives.vjp(u=[1.0, 2.0, 3.0])
     rows = replace(LONG, stage_rows=lfo.StageRows([[1.0, 0.0]], [[1.0]], [9.0], name="sum"))
-    with pytest.raises(lfo.errors.UnsupportedError, match="a correction needs about"):
+    with pytest.raises(lfo.errors.UnsupportedError, match="got 'sum' beside so many rows of bins that"):
         _ = lfo.solve(rows).derivatives
+
+
+@expensive
+def test_a_mask_of_many_bins_is_refused_by_name():
+    mask = lfo.MagnitudeBound(3.0, bins=range(5, 400))
+    masked = replace(LONG, control_spectrum=[lfo.low_pass(cutoff=1.5), mask])
+    result = lfo.solve(masked)
+    with pytest.raises(lfo.errors.UnsupportedError, match="got 'mask on u_0' beside so many rows"):
+        _ = result.derivatives
+    assert result.sensitivities.limits["mask on u_0"].shape == (395, 1)
 
 
 def test_a_cost_without_curvature_is_refused():
