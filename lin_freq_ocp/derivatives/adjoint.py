@@ -1,18 +1,20 @@
-"""Derivatives of long problems: K (p, q) = (zbar, 0) as a problem of the package's own class.
+"""Derivatives of long problems: solves with K as problems of the package's own class.
 
 Each bin that is removed is a dense row of K, and thousands of them take hours to factor. But the solution of
 K (z, y) = (c, b) is the optimum, with its multipliers, of a problem that the methods for linear dynamics solve:
 
     minimise  1/2 z'H z - <c, z>   subject to   M z = b,
 
-with the same matrices and stop bands, with fixed values where a bound is active, and without other bounds. Its answer
-is refined: the residual c - H z - M'y, b - M z, formed in extended precision, is the next right-hand side, and the
-corrections tell the error. There are three right-hand sides. The data of the problem
-give the exact optimum on its active bounds. Weights give the adjoint (p, q). Random ones tell whether the rows are
-independent: dependent rows have no solution.
+with the same matrices and stop bands, with fixed values where a bound is active, and without other bounds. One set-up
+serves all right-hand sides. An answer is refined: the residual c - H z - M'y, b - M z, formed in extended precision, is
+the next right-hand side, and the corrections tell the error. The data of the problem give the exact optimum on its
+active bounds, weights the adjoint (p, q), a change of the data the derivative along it. Random right-hand sides tell
+whether the rows are independent: dependent rows have no solution.
 
 Each residual is added to the random right-hand side, whose solution is then subtracted. Otherwise p may be zero, where
 constraints determine the weighted sum, and methods find no units for an answer that is rounding alone.
+
+At a kink, the derivative on one side is the optimum of such a problem with the weak bounds as inequalities.
 """
 
 from __future__ import annotations
@@ -297,7 +299,7 @@ class AdjointDerivatives(SolutionDerivatives):
         seen = np.argwhere(self._weak & (np.abs(gap) > SEEN * max(self._kkt.sizes(found))))
         return Variables.along(found.trajectory, found.multipliers), self._existence_of(found, seen)
 
-    def _along(self, given: Values, cost: float) -> Derivative:
+    def _step_along(self, given: Values, cost: float) -> Derivative:
         changed = changed_signals(self.problem, self._signals, given)
         right = -changed.of_z, np.where(self._above, changed.upper, changed.lower), changed.offset
         found, gap = self._solve(right, changed.levels)

@@ -289,9 +289,9 @@ class SolutionDerivatives:
         """
         given = data_for(self.problem, change)
         cost = sum(float(np.nansum((np.conj(self.prices[name]) * d).real)) for name, d in given.items())
-        return self._along(given, cost)
+        return self._step_along(given, cost)
 
-    def _along(self, given: Values, cost: float) -> Derivative:
+    def _step_along(self, given: Values, cost: float) -> Derivative:
         """Return the derivative along a change of the data, with that of the cost."""
         point, weak = self._point, self._point.weak
         forced, active = changed_equations(point, given), point.kkt.active
