@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_577,
-    "code lines": 47_855,
-    "code lines, linear part": 22_702,
+    "shipped lines": 51_800,
+    "code lines": 48_078,
+    "code lines, linear part": 22_742,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 345,
@@ -66,7 +66,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 12.1,
     "files entered by a solve": 50,
     "functions entered by a solve": 385,
-    "calls of a solve": 746,
+    "calls of a solve": 747,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -310,8 +310,7 @@ def _propagate_one_step(
     pattern, count = unknown.tobytes(), np.count_nonzero(unknown)
     if count in (0, left[t]):
         return
-    constant = problem.response is None and not problem.linear.time_varying and t not in rows
-    if constant and pattern in patterns:
+    if pattern in patterns and t not in rows:
         left[t] = count
         return
     columns = [np.hstack([matrix, np.zeros((len(matrix), n))]) for matrix, _ in rows.get(t, [])]
@@ -323,7 +322,7 @@ def _propagate_one_step(
         own = radii[0][:, :, t], radii[1][:, :, t], radii[0][:, :, t + 1]
         for part, new in zip(own, np.split(values, [n, n + m], axis=2), strict=True):
             part[:] = np.where(np.isinf(part[0]), new, part)
-    elif constant and np.isfinite(residual[t]).all():
+    elif columns and t not in rows and not problem.linear.time_varying and np.isfinite(residual[t]).all():
         patterns.add(pattern)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 

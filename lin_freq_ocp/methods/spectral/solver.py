@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import positive_number
+from lin_freq_ocp.base.arrays import brief, positive_number
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.interrupts import interrupts_noted
@@ -207,9 +207,7 @@ class SpectralSolver:
     def solve_similar(self, problem: OptimalControlProblem, time_limit: float | None = None) -> SpectralSolution:
         """Solve a problem with other ends, linear costs, offsets and bounds; ProblemError for another structure."""
         with self._lock:
-            lti = self._lti if problem is self.problem else lti_problem(problem, self._units)
-            self._require_same_structure(lti)
-            return self.solve_changed(Change(), time_limit=time_limit, known=(problem, lti))
+            return self.solve_changed(Change(), time_limit=time_limit, known=self.changed_problem(Change(), problem))
 
     def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
@@ -225,17 +223,13 @@ class SpectralSolver:
             if entry is not None and not all(member.soft for member in entry.members):
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
         data = change.bounds or change.references or change.disturbance is not None
-        ends_only = not (data or (terminal_state is not None and self._lti.prices is not None))
+        all_data = data or (initial_state is None and terminal_state is None)
+        ends_only = not (all_data or (terminal_state is not None and self._lti.prices is not None))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
-        self._require_same_structure(lti)
-        return problem, lti
-
-    def _require_same_structure(self, lti: Lti) -> None:
-        """Raise ProblemError if other components or values are fixed, or only one of both problems is periodic."""
         if lti.periodic != self._lti.periodic:
             expected = "None: the ends are periodic"
-            raise ProblemError("terminal_state", "other ends", expected, "Make a new SpectralSolver.")
+            raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
         for field, old, new in (
             ("initial_state", self._lti.start, lti.start),
             ("terminal_state", self._lti.end, lti.end),
@@ -247,6 +241,7 @@ class SpectralSolver:
         if not all(old is new or np.array_equal(old, new) for old, new in points):
             got = "other values fixed by lower == upper"
             raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
+        return problem, lti
 
     def _require_same_shape(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):
