@@ -8,7 +8,8 @@ An expert swings a load on a rope by a trolley and never moves the trolley above
 The cost behind it is unknown. Each step of the fit solves the moves for a guess of the
 cost and takes the exact gradient of the error through these optimal controls,
 ``solve_many(...).vjp``: bounds and removed frequencies hold for every guess. Layers of
-PyTorch and JAX (``lfo.to_torch``, ``lfo.to_jax``) have the same gradient.
+PyTorch and JAX (``lfo.to_torch``, ``lfo.to_jax``) have the same gradient:
+:doc:`/how_to/learn` fits the same moves in PyTorch.
 """
 
 import matplotlib.pyplot as plt

@@ -87,8 +87,9 @@ class Layer:
         """Return the derivatives of <bars, slopes of the weighted cost> by the weights, then by the data."""
         of_weights, parts = list[float](), list[dict[str, Array]]()
         for one, weight, change in zip(self.solutions(data), np.ravel(weights), self._of_each(bars), strict=True):
-            step, found = one.jvp(**change), one.prices_along(**change)
+            step = one.jvp(**change)
             self._require(step)
+            found = one.prices_along(step, **change)
             of_weights.append(step.cost)
             parts.append({name: float(weight) * found[name] for name in self.names})
         return np.reshape(of_weights, np.shape(weights)), *self._in_shapes(data, parts)

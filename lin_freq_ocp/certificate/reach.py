@@ -225,8 +225,8 @@ def _propagate_radii(problem: OptimalControlProblem, z: Array, radii: Array, lev
     """Fill in the radii around z that the dynamics imply, and terms whose cost is at most ``level``."""
     (x, u), trajectory = split_signals(radii, problem.state_dim), Trajectory(*split_signals(z, problem.state_dim))
     residual, rows = largest_residual(problem, trajectory), _rows_of_steps(problem, z, level)
-    left = np.zeros(problem.horizon, dtype=int)
-    _propagate_one_step(problem, residual, rows, 0, radii, left, radii)
+    left, barren = np.zeros(problem.horizon, dtype=int), set[bytes]()
+    _propagate_one_step(problem, residual, rows, 0, radii, (left, barren), radii)
     if problem.response is None and np.isfinite(u[0]).all() and np.isfinite(x[0, :, 0]).all():
         unknown = np.isinf(x[0])
         if unknown.any():
@@ -237,10 +237,13 @@ def _propagate_radii(problem: OptimalControlProblem, z: Array, radii: Array, lev
     if problem.horizon > MAX_STEPS:
         return
     steps = range(problem.horizon)
-    # each step alone comes first: radii grow with every step that they pass
-    for known, order in ((radii.copy(), steps), (radii, (*steps, *reversed(steps), *steps))):
+    # each step alone comes first: radii grow with every step that they pass; without a new one, others imply none
+    for known, order in ((radii.copy(), steps), (radii, steps), (radii, steps[::-1]), (radii, steps)):
+        before = np.count_nonzero(np.isinf(radii[0]))
         for t in order:
-            _propagate_one_step(problem, residual, rows, t, radii, left, known)
+            _propagate_one_step(problem, residual, rows, t, radii, (left, barren), known)
+        if np.count_nonzero(np.isinf(radii[0])) == before:
+            break
     _solve_all_steps(problem, trajectory, residual, radii)
 
 
@@ -258,15 +261,27 @@ def _rows_of_steps(problem: OptimalControlProblem, z: Array, level: float) -> Ro
 
 
 def _propagate_one_step(
-    problem: OptimalControlProblem, residual: Array, rows: Rows, t: int, radii: Array, left: Indices, known: Array
+    problem: OptimalControlProblem,
+    residual: Array,
+    rows: Rows,
+    t: int,
+    radii: Array,
+    barren: tuple[Indices, set[bytes]],
+    known: Array,
 ) -> None:
     """Fill in the components of x_t, u_t, x_{t+1} that ``known`` radii, the equation and rows of this step imply.
 
-    ``left`` (T,) says how many sides stay unknown: with so many, the step implies no more.
+    ``barren`` (T,) says how many sides stay unknown: with so many, the step implies no more. Its set has the unknown
+    sides of steps of constant dynamics without rows that implied none: which are implied does not depend on values.
     """
-    n = problem.state_dim
+    n, (left, patterns) = problem.state_dim, barren
     values = np.concatenate([known[:, :, t], known[:, :, t + 1, :n]], axis=2)
-    if np.count_nonzero(np.isinf(values[0])) in (0, left[t]):
+    unknown = np.isinf(values[0])
+    pattern, count = unknown.tobytes(), np.count_nonzero(unknown)
+    if count in (0, left[t]):
+        return
+    if pattern in patterns and t not in rows:
+        left[t] = count
         return
     columns = [np.hstack([matrix, np.zeros((len(matrix), n))]) for matrix, _ in rows.get(t, [])]
     limits = [np.stack([slack, np.full_like(slack, np.inf)]) for _, slack in rows.get(t, [])]
@@ -277,6 +292,8 @@ def _propagate_one_step(
         own = radii[:, :, t], radii[:, :, t + 1, :n]
         for part, new in zip(own, np.split(values, [radii.shape[-1]], axis=2), strict=True):
             part[:] = np.where(np.isinf(part[0]), new, part)
+    elif columns and t not in rows and not problem.linear.time_varying and np.isfinite(residual[t]).all():
+        patterns.add(pattern)
     left[t] = np.count_nonzero(np.isinf(values[0]))
 
 

@@ -11,6 +11,7 @@ Jittorntrum 1984): lambda >= 0 minimises 1/2 lambda'S lambda - lambda'v, S = F P
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -39,6 +40,8 @@ UNSETTLED = "the active rows did not settle"
 DEPENDENT_ROWS = "active rows depend on each other, and their multipliers are not unique"
 NOT_UNIQUE = "the optimum is not unique: the cost is flat along a direction"
 ExistenceFields = tuple[bool, tuple[str, ...], str, float]
+Reach = tuple[tuple[float, float] | None, tuple[str | None, str | None]]
+NO_REACH: Reach = (None, (None, None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +237,7 @@ class SolutionDerivatives:
         ProblemError
             If a weight has the wrong shape, or an entry is not a number.
         UnsupportedError
-            If so many bins are removed that each derivative is a problem of its own, and multipliers have weights, or
-            no method solves that problem.
+            If so many bins are removed that each derivative is a problem of its own, and no method solves it.
         """
         T, n, m = self.problem.horizon, self.problem.state_dim, self.problem.control_dim
         of_x = np.zeros((T + 1, n)) if x is None else to_shape("x", x, (T + 1, n))
@@ -252,9 +254,7 @@ class SolutionDerivatives:
         of_z[: linear.signals] = np.append(of_x, of_u)
         of_z *= scaling.cost * scaling.columns
         if multipliers is not None:
-            if not isinstance(multipliers, Multipliers):
-                raise ProblemError("multipliers", brief(multipliers), "Multipliers, such as those of a Derivative")
-            require_fitting(self.problem, multipliers)
+            require_multipliers(self.problem, multipliers)
             flat = np.append(linear.layout.flat(multipliers), 0.0)
             weighted = (flat[part.targets] * (1.0 if part.weights is None else part.weights) for part in linear.rows)
             of_rows = scaling.rows * np.concatenate([multipliers.eta.ravel(), *weighted])
@@ -284,15 +284,22 @@ class SolutionDerivatives:
         ------
         ProblemError
             If a datum is unknown, or a change does not fit it.
+        UnsupportedError
+            As for ``vjp``.
         """
-        point, weak, given = self._point, self._point.weak, data_for(self.problem, change)
+        given = data_for(self.problem, change)
+        cost = sum(float(np.nansum((np.conj(self.prices[name]) * d).real)) for name, d in given.items())
+        return self._step_along(given, cost)
+
+    def _step_along(self, given: Values, cost: float) -> Derivative:
+        """Return the derivative along a change of the data, with that of the cost."""
+        point, weak = self._point, self._point.weak
         forced, active = changed_equations(point, given), point.kkt.active
         at_lower = active.below.copy()
         at_lower[point.program.in_cones] = True
         at_lower[weak.rows[weak.side < 0]] = True
         of_rows = np.where(at_lower, forced.lower, forced.upper) - forced.values
         p, q, error = point.kkt.solve(-forced.of_z, of_rows)
-        cost = sum(float(np.nansum((np.conj(self.prices[name]) * d).real)) for name, d in given.items())
         if not len(weak.rows):
             side = self._side(p, q)
             return Derivative(*self._existence((), error), cost, side, side, *_reach(point, forced, p, q))
@@ -307,11 +314,13 @@ class SolutionDerivatives:
         )
         return Derivative(*self._existence(rows, error, blocked), cost, below, above)
 
-    def prices_along(self, **change: ArrayLike) -> Values:
+    def prices_along(self, step: Derivative | None = None, /, **change: ArrayLike) -> Values:
         """Return the derivative of ``prices`` along a change of the data: second derivatives of the optimal cost.
 
         Parameters
         ----------
+        step : Derivative, optional
+            The answer of ``jvp`` for this change, where there is one already.
         **change : arrays
             As for ``jvp``; on its right side at a kink.
 
@@ -326,7 +335,8 @@ class SolutionDerivatives:
         >>> derivatives.prices_along(initial_state=[1.0, 0.0])["offset"].shape
         (200, 2)
         """
-        step, given, known = self.jvp(**change), data_for(self.problem, change), data_of(self.problem)
+        step = self.jvp(**change) if step is None else step
+        given, known = data_for(self.problem, change), data_of(self.problem)
         along = Variables.along(Trajectory(step.x, step.u), step.multipliers)
         found, of_cost = slopes(self.problem, self._signals, along), [name for name in AXES if name in given]
         for sign in (-0.5, 0.5) if of_cost else ():  # the slopes are quadratic in the cost itself: this is exact
@@ -367,6 +377,13 @@ class SolutionDerivatives:
         return not reason, rows, reason, error
 
 
+def require_multipliers(problem: OptimalControlProblem, weights: object) -> None:
+    """Raise ProblemError unless weights are multipliers of the problem."""
+    if not isinstance(weights, Multipliers):
+        raise ProblemError("multipliers", brief(weights), "Multipliers, such as those of a Derivative")
+    require_fitting(problem, weights)
+
+
 def one_sided(point: ExactPoint, p: Array, q: Array, v: Array, sign: float) -> tuple[Array, Array]:
     """Return the derivative along a change, from above or below, from that without weak rows and their violation v."""
     of_z, of_y, S, dependent = point.responses
@@ -379,13 +396,11 @@ def one_sided(point: ExactPoint, p: Array, q: Array, v: Array, sign: float) -> t
     return p - sign * (of_z @ prices), q + sign * (own - of_y @ prices)
 
 
-def _reach(
-    point: ExactPoint, forced: ChangedEquations, p: Array, q: Array
-) -> tuple[tuple[float, float] | None, tuple[str | None, str | None]]:
+def _reach(point: ExactPoint, forced: ChangedEquations, p: Array, q: Array) -> Reach:
     """Return the steps up to which slacks and multipliers keep their signs, and the rows there; None with cones."""
     program, active = point.program, point.kkt.active
     if len(program.cones) or not forced.affine:
-        return None, (None, None)
+        return NO_REACH
     values, moved, equal = program.A @ point.kkt.z, program.A @ p + forced.values, program.equality
     free = ~(active.above | active.below)
     sides = [  # rows, what must stay above zero, and its rate
@@ -396,6 +411,11 @@ def _reach(
     ]
     parts = [(np.flatnonzero(kept), room[kept], pace[kept], np.full(kept.sum(), at)) for kept, room, pace, at in sides]
     rows, slack, rate, side = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return reach(slack, rate, lambda k: point.describe(rows[[k]], side[[k]])[0])
+
+
+def reach(slack: Array, rate: Array, name_row: Callable[[int], str]) -> Reach:
+    """Return the steps below and above zero up to which slack + step rate >= 0, and the rows that end them."""
     slack = np.maximum(slack, 0.0)
     rate = np.where(np.abs(rate) > SLOWEST * np.abs(rate).max(initial=0.0), rate, 0.0)
     steps, ends = list[float](), list[str | None]()
@@ -405,5 +425,5 @@ def _reach(
         k = int(np.argmin(lengths)) if len(lengths) else -1
         finite = k >= 0 and bool(np.isfinite(lengths[k]))
         steps.append(sign * float(lengths[k]) if finite else sign * np.inf)
-        ends.append(point.describe(rows[[k]], side[[k]])[0] if finite else None)
+        ends.append(name_row(k) if finite else None)
     return (steps[0], steps[1]), (ends[0], ends[1])

@@ -6,14 +6,26 @@ difference of two programs, exact but for rounding. The other data are slopes of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, stack_signals
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.derivatives.data import BINS, ENDS, Values, bounds_of_ends, data_of, is_matrix, is_upper, with_data
+from lin_freq_ocp.derivatives.data import (
+    BINS,
+    ENDS,
+    Values,
+    Variables,
+    bounds_of_ends,
+    data_of,
+    is_matrix,
+    is_upper,
+    with_data,
+)
 from lin_freq_ocp.derivatives.exact_point import ExactPoint
+from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.program.linear_program import LinearProgram
@@ -72,6 +84,66 @@ def changed_equations(point: ExactPoint, change: Values) -> ChangedEquations:
     return ChangedEquations(scaling.cost * scaling.columns * of_z, scaling.rows * values, lower, upper, affine)
 
 
+@dataclass(frozen=True, eq=False)
+class ChangedSignals:
+    """The same changes of a problem of bounds, ends and stop bands, for z_t = (x_t, u_t), in the units of the problem.
+
+    Those of the slope in z and of the lower and upper bounds, (T+1, n+m), and of f_t(x_t, u_t), (T, n). ``levels`` is a
+    signal (T+1, n+m) with the changed levels of removed bins, and no other bins.
+    """
+
+    of_z: Array
+    lower: Array
+    upper: Array
+    offset: Array
+    levels: Array
+    affine: bool
+
+
+def changed_signals(problem: OptimalControlProblem, at: Variables, change: Values) -> ChangedSignals:
+    """Return the change of the equations of an optimum along a change of the data."""
+    cost, linear, T = problem.quadratic, problem.linear, problem.horizon
+    of_cost = {name: change.get(name, 0.0) for name in (*WEIGHTS, "q", "r", "p")}
+    weights = replace(cost, **of_cost).at_dimensions(problem.state_dim, problem.control_dim, T)
+    moved = tuple(
+        np.broadcast_to(change.get(name, 0.0), part.shape) for name, part in (("x_ref", at.x), ("u_ref", at.u))
+    )
+    parts = zip(weights.gradient(at.x, at.u), hessian_of(problem).gradient(*moved), strict=True)
+    of_x, of_u = (of_weights - of_references for of_weights, of_references in parts)
+    matrices = {name: change.get(name, np.zeros_like(getattr(linear, name))) for name in ("A", "B")}
+    dynamics = replace(linear, **matrices, offset=change.get("offset", 0.0 * linear.offset))
+    through = dynamics.pull_back(at.multipliers.eta)
+    sides = [np.zeros((2, *signal.shape)) for signal in (at.x, at.u)]
+    for name, d in change.items():
+        for block, side in zip((Block.STATE_SET, Block.CONTROL_SET), sides, strict=True):
+            if name in OF_BLOCK[block]:
+                side += _bound_changes(problem, at.multipliers, block is Block.STATE_SET, name, d)
+    lower, upper = map(stack_signals, *sides)
+    return ChangedSignals(
+        stack_signals(np.concatenate([of_x[:-1] - through[0], of_x[-1:]]), of_u - through[1]),
+        lower,
+        upper,
+        dynamics.successors(at.x, at.u),
+        level_signal(problem, *(cast("ComplexArray | None", change.get(name)) for name in BINS)),
+        not any(is_matrix(name) and d.any() for name, d in change.items()),
+    )
+
+
+def level_signal(problem: OptimalControlProblem, of_u: ComplexArray | None, of_x: ComplexArray | None) -> Array:
+    """Return the signal z (T+1, n+m) whose removed bins have these levels, without other bins."""
+    signals, T = list[Array](), problem.horizon
+    for levels, stop, samples in ((of_x, problem.state_stop, T + 1), (of_u, problem.control_stop, T)):
+        kept = np.zeros(stop.shape) if levels is None else np.where(stop, levels, 0.0)
+        signals.append(np.fft.irfft(kept, samples, axis=0))
+    return stack_signals(*signals)
+
+
+def hessian_of(problem: OptimalControlProblem) -> QuadraticCost:
+    """Return the quadratic cost without references and linear terms."""
+    plain = replace(problem.quadratic, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
+    return plain.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon)
+
+
 def _slope_change(linear: LinearProgram, name: str, d: Array) -> Array:
     """Return the change of the slope of the cost in all variables along a change of q, r, p or a reference."""
     z = np.zeros(linear.variables)
@@ -94,7 +166,7 @@ def _limit_changes(point: ExactPoint, name: str, d: Array) -> Array:
             pass
         elif part.map is None:
             of_states = part.block is Block.STATE_SET
-            bounds = _bound_changes(linear.problem, point.multipliers, of_states, name, d)
+            bounds = _bound_changes(linear.problem, point.multipliers, of_states, name, d).reshape(2, -1)
             found[:] = bounds[:, part.entries - (0 if of_states else linear.states)]
         elif part.block is Block.TERMS:
             found[:] = _term_changes(linear, part, d)
@@ -108,7 +180,7 @@ def _limit_changes(point: ExactPoint, name: str, d: Array) -> Array:
 
 
 def _bound_changes(problem: OptimalControlProblem, at: Multipliers, of_states: bool, name: str, d: Array) -> Array:
-    """Return the changes of the bounds of states or controls, (2, values); those of ends move by these data alone."""
+    """Return the changes of bounds, (2, T+1, n) of states or (2, T, m); those of ends move by these data alone."""
     tube, normals = (problem.state_tube, at.mu) if of_states else (problem.control_tube, at.nu)
     full = np.zeros((2, *normals.shape))
     of_ends = np.stack(bounds_of_ends(problem)) if of_states else full != 0
@@ -118,7 +190,7 @@ def _bound_changes(problem: OptimalControlProblem, at: Multipliers, of_states: b
     else:
         side = int(name.endswith("upper"))
         full[side] = np.where(of_ends[side], 0.0, d)
-    return np.where(tube.fixed, np.where(is_upper(normals, tube), full[1], full[0]), full).reshape(2, -1)
+    return np.where(tube.fixed, np.where(is_upper(normals, tube), full[1], full[0]), full)
 
 
 def _term_changes(linear: LinearProgram, part: ProgramRows, d: Array) -> Array:

@@ -25,22 +25,25 @@ from lin_freq_ocp.transform.sizes import stated_sizes
 LONGEST_FACTOR = 2.0  # seconds of a factorisation, estimated
 
 
-def is_long(problem: OptimalControlProblem) -> bool:
-    """Whether a problem of bounds, ends and stop bands has too many dense rows for a sparse program."""
-    plain = problem.response is None and not problem.terms
-    return plain and dense_rows(problem).factorisation_seconds > LONGEST_FACTOR
+def is_long(problem: OptimalControlProblem, seconds: float | None = None) -> bool:
+    """Whether a problem of bounds, ends and stop bands has too many dense rows for a factor in LONGEST_FACTOR."""
+    plain, most = problem.response is None and not problem.terms, LONGEST_FACTOR if seconds is None else seconds
+    return plain and dense_rows(problem).factorisation_seconds > most
 
 
 def solve_long(
-    problem: OptimalControlProblem, options: SolveOptions = DEFAULTS, spectral: bool = True
+    problem: OptimalControlProblem,
+    options: SolveOptions = DEFAULTS,
+    spectral: bool = True,
+    solver: SpectralSolver | None = None,
 ) -> Candidate | None:
     """Return the answer of the Fourier-domain method, or of the structured one if that has no optimum or ray.
 
-    None if no method takes the problem.
+    ``solver`` is one of a problem of the same structure. None if no method takes the problem.
     """
     with suppress(UnsupportedError):
         if spectral:
-            found = SpectralSolver(problem).solve(time_limit=options.time_limit)
+            found = (solver or SpectralSolver(problem)).solve_similar(problem, options.time_limit)
             if found.status in (Status.OPTIMAL, Status.INFEASIBLE):
                 return found
     with suppress(UnsupportedError):

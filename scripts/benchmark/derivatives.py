@@ -139,7 +139,10 @@ def main(arguments: Sequence[str]) -> None:
                 for mode in ("lsqr", "lsmr", "dense"):
                     others.add_row(*beside(limit, mode))
             record.show(others)
-        for build, horizons in ((lfo.library.pendulum, (240, 4800)), (lfo.library.double_integrator, (200, 20_000))):
+        for build, horizons in (
+            (lfo.library.pendulum, (240, 4800)),
+            (lfo.library.double_integrator, (200, 20_000, 100_000)),
+        ):
             for horizon in horizons:  # the longer ones by adjoint problems
                 of_one.add_row(*single(build(horizon=horizon), given.repeats))
         record.show(of_one)

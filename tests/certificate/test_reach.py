@@ -432,3 +432,43 @@ def test_a_box_of_one_sided_bounds_holds_all_that_it_claims(seed):
         assert (lower <= least + 1e-6).all()
         assert (upper >= most - 1e-6).all()
         assert box is not region or np.isfinite([lower, upper]).all() == np.isfinite([least, most]).all()
+
+
+@pytest.fixture
+def steps_looked_at(monkeypatch):
+    """Return the list of the times at which the judge reads the dynamics of one step."""
+    at, times = lfo.LinearDynamics.at, list[int]()
+
+    def noting(dynamics, t):
+        times.append(t)
+        return at(dynamics, t)
+
+    monkeypatch.setattr(lfo.LinearDynamics, "at", noting)
+    return times
+
+
+def test_equal_steps_that_imply_no_radius_are_looked_at_once(steps_looked_at):
+    """Free controls, a constant cost: every step has the same unknown sides, and implies none of them."""
+    dynamics = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]])
+    ends = {"initial_state": [0.0, 0.0], "terminal_state": [0.0, 0.0]}
+    flat = lfo.OptimalControlProblem(dynamics, 400, lfo.QuadraticCost(r=[-1.0]), **ends)
+    shapes = {"eta": (400, 2), "mu": (401, 2), "nu": (400, 1), "rho_u": (201, 1), "rho_x": (201, 2)}
+    multipliers = lfo.results.Multipliers(1.0, **{name: np.zeros(shape) for name, shape in shapes.items()})
+    extremal = extremal_at(flat, lfo.simulate(flat, np.zeros((400, 1))), multipliers)
+    steps_looked_at.clear()
+    optimum_box(extremal, 1e-6)
+    assert 0 < len(steps_looked_at) < 430  # the equations of all times together read each step once, too
+
+
+def test_a_step_that_implies_radii_is_looked_at_although_others_imply_none():
+    """A box around x_9 reaches earlier states backwards, as far as controls are bounded; the horizon is too long for
+    the equations of all times together.
+    """
+    dynamics, T = lfo.LinearDynamics([[1.0, 0.1], [-0.1, 0.9]], [[0.0], [0.1]]), 1000
+    upper = np.full((T, 1), np.inf)
+    upper[3:9] = 1.0
+    sets = [lfo.sets.Everything() if t != 9 else lfo.Box(-2.0, 2.0) for t in range(T + 1)]
+    problem = lfo.OptimalControlProblem(dynamics, T, lfo.QuadraticCost(R=1.0), lfo.Box(-upper, upper), sets)
+    region = implied_bounds(problem)
+    known = np.isfinite(region.x[0]).all(axis=1) & np.isfinite(region.x[1]).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(known), np.arange(3, 10))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,6 +15,8 @@ import lin_freq_ocp as lfo
 from helpers.checks.layers import NAMES as NAMES_OF_SAMPLE
 from helpers.checks.layers import apart, by_derivatives
 from helpers.seeds import expensive, seeds
+from lin_freq_ocp.api import Layer
+from lin_freq_ocp.derivatives import SolutionDerivatives
 
 T = 10
 PROBLEM = lfo.OptimalControlProblem(
@@ -43,6 +46,7 @@ def test_no_package_is_imported_unasked():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+HOW_TO = Path(lfo.__file__).parents[1] / "docs" / "how_to"
 RECORDED = Path(__file__).with_name("layers.npz")  # by scripts/verify.py --part layers --save
 
 
@@ -54,6 +58,25 @@ def test_recorded_gradients_of_layers_are_those_of_derivatives(package, seed):
         found = {name.removeprefix(first): file[name] for name in file if name.startswith(first)}
     assert {*NAMES_OF_SAMPLE} <= {*found}
     assert apart(found, by_derivatives(seed)) < 1e-8
+
+
+def test_a_second_derivative_moves_the_optimum_once(monkeypatch):
+    moves, layer = list[str](), Layer(PROBLEM, ("x_ref", "initial_state"), "error")
+    jvp = SolutionDerivatives.jvp
+
+    def counted(derivatives, **change):
+        moves.extend(change)
+        return jvp(derivatives, **change)
+
+    monkeypatch.setattr(SolutionDerivatives, "jvp", counted)
+    data, change = [np.array([1.0, 0.0]), np.array([0.5, -0.2])], [np.array([1.0, 0.0]), np.zeros(2)]
+    of_weight, *found = layer.cost_curvatures(data, np.array(2.0), change)
+    assert moves == ["x_ref", "initial_state"]
+    known = lfo.solve(PROBLEM).derivatives
+    curved = known.prices_along(x_ref=[1.0, 0.0])
+    assert of_weight == pytest.approx(known.prices["x_ref"][0])
+    for name, one in zip(("x_ref", "initial_state"), found, strict=True):
+        np.testing.assert_allclose(one, 2 * curved[name], rtol=1e-10)
 
 
 class TestTorch:
@@ -111,6 +134,13 @@ class TestTorch:
         lfo.to_torch(problem, ["initial_state"], kinks="right")(start)[1].sum().backward()
         known = lfo.solve(replace(problem, control_set=None)).derivatives.vjp(u=np.ones((T, 1)))
         np.testing.assert_allclose(start.grad.numpy(), known["initial_state"], rtol=1e-8)
+
+    @expensive
+    def test_the_page_on_learning_learns(self, torch, capsys):
+        runpy.run_path(str(HOW_TO / "learn_a_cost.py"))
+        said = capsys.readouterr().out
+        assert said == "load 4.96 (5), load speed 0.496 (0.5), target 0.400 m (0.4)\n"
+        assert said.strip() in (HOW_TO / "learn.md").read_text(encoding="utf-8")
 
 
 class TestJax:

@@ -117,7 +117,8 @@ class Exchange:
                 prices = self.working.prices(data.lti)
                 self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
-        self.proximal, self.best, self.stalled = data.lti.curvature_unit, np.inf, 0
+        self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
+        self.best, self.stalled = np.inf, 0
         self.flattest, self.farthest = np.inf, 0.0
         self.diagonal_bound = structure.diagonal_bound
         self.ray: Ray | None = None
@@ -236,7 +237,8 @@ class Exchange:
         """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
         if not len(working):
-            return kkt.inverse_with(self.proximal) @ right, working.weights, None
+            inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_with(self.proximal)
+            return inverse @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
         prices = working.prices(self.data.lti)
         upper = np.full(len(working), np.inf) if prices is None else prices
@@ -382,7 +384,7 @@ def exchange_values(
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
     """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
-    if lti.horizon < GUESSED_HORIZON or lti.response is not None:
+    if lti.horizon < GUESSED_HORIZON or lti.response is not None or not lti.has_limits:
         return None
     shorter = _shortened_horizon(lti)
     growth = np.abs(np.linalg.eigvals(lti.A)).max() ** HOLD_FACTOR  # over the samples of a zero-order hold

@@ -110,6 +110,14 @@ class Lti:
         """Cost of a stage or the end where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether any constraint is more than an equation."""
+        sides = self.bounds.lower, self.bounds.upper
+        limited = (np.isfinite(sides) & (sides[0] < sides[1])).any()
+        last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper]) & np.isnan(self.end)
+        return bool(limited or last.any())
+
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
         """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""

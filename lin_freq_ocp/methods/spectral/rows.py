@@ -61,20 +61,22 @@ def bounded_rows(rows: Rows, lti: Lti) -> Rows:
 class Violations:
     """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
-    ``rows`` are the rows of F with a bound at some time. ``violation`` (bounded, T) is their violation at t < T,
+    ``rows`` are the rows of F with a limit at some time. ``violation`` (bounded, T) is their violation at t < T,
     ``last`` (n,) the violation of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations
-    fix. These rows, and saturated rows, whose price is paid, do not count as violated.
+    fix. These rows, and saturated rows, whose price is paid, do not count as violated. ``possible``: some row may be.
     """
 
     def __init__(self, lti: Lti):
         self.lti, n, bounds = lti, lti.state_dim, lti.bounds
-        self.rows = np.flatnonzero((np.isfinite(bounds.lower) | np.isfinite(bounds.upper)).any(1))
+        limited = (np.isfinite(bounds.lower) | np.isfinite(bounds.upper)) & (bounds.lower < bounds.upper)
+        self.rows = np.flatnonzero(limited.any(1))
         self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
         self.free_end = np.isnan(lti.end)
         ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
+        self.possible = len(self.rows) > 0 or bool(np.isfinite(ends[:, self.free_end]).any())
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
         t, f = lti.fixed_points

@@ -97,7 +97,7 @@ class SpectralSolver:
         if reason is not None:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
         self.problem = problem
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._set_up(natural_units(problem))
 
     def __getstate__(self) -> dict[str, object]:
@@ -106,7 +106,7 @@ class SpectralSolver:
 
     def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state, with a new lock."""
-        self.__dict__.update(state, _lock=threading.Lock())
+        self.__dict__.update(state, _lock=threading.RLock())
 
     def _set_up(self, units: LtiUnits) -> None:
         """Compute everything that does not depend on data, in the given units."""
@@ -173,12 +173,17 @@ class SpectralSolver:
         return self.solve_changed(change, warm_start, tolerance, time_limit)
 
     def solve_changed(
-        self, change: Change, warm_start: SpectralSolution | None, tolerance: float | None, time_limit: float | None
+        self,
+        change: Change,
+        warm_start: SpectralSolution | None = None,
+        tolerance: float | None = None,
+        time_limit: float | None = None,
+        known: ChangedProblem | None = None,
     ) -> SpectralSolution:
-        """Solve the changed problem; see ``solve``."""
+        """Solve the changed problem, if not given; see ``solve``."""
         with self._lock:
             started = now()
-            problem, lti = self.changed_problem(change)
+            problem, lti = known or self.changed_problem(change)
             ray = contradiction_at_ends(problem)
             if ray is not None:
                 message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
@@ -199,6 +204,11 @@ class SpectralSolver:
                         answer = second
                 return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
 
+    def solve_similar(self, problem: OptimalControlProblem, time_limit: float | None = None) -> SpectralSolution:
+        """Solve a problem with other ends, linear costs, offsets and bounds; ProblemError for another structure."""
+        with self._lock:
+            return self.solve_changed(Change(), time_limit=time_limit, known=self.changed_problem(Change(), problem))
+
     def changed_problem(self, change: Change, known: OptimalControlProblem | None = None) -> ChangedProblem:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
         if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
@@ -213,7 +223,8 @@ class SpectralSolver:
             if entry is not None and not all(member.soft for member in entry.members):
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
         data = change.bounds or change.references or change.disturbance is not None
-        ends_only = not (data or (terminal_state is not None and self._lti.prices is not None))
+        all_data = data or (initial_state is None and terminal_state is None)
+        ends_only = not (all_data or (terminal_state is not None and self._lti.prices is not None))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
         if lti.periodic != self._lti.periodic:

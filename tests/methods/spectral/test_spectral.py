@@ -339,3 +339,15 @@ def test_a_bound_that_a_free_end_can_move_away_from_is_no_ray():
     row = working.weighted(np.ones(1))
     assert (row.slacks(solver.lti, np.zeros((2, 8)), np.zeros(1)) < 0).all()
     assert verified_ray(built, data, row, np.zeros(len(data.e))) is None
+
+
+def test_a_solver_takes_problems_of_the_same_structure():
+    problem = lfo.library.double_integrator()
+    solver = lfo.SpectralSolver(problem)
+    other = replace(problem, cost=replace(problem.cost, r=[0.3]), initial_state=[0.1, 0.0], control_set=lfo.Box(-4, 4))
+    found, known = solver.solve_similar(other), lfo.SpectralSolver(other).solve()
+    assert found.problem is other
+    np.testing.assert_allclose(found.trajectory.u, known.trajectory.u, atol=1e-9)
+    assert solver.solve_similar(problem).status == "optimal"
+    with pytest.raises(lfo.errors.ProblemError, match="terminal_state: got other fixed components than in the problem"):
+        solver.solve_similar(replace(problem, terminal_state=None))

@@ -96,6 +96,25 @@ def test_the_guess_is_near_what_is_active_in_the_end(horizon, sampling_time):
     assert len(guess.t) < 2 * len(active.t)
 
 
+def test_equations_alone_need_no_guess():
+    """Values that bounds fix are equations: no row can be violated."""
+    upper = np.full((LONG, 2), np.inf)
+    upper[40:44] = 0.1
+    fixed = lfo.Box(np.where(upper < 1, upper, -np.inf), upper)
+    problem = problem_of(dynamics=SLOW, horizon=LONG, cost=lfo.QuadraticCost(Q=0.3, R=1.0), control_set=fixed)
+    lti = lti_problem(problem, natural_units(problem))
+    assert not lti.has_limits
+    assert first_working_set(lti, lambda: None, {}) is None
+    solution = lfo.SpectralSolver(problem).solve()
+    assert (solution.status, solution.rounds) == ("optimal", 1)
+    np.testing.assert_allclose(solution.trajectory.u[40:44], 0.1)
+    bounded = problem_of(dynamics=SLOW, horizon=LONG, cost=problem.cost, control_set=fixed_at([40], 0.1, 0.3))
+    assert lti_problem(bounded, natural_units(bounded)).has_limits
+    ends = lfo.Box([-9.0, None, None], [9.0, None, None])
+    bounded = problem_of(dynamics=SLOW, horizon=LONG, cost=problem.cost, control_set=fixed, terminal_state=ends)
+    assert lti_problem(bounded, natural_units(bounded)).has_limits
+
+
 @expensive
 def test_rows_near_working_rows_save_half_of_the_rounds(monkeypatch):
     """As on long horizons: without a model of all values, and with neighbourhoods or without."""
