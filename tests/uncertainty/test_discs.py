@@ -10,6 +10,7 @@ import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import expensive, seeds
+from lin_freq_ocp.program import LinearProgram, passed_bins_of
 from lin_freq_ocp.uncertainty import radius_of_coherence
 
 
@@ -216,6 +217,16 @@ def test_a_long_record_is_solved_by_few_of_its_rows():
     assert worst
     assert worst["position, upper"].attained == pytest.approx(problem.state_set.upper[1], rel=1e-7)
     assert lfo.solve(problem, method="convex").cost == pytest.approx(lfo.solve(problem, method="spectral").cost)
+
+
+@pytest.mark.parametrize("N", [100, 4000])
+def test_rows_of_a_long_record_keep_the_units_of_their_outputs(N):
+    """Spectra sum up N samples: in their unit, 1e-9 of a row of 1e5 samples would be 2e-7 of its limit."""
+    plan = lfo.robust(converter(N, 0.13), lfo.Discs(1e-6))
+    linear = LinearProgram(plan)
+    bins = passed_bins_of(linear, plan.response, linear.column_units([0.5, 0.125], [1024.0]))
+    assert set(bins.rows[3][bins.single].tolist()) == {0.125, 1024.0}
+    assert np.abs(bins.program(~bins.single).A).max() == pytest.approx(1.0)
 
 
 def test_no_plan_for_wide_discs_is_proven_by_a_ray(limited):
