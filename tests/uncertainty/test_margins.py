@@ -123,6 +123,35 @@ def test_twice_the_loads_are_infeasible_by_a_ray():
     assert "rigorous ray" in found.message
 
 
+@pytest.mark.parametrize("gain", [OWN, "auto"])
+def test_three_times_the_loads_break_the_promise_and_are_seen_to(gain):
+    """The plan for a third of them violates limits under the loads that are returned, and none can be made for them."""
+    problem, load = tube(), lfo.Disturbance(lfo.Box(-0.15, 0.15), gain=gain)
+    plan, K = lfo.solve(lfo.robust(problem, load)), load.feedback(problem)
+    more = lfo.Disturbance(lfo.Box(-0.45, 0.45), gain=K)
+    worst = lfo.worst_case(problem, more, plan)
+    assert lfo.worst_case(problem, load, plan)
+    assert not worst
+    broken = [one for one in worst.limits if not one.holds]
+    assert {"x_1, upper", "u_0, upper", "u_0, lower"} <= {one.name for one in broken}
+    for one in broken:
+        found = excess(problem, *simulate(problem, K, plan.trajectory, np.eye(2), one.loads[None]))
+        assert found >= one.violation - 1e-12 > 0.2
+    w = np.random.default_rng(0).choice([-0.45, 0.45], (20_000, 10, 2))
+    assert (
+        0.25
+        < excess(problem, *simulate(problem, K, plan.trajectory, np.eye(2), w))
+        < max(one.violation for one in broken)
+    )
+    if gain == "auto":
+        found = lfo.solve(lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.45, 0.45))), throw=False)
+        assert (found.status, found.dual) == ("infeasible", True)
+    else:
+        message = r"control_set: .* take 1.248. below and 1.248. above at step 9; .* At most 0.8 of these loads"
+        with pytest.raises(lfo.errors.ProblemError, match=message):
+            lfo.robust(problem, more)
+
+
 WRONG = {
     "a power too many": lambda loop: replace(loop, E=loop.A @ loop.E),
     "a power too few": lambda loop: replace(loop, E=np.linalg.solve(loop.A, loop.E)),
@@ -244,7 +273,7 @@ def test_a_periodic_plan_that_repeats_forever_never_violates_a_limit():
         assert one.attained == pytest.approx(one.planned + one.sign * one.margin, rel=1e-9)
     K, rng, over = load.feedback(problem), np.random.default_rng(1), []
     x = np.tile(plan.x[0], (3, 1))
-    for k in range(20 * T):
+    for k in range(200 * T):
         u = plan.u[k % T] + (x - plan.x[k % T]) @ K.T
         over.append(max(np.abs(u).max() - 1, np.abs(x).max() - 1.5))
         w = [rng.choice([-W, W], 2), [W, W], W * np.sign(np.sin(0.1 * k + np.arange(2)))]
