@@ -458,14 +458,16 @@ def _problem(
     robust: FileTable | None = None,
     **fields: FileValue,
 ) -> OptimalControlProblem:
-    problem = OptimalControlProblem(**fields)
+    problem = given = OptimalControlProblem(**fields)
+    within = None if discs is None else discs(given)
     if rate_limit is not None:
+        within = within and Discs(within.radii(given), within.cost)  # the last controls, which it adds, are known
         with at_location("rate_limit"):
             problem = rate_limited(problem, **rate_limit)
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
     several = None if plants is None else Plants(plants, plant_shares)
-    tables = ("disturbance", disturbance), ("discs", discs and discs(problem)), ("plants", several)
+    tables = ("disturbance", disturbance), ("discs", within), ("plants", several)
     stated = [(key, uncertainty) for key, uncertainty in tables if uncertainty is not None]
     if len(stated) > 1:
         raise ProblemError(stated[1][0], f"{stated[0][0]}, too", "one of [disturbance], [discs] and [[plants]]")

@@ -264,9 +264,31 @@ def test_a_disc_of_a_coherence_contains_the_response_as_often_as_stated():
     assert (radius_of_coherence([1.0], [0.9], n, bins=10) > radius_of_coherence([1.0], [0.9], n)).all()
 
 
+def test_discs_of_a_table_contain_the_response_at_all_bins_together_as_often_as_stated():
+    """Between measured frequencies, too, where it is linear; of 2000 estimates the standard error is 0.7 %."""
+    rng, n, frequencies = np.random.default_rng(6), 16, np.array([0.0, 1.0, 2.0, 4.0, 5.0])
+    G = np.array([1.0, 0.7 - 0.4j, 0.2 - 0.6j, -0.3 - 0.2j, -0.1])
+    true = np.interp(np.arange(11) / 2, frequencies, G)
+    inside = []
+    for _ in range(2000):
+        x, noise = (rng.standard_normal((2, 2, 5, n)) * [[[[1.0]]], [[[1j]]]]).sum(axis=0)
+        y = G[:, None] * x + 0.1 * noise
+        xx, yy, xy = (np.abs(x) ** 2).sum(1), (np.abs(y) ** 2).sum(1), (np.conj(x) * y).sum(1)
+        table = np.column_stack([frequencies, (xy / xx).real, (xy / xx).imag, np.abs(xy) ** 2 / (xx * yy)])
+        radius = lfo.Discs.from_table(table, 20, 0.1, averages=n, confidence=0.9).radius
+        inside.append((np.abs(np.interp(np.arange(11) / 2, frequencies, xy / xx) - true) <= radius).all())
+    assert np.mean(inside) == pytest.approx(1 - 0.1 + 0.004, abs=0.03)  # (1 - 0.1/5)^5
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: lfo.Discs.from_table([[0.0, 1.0, 0.0]], 4, 1.0, 8), r"discs.coherence: got shape \(1, 3\); expected"),
+        (
+            lambda: lfo.Discs.from_table([[0.0, 1, 0, 0.9], [0.2, 1, 0, 0.9]], 4, 1.0, 8),
+            r"discs.coherence: got frequencies from 0 to 0.2 Hz; .*Not covered: bins 1 \(0.25 Hz\) and 2",
+        ),
+        (lambda: lfo.Discs.from_table([[0.0, 1, 0, 0.9], [0.5, 1, 0, 0.0]], 4, 1.0, 8), "coherence: got .*; expected"),
         (lambda: lfo.Discs(-0.1), "discs.radius: got -0.1; expected radii"),
         (lambda: lfo.Discs([[0.1]]), r"discs.radius: got shape \(1, 1\)"),
         (lambda: lfo.Discs(np.nan), "discs.radius: got nan"),
