@@ -136,7 +136,7 @@ class Discs(Uncertainty):
         >>> lfo.Discs.from_table(table, samples=4, sampling_time=1.0, averages=16).radius.round(4).tolist()
         [0.0531, 0.1146, 0.1761]
         """
-        frequencies, G, coherence = _measured(table)
+        frequencies, G, coherence = _measured_columns(table)
         radius = radius_of_coherence(G, coherence, averages, confidence, len(G))
         return cls(response_at_bins(MEASURED, frequencies, radius, samples, sampling_time, outside).real, cost)
 
@@ -332,7 +332,7 @@ def discs_of(
     return make
 
 
-def _measured(table: ArrayLike) -> tuple[Array, ComplexArray, Array]:
+def _measured_columns(table: ArrayLike) -> tuple[Array, ComplexArray, Array]:
     """Return the frequencies, the response and the coherence of a table, (k,) each."""
     rows = real_array(MEASURED, table)
     if rows.ndim != 2 or rows.shape[1] != 4:
@@ -344,7 +344,7 @@ def _measured(table: ArrayLike) -> tuple[Array, ComplexArray, Array]:
 
 def _require_measured(table: Array, plant: FrequencyResponse, samples: int, sampling_time: float) -> None:
     """Raise ProblemError unless the response of a table is that of a plant, which is zero where the table has none."""
-    frequencies, measured, _ = _measured(table)
+    frequencies, measured, _ = _measured_columns(table)
     if plant.G.shape[1:] != (1, 1):
         got = f"a table, for a response of shape {plant.G.shape}"
         raise ProblemError(MEASURED, got, "the coherence of each entry at each bin, or a radius")
