@@ -165,7 +165,7 @@ class Discs(Uncertainty):
         shape, given = problem.response.G.shape, self.radius
         given = given[:, None, None] if given.ndim == 1 and shape[1:] == (1, 1) else given
         if given.ndim and (given.ndim != 3 or given.shape[::2] != shape[::2] or given.shape[1] > shape[1]):
-            raise ProblemError("discs.radius", f"shape {given.shape}", f"shape {shape}, that of G, or one number")
+            raise ProblemError("discs.radius", f"shape {self.radius.shape}", f"shape {shape}, that of G, or one number")
         further = shape[1] - given.shape[1] if given.ndim else 0  # outputs that rate_limited adds are known
         return np.pad(given, ((0, 0), (0, further), (0, 0))) if further else np.broadcast_to(given, shape)
 
@@ -318,10 +318,10 @@ def discs_of(
         if radius is not None or problem.response is None:
             return Discs(0.0 if radius is None else radius, cost)
         plant, c = _plant(problem), real_array(MEASURED, coherence)
-        c = c[:, None, None] if c.ndim == 1 and plant.G.shape[1:] == (1, 1) else c
+        G = plant.G[:, 0, 0] if c.ndim == 1 and plant.G.shape[1:] == (1, 1) else plant.G
         try:
             if c.ndim != 2:
-                return Discs(radius_of_coherence(plant.G, c, averages or 0, confidence, len(plant.G)), cost)
+                return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
             record = problem.response.record, plant.sampling_time or 0.0
             _require_measured(c, plant, *record)
             return Discs.from_table(c, *record, averages or 0, confidence, cost, "zero")

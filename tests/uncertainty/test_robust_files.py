@@ -117,7 +117,15 @@ def test_an_invariant_end_is_written_back_and_a_problem_with_replaced_fields_wit
         (f"{BOX}\ninput = [[0.0], [0.0]]", "disturbance.input: got zeros"),
         ("set = {lower = -0.9, upper = 0.9}", "(state|control)_set: got a range of .* of which the loads take"),
         ('set = {kind = "gaussian", covariance = 1.0, probability = 0.1}', "disturbance.set.probability: got 0.1"),
-        (f'{BOX}\n[robust]\nend = "set"', "end: got .set.; expected .invariant."),
+        (
+            'set = {kind = "records", loads = [[[0.1, 0.1]]]}',
+            "disturbance.set.loads: got loads of 1 steps; expected one",
+        ),
+        ("set = {lower = 0.1, upper = -0.1}", "disturbance.set.lower: got 0.1 above upper"),
+        ("set = {lower = -inf, upper = 0.1}", "disturbance.set: got .*without bounds"),
+        ("set = {lower = nan, upper = 0.1}", "disturbance.set.lower: got nan"),
+        ("set = []", r"disturbance.set: got shape \(0,\); expected a set such as Box"),
+        (f'{BOX}\n[robust]\nend = "set"', "robust.end: got .set.; expected .invariant."),
     ],
 )
 def test_loads_of_a_file_that_do_not_fit_are_refused_with_their_field(file, lines, message):
@@ -305,6 +313,28 @@ upper = 0.4
 """
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("horizon = 10", "horizon = 10\nplant_shares = [1.0]", r"plant_shares: got \[1.0\]; expected 2 weights"),
+        ("horizon = 10", "horizon = 10\nplant_shares = [1.0, -1.0]", r"plant_shares: got .*; expected 2 weights"),
+        ("horizon = 10", "horizon = 10\nplant_shares = ['a', 1.0]", "plant_shares: .*Numbers have no quotes"),
+        (PLANTS, "", r"plant_shares: got \[1.0, 1.0\]; expected tables \[\[plants\]\]"),
+        ("[0.8]]", "[0.8, 1.0]]", r"plants\[1\].B: .*rectangular"),
+        ("[[0.4], [0.8]]", "[[0.4, 0.8]]", r"plants\[1\].B: got shape \(1, 2\); expected a matrix"),
+        ("[[0.4], [0.8]]", "[[nan], [0.8]]", r"plants\[1\].B\[0\]\[0\]: got nan"),
+        ("[[0.4], [0.8]]", "[[0.4, 1.0], [0.8, 1.0]]", r"plants\[1\]: got 2 states, 2 controls"),
+    ],
+)
+def test_plants_of_a_file_that_do_not_fit_are_refused_with_the_key_of_the_file(tmp_path, old, new, message):
+    text = TEXT.replace("[disturbance]", PLANTS).replace("[-7.0, -2.0]", "[-5.0, 0.0]")
+    if "shares" not in new:
+        text = text.replace("horizon = 10", "horizon = 10\nplant_shares = [1.0, 1.0]")
+    (tmp_path / "plants.toml").write_text(text.replace(old, new))
+    with pytest.raises(lfo.errors.ProblemError, match=f"plants.toml: {message}"):
+        lfo.read_problem(tmp_path / "plants.toml")
+
+
 def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
     c = [0.99, 0.99, 0.98, 0.97, 0.9]
     text = f"{RESPONSE}[discs]\ncoherence = {c}\naverages = 20\nconfidence = 0.9\n"
@@ -316,7 +346,7 @@ def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
     np.testing.assert_array_equal(read.uncertainty.radii(read.given)[:, 0, 0], radius)
     lfo.write_problem(read, tmp_path / "again.toml")  # with the radii
     again = lfo.read_problem(tmp_path / "again.toml")
-    np.testing.assert_array_equal(again.uncertainty.radius[:, 0, 0], radius)
+    np.testing.assert_array_equal(again.uncertainty.radius, radius)
     assert lfo.solve(again).cost == lfo.solve(read).cost
     solved = json.loads(call("solve", tmp_path / "again.toml", "--json").output)
     assert faults(RESULT, solved) == []
@@ -458,6 +488,8 @@ def test_bins_outside_of_a_measured_table_are_known_only_where_the_response_is_z
             "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 1.2]\naverages = 9",
             "discs.coherence: got .*; expected .* at most 1",
         ),
+        ("[discs]\nradius = [0.1, 0.1]", r"discs.radius: got shape \(2,\); expected shape \(5, 1, 1\)"),
+        ("[discs]\ncoherence = [0.9, 0.9]\naverages = 9", r"discs.coherence: got shape \(2,\); expected shape \(5,\)"),
         (
             "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 0.9]\naverages = 1",
             "discs.averages: got 1; expected a whole number of independent",
