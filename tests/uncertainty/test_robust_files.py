@@ -14,6 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM, RESULT, faults
 from helpers.seeds import expensive
 from helpers.tubes import A, B, simulate, tube
+from lin_freq_ocp.base import number
 from lin_freq_ocp.cli import cli
 
 TEXT = """
@@ -256,6 +257,23 @@ def test_the_page_of_a_robust_plan_has_its_worst_case(file, tmp_path, text):
     assert (tmp_path / "report" / "worst_case.svg").exists()
     shown = {"tube": "worst load", "plants": "x_0 of plant 1", "measured": "worst plant"}
     assert shown[text] in (tmp_path / "report" / "worst_case.svg").read_text(encoding="utf-8")
+
+
+def test_the_page_says_by_how_much_a_soft_limit_is_exceeded(file, tmp_path):
+    speed = 'kind = "soft"\npenalty = 5.0\nset = {lower = [-inf, -1.0], upper = [inf, 1.0]}'
+    path = file(BOX.replace("0.15", "0.05"))
+    text = path.read_text().replace("[state_set]\nlower = [-10.0, -2.0]\nupper = [2.0, 2.0]", f"[state_set]\n{speed}")
+    path.write_text(text)
+    assert call("compare", path, "--out", tmp_path / "report").return_value == 0
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    problem = lfo.read_problem(path)
+    worst = lfo.worst_case(problem.given, problem.uncertainty, lfo.solve(problem))
+    broken = max(worst.soft, key=lambda one: one.violation)
+    assert worst
+    assert broken.attained - broken.limit > 0.1
+    assert f"soft, exceeded by {number(broken.attained - broken.limit)}" in page
+    assert ">soft<" not in page
+    assert "violated" not in str(worst)
 
 
 PLANTS = """

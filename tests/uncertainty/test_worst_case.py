@@ -11,6 +11,7 @@ import pytest
 import lin_freq_ocp as lfo
 from helpers.seeds import expensive
 from helpers.tubes import simulate, tube
+from lin_freq_ocp.base import number
 from lin_freq_ocp.transform import translated_by
 
 LOAD = lfo.Disturbance(lfo.Box(-0.15, 0.15))
@@ -289,6 +290,11 @@ def test_soft_limits_are_shown_at_their_worst_and_priced_but_break_nothing():
     for one in worst.soft:
         assert one.attained == pytest.approx(one.planned + one.margin, rel=1e-12)
     assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
-    assert str(worst).count("(soft)") == 3
+    broken, kept = worst["row 1 of state set"], replace(worst["sum"], limit=10.0)
+    assert broken.remark(soft=True) == f"soft, exceeded by {number(broken.attained - broken.limit)}"
+    assert broken.remark() == broken.remark(soft=True).replace("soft, exceeded", "violated")
+    assert (kept.remark(soft=True), kept.remark(), replace(kept, limit=np.nan).remark()) == ("soft, holds", "holds", "")
+    assert str(worst).count("  soft, ") == worst._repr_html_().count("  soft, ") == 3
+    assert "violated" not in str(worst)
     assert not all(one.holds for one in worst.soft)
     assert worst.verdict.startswith("No case violates one of the hard limits: proven")
