@@ -123,33 +123,44 @@ def test_twice_the_loads_are_infeasible_by_a_ray():
     assert "rigorous ray" in found.message
 
 
-@pytest.mark.parametrize("gain", [OWN, "auto"])
-def test_three_times_the_loads_break_the_promise_and_are_seen_to(gain):
-    """The plan for a third of them violates limits under the loads that are returned, and none can be made for them."""
-    problem, load = tube(), lfo.Disturbance(lfo.Box(-0.15, 0.15), gain=gain)
-    plan, K = lfo.solve(lfo.robust(problem, load)), load.feedback(problem)
-    more = lfo.Disturbance(lfo.Box(-0.45, 0.45), gain=K)
-    worst = lfo.worst_case(problem, more, plan)
-    assert lfo.worst_case(problem, load, plan)
-    assert not worst
-    broken = [one for one in worst.limits if not one.holds]
-    assert {"x_1, upper", "u_0, upper", "u_0, lower"} <= {one.name for one in broken}
-    for one in broken:
-        found = excess(problem, *simulate(problem, K, plan.trajectory, np.eye(2), one.loads[None]))
-        assert found >= one.violation - 1e-12 > 0.2
-    w = np.random.default_rng(0).choice([-0.45, 0.45], (20_000, 10, 2))
-    assert (
-        0.25
-        < excess(problem, *simulate(problem, K, plan.trajectory, np.eye(2), w))
-        < max(one.violation for one in broken)
+def test_the_words_of_a_ray_say_what_loads_take_of_each_limit():
+    """Where a limit acts; the ends as they were given, and limits that were replaced after that, say nothing."""
+    load = lfo.Disturbance(lfo.Box(-0.3, 0.3))
+    plan = lfo.robust(tube(), load)
+    message = (
+        r"initial state, t = 0; state bound on x_0, t = 3 \(less 1.3 for loads\); .* u_0, .* \(less 0.35 for loads\)"
     )
-    if gain == "auto":
-        found = lfo.solve(lfo.robust(problem, lfo.Disturbance(lfo.Box(-0.45, 0.45))), throw=False)
-        assert (found.status, found.dual) == ("infeasible", True)
-    else:
-        message = r"control_set: .* take 1.248. below and 1.248. above at step 9; .* At most 0.8 of these loads"
-        with pytest.raises(lfo.errors.ProblemError, match=message):
-            lfo.robust(problem, more)
+    with pytest.raises(lfo.errors.InfeasibleError, match=message) as info:
+        lfo.solve(plan)
+    loop, parts = load.error_loop(tube()), {one.block: one for one in info.value.result.conflict}
+    of_x, of_u = parts["state bound on x_0"], parts["control bound on u_0"]
+    most = loop.margins(-np.eye(2), np.zeros((2, 1)))[list(of_x.times), 0].max()
+    assert of_x.margin == pytest.approx(most, rel=1e-12)
+    most = loop.margins(np.zeros((1, 2)), np.eye(1))[list(of_u.times), 0].max()
+    assert of_u.margin == pytest.approx(most, rel=1e-12)
+    wider = lfo.solve(replace(plan, control_set=lfo.Box(-0.1, 0.1)), throw=False)
+    assert {one.margin for one in wider.conflict} == {0.0}
+    assert "for loads" not in "".join(map(str, lfo.solve(tube(initial_state=[5.0, 5.0]), throw=False).conflict))
+
+
+@pytest.mark.parametrize(
+    ("block", "changes"),
+    [
+        ("row 0 of sum", {"stage_rows": lfo.StageRows([[1.0, 1.0]], [[0.5]], [-9.2], name="sum")}),
+        ("terminal state", {"terminal_state": lfo.Box([1.0, -0.5], [2.0, 0.5]), "horizon": 5}),
+        ("mask on u_0", {"control_spectrum": lfo.MagnitudeBound(1.2, bins=[0, 1, 2, 3, 4, 5])}),
+        ("state set", {"state_set": lfo.Box(-10, 2) & lfo.sets.Polyhedron([[-1.0, -0.1]], [7.3])}),
+    ],
+)
+def test_the_words_of_a_ray_name_margins_of_rows_ends_masks_and_polyhedra(block, changes):
+    load, fields = lfo.Disturbance(lfo.Box(-0.05, 0.05)), {"horizon": 10} | changes
+    found = lfo.solve(lfo.robust(tube(**fields), load), throw=False)
+    assert found.status == "infeasible"
+    (part,) = (one for one in found.conflict if one.block == block)
+    assert part.margin > 0.02
+    assert "for loads)" in str(part)
+    (start,) = (one for one in found.conflict if one.block == "initial state")
+    assert start.margin == 0.0
 
 
 WRONG = {
