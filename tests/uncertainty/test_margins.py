@@ -167,6 +167,18 @@ WRONG = {
     "a power too many": lambda loop: replace(loop, E=loop.A @ loop.E),
     "a power too few": lambda loop: replace(loop, E=np.linalg.solve(loop.A, loop.E)),
     "without K'd": lambda loop: replace(loop, K=0 * loop.K),
+    "without the first load": lambda loop: replace(
+        loop,
+        A=np.broadcast_to(loop.A, (4, 2, 2)),
+        a=np.broadcast_to(loop.a, (4, 2, 2)),
+        E=np.array([0 * loop.E, *[loop.E] * 3]),
+    ),
+    "without the last load": lambda loop: replace(
+        loop,
+        A=np.array([loop.A, loop.A, 0 * loop.A, loop.A]),
+        a=np.broadcast_to(loop.a, (4, 2, 2)),
+        E=np.array([loop.E, loop.E, 0 * loop.E, loop.E]),
+    ),
     "a gain of the wrong sign": lambda loop: replace(loop, K=-loop.K),
     "another closed loop": lambda loop: replace(loop, A=loop.A - 0.1 * np.eye(2)),
 }

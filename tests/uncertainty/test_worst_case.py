@@ -61,6 +61,7 @@ def test_a_margin_that_is_a_little_too_small_is_noticed(missing):
     worst = lfo.worst_case(problem, LOAD, lfo.solve(replace(tight, control_set=wider)))
     broken = [one for one in worst.limits if not one.holds]
     assert broken
+    assert "violated by" in str(worst)
     assert all(one.name.startswith("u_0") for one in broken)
     assert max(one.violation for one in broken) == pytest.approx(missing, rel=1e-2)
     assert max(one.sign * (one.attained - one.limit) for one in broken) == pytest.approx(missing, rel=1e-2)
@@ -147,6 +148,21 @@ def test_leakage_into_stop_bands_is_attained_and_that_of_all_vertices():
     assert (leak.index, np.isnan(leak.limit)) == (2, True)
     assert leak.planned + leak.margin == pytest.approx(brute, rel=1e-12)
     assert leak.attained == pytest.approx(brute, rel=1e-12)
+
+
+def test_leakage_into_many_removed_bins_of_a_longer_plan_is_attained_and_exceeded_by_no_load():
+    T, size = 40, 0.01
+    problem = tube(T, control_spectrum=lfo.stop_band(bins=list(range(4, T // 2 + 1))), initial_state=[-2.0, 0.0])
+    load = lfo.Disturbance(lfo.Box(-size, size))
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="control_spectrum"):
+        found = lfo.solve(lfo.robust(problem, load))
+    (leak,) = lfo.worst_case(problem, load, found).leakage
+    assert leak.index >= 4
+    assert leak.attained == pytest.approx(leak.planned + leak.margin, rel=1e-9)
+    w = np.random.default_rng(0).choice([-size, size], (20_000, T, 2))
+    _, u = simulate(problem, load.feedback(problem), found.trajectory, np.eye(2), w)
+    reached = np.abs(np.fft.rfft(u[..., 0], axis=1))[:, 4:].max()
+    assert 0.4 * leak.attained < reached < leak.attained
 
 
 @expensive
