@@ -240,8 +240,18 @@ def test_no_plan_for_wide_discs_is_proven_by_a_ray(limited):
 def test_discs_of_radius_zero_change_nothing(limited):
     nothing = lfo.Discs(0.0)
     found = lfo.solve(lfo.robust(limited, nothing))
-    assert found.cost == pytest.approx(lfo.solve(limited).cost, rel=1e-9)
+    assert found.cost == pytest.approx(lfo.solve(limited).cost, rel=1e-11)
     assert lfo.worst_case(limited, nothing, found)["position, upper"].margin == 0.0
+
+
+def test_bins_count_twice_but_the_first_and_the_last(limited):
+    """Margins with a weight of 1 throughout would miss about half of what the returned plant does."""
+    discs, found = lfo.Discs(0.05 * np.abs(limited.dynamics.G)), lfo.solve(limited)
+    one = lfo.worst_case(limited, discs, found)["position, upper"]
+    sizes = discs.radius[:, 1, 0] * np.abs(np.fft.rfft(found.trajectory.u[:, 0])) / limited.horizon
+    under = outputs(limited, one.plant, found.trajectory.u)[one.index % limited.horizon, 1]
+    assert under - one.planned == pytest.approx(2 * sizes.sum() - sizes[0] - sizes[-1], rel=1e-9)
+    assert under - one.planned > 1.9 * sizes.sum() > 0
 
 
 @expensive

@@ -292,6 +292,7 @@ def test_a_periodic_plan_that_repeats_forever_never_violates_a_limit():
         plan = lfo.solve(lfo.robust(problem, load)).trajectory
     worst = lfo.worst_case(problem, load, plan)
     assert worst
+    assert "end of the plan: loads move it by up to" in str(worst)
     for one in worst.limits:
         assert one.attained == pytest.approx(one.planned + one.sign * one.margin, rel=1e-9)
     K, rng, over = load.feedback(problem), np.random.default_rng(1), []
