@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_577,
-    "code lines": 47_855,
-    "code lines, linear part": 22_702,
+    "shipped lines": 51_699,
+    "code lines": 47_977,
+    "code lines, linear part": 22_717,
     "code lines, hybrid": 8_782,
     SHARE_SAID: 19.5,  # at least
     "files": 345,

@@ -95,7 +95,7 @@ class Discs(Uncertainty):
             raise ProblemError("discs.radius", got, "radii of shape (bins, p, m), zero or above")
         if cost not in ("nominal", "worst"):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
-        self.cost = cost
+        self.cost: Literal["nominal", "worst"] = cost
 
     @classmethod
     def from_table(
@@ -137,7 +137,7 @@ class Discs(Uncertainty):
         [0.0531, 0.1146, 0.1761]
         """
         frequencies, G, coherence = _measured_columns(table)
-        radius = radius_of_coherence(G, coherence, averages, confidence, len(G))
+        radius = radius_of_coherence(G, coherence, averages, confidence, len(G)).astype(np.complex128)
         return cls(response_at_bins(MEASURED, frequencies, radius, samples, sampling_time, outside).real, cost)
 
     @classmethod
