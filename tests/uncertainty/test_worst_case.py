@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import expensive
+from helpers.checks import robust_plans
+from helpers.seeds import expensive, seeds
 from helpers.tubes import simulate, tube
 from lin_freq_ocp.base import number
 from lin_freq_ocp.transform import translated_by
@@ -33,6 +34,18 @@ def test_the_worst_case_of_the_example_is_that_of_the_design():
     assert "1 % larger loads cost 0.136 %" in str(worst)
     assert "proven" in str(worst)
     assert "u_0, lower" in worst._repr_html_()
+
+
+@pytest.mark.parametrize("seed", seeds(range(120)))
+def test_a_random_plan_bears_all_sequences_of_extreme_loads_and_its_worst_case_is_theirs(seed):
+    """In units of 1e-6 to 1e6, with soft limits, rate limits, polyhedra, ends and masks."""
+    found = robust_plans.check(seed)
+    assert found.passed, found
+
+
+def test_loads_that_are_larger_than_stated_are_seen_to_exceed_the_worst_case():
+    found = [robust_plans.check(seed, share=1.01) for seed in range(12)]
+    assert sum(any("exceeded" in fault for fault in one.faults) for one in found) >= 11
 
 
 def test_every_worst_case_is_attained_by_the_loads_that_it_returns():
