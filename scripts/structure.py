@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_458,
-    "code lines": 47_736,
-    "code lines, linear part": 22_618,
-    "code lines, hybrid": 8_769,
+    "shipped lines": 51_859,
+    "code lines": 48_137,
+    "code lines, linear part": 22_717,
+    "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
     "folders": 44,
@@ -66,7 +66,7 @@ LIMITS: dict[str, float] = {
     "functions used once [%]": 12.0,
     "files entered by a solve": 50,
     "functions entered by a solve": 385,
-    "calls of a solve": 742,
+    "calls of a solve": 744,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, first_largest, split_signals, stack_signals, to_long_double
+from lin_freq_ocp.base.phrases import number
 from lin_freq_ocp.certificate.bound import RIGOROUS, Bound
 from lin_freq_ocp.certificate.hamiltonian import extremal_at
 from lin_freq_ocp.certificate.response_bound import farkas_bound
@@ -47,11 +48,14 @@ class Conflict:
         lost if they are relaxed by their own size, relative to the heaviest ones.
     times : tuple of int
         Times at which it acts; bins for a stop band.
+    margin : float
+        By how much ``robust`` has tightened its limits there for loads, the most.
     """
 
     block: str
     share: float
     times: tuple[int, ...]
+    margin: float = 0.0
 
     def __str__(self) -> str:
         axis = "bins" if any(word in self.block for word in OVER_BINS) else "t ="
@@ -62,7 +66,8 @@ class Conflict:
             else:
                 runs.append([t, t])
         shown = ", ".join(f"{first}" if first == last else f"{first}..{last}" for first, last in runs[:MOST_RUNS])
-        return f"{self.block}, {axis} {shown}{', ...' if len(runs) > MOST_RUNS else ''}"
+        less = f" (less {number(self.margin, 2)} for loads)" if self.margin else ""
+        return f"{self.block}, {axis} {shown}{', ...' if len(runs) > MOST_RUNS else ''}{less}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, positive_integer, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, positive_integer, real_array
+from lin_freq_ocp.base.errors import ProblemError, rename_field
 from lin_freq_ocp.files.codec import Kinds, TableRecord, Tables, Value, checked_value, nonzero
 from lin_freq_ocp.files.reading import OTHER_VERSION, FileTable, FileValue, at_location, readable, versions
 from lin_freq_ocp.formulas.nodes import Formula, nodes_in_order
@@ -189,6 +189,7 @@ SMOOTH_MODE = TableRecord(
 
 LINEAR = TableRecord(
     _linear,
+    own="dynamics",
     classes=(LinearDynamics,),
     offset=nonzero(1),
     continuous=checked_value(lambda given: isinstance(given, bool), "true or false"),
@@ -203,7 +204,7 @@ SMOOTH_MODES = TableRecord(
 )
 SMOOTH = TableRecord(_from_formulas, like=_labels)
 
-RESPONSE = TableRecord(_response, like=_labels, classes=(FrequencyResponse,), values=_response_values)
+RESPONSE = TableRecord(_response, "dynamics", _labels, (FrequencyResponse,), _response_values)
 MEASURED = TableRecord(FrequencyResponse.from_table, own="dynamics")
 
 PULSE_TRAIN = TableRecord(PulseTrain)
@@ -458,18 +459,24 @@ def _problem(
     robust: FileTable | None = None,
     **fields: FileValue,
 ) -> OptimalControlProblem:
-    problem = OptimalControlProblem(**fields)
+    problem = given = OptimalControlProblem(**fields)
+    within = None if discs is None else discs(given)
     if rate_limit is not None:
+        within = within and Discs(within.radii(given), within.cost)  # the last controls, which it adds, are known
         with at_location("rate_limit"):
             problem = rate_limited(problem, **rate_limit)
     if disturbance is None and robust is not None:
         raise ProblemError("robust", "no disturbance", "a table [disturbance] with the set of the loads")
-    several = None if plants is None else Plants(plants, plant_shares)
-    tables = ("disturbance", disturbance), ("discs", discs and discs(problem)), ("plants", several)
+    if plants is None and plant_shares is not None:
+        raise ProblemError("plant_shares", brief(plant_shares), "tables [[plants]], whose weights they are")
+    with rename_field(lambda field: field.replace("plants.shares", "plant_shares")):
+        several = None if plants is None else Plants(plants, plant_shares)
+    tables = ("disturbance", disturbance), ("discs", within), ("plants", several)
     stated = [(key, uncertainty) for key, uncertainty in tables if uncertainty is not None]
     if len(stated) > 1:
         raise ProblemError(stated[1][0], f"{stated[0][0]}, too", "one of [disturbance], [discs] and [[plants]]")
-    return tightened(problem, stated[0][1], **(robust or {})) if stated else problem
+    with rename_field(lambda field: {"Records.loads": "disturbance.set.loads", "end": "robust.end"}.get(field, field)):
+        return tightened(problem, stated[0][1], **(robust or {})) if stated else problem
 
 
 def _problem_values(problem: OptimalControlProblem) -> FileTable:

@@ -65,6 +65,10 @@ class ProblemData:
         copy.__init__(**given | fields)
         return copy
 
+    def margin_at(self, block: str, times: Sequence[int]) -> float:
+        """Return by how much ``robust`` has tightened a limit, a block of a conflict, at some times at most."""
+        return 0.0
+
     @property
     def origin(self) -> Array | None:
         """Return the position of zero states in the coordinates of the user (``Translation``); None for zero."""

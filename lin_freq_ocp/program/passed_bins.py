@@ -134,7 +134,7 @@ class PassedBins:
         return replace(found, rho_u=np.where(stop, rho, 0.0))
 
 
-def passed_bins(linear: LinearProgram, response: Response, units: Array) -> PassedBins:
+def passed_bins_of(linear: LinearProgram, response: Response, units: Array) -> PassedBins:
     """Return the program in the passed bins of the controls; slacks get larger units than these, if rows need them."""
     signals, T = linear.signals, linear.problem.horizon
     count = 2 * int((~linear.problem.control_stop).sum())
@@ -145,8 +145,14 @@ def passed_bins(linear: LinearProgram, response: Response, units: Array) -> Pass
     )
     start, N = response_basis(linear, units[:signals])
     bins = PassedBins(linear, response, units, np.append(start, np.zeros(len(linear.prices))), N)
-    # spectra of signals of order 1 sum up many samples
-    largest = np.abs(bins.rows[0][~bins.single][:, :signals] @ N).max(initial=1.0)
+    # spectra of signals of order 1 sum up many samples; a slack beside none of them keeps its unit, and its rows theirs
+    A, moved = bins.rows[0], np.zeros(len(bins.single))
+    moved[~bins.single] = np.abs(A[~bins.single][:, :signals] @ N).max(axis=1, initial=0.0)
+    for cone in bins.cones:
+        moved[cone] = moved[cone].max()
+    beside = sp.coo_array(A[:, signals:])
+    largest = np.ones(len(linear.prices))
+    np.maximum.at(largest, beside.col, moved[beside.row] / np.abs(beside.data))
     return replace(bins, units=np.append(units[:signals], largest * units[signals:]))
 
 

@@ -254,7 +254,10 @@ class Outcome:
     @property
     def conflict(self) -> tuple[Conflict, ...] | None:
         """Return the blocks of constraints that the proof of infeasibility uses."""
-        return None if self.infeasibility is None else self.infeasibility.conflict
+        if self.infeasibility is None:
+            return None
+        margin_at = self.problem.margin_at
+        return tuple(replace(one, margin=margin_at(one.block, one.times)) for one in self.infeasibility.conflict)
 
     @property
     def gap(self) -> float | None:

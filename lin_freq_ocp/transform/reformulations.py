@@ -165,7 +165,7 @@ def _references(problem: OptimalControlProblem, reached: Callable[[Array], Array
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
     given = reached(cost.x_ref)
     references = [given] if given.ndim == 1 else [given[0], given.max(0), given.min(0)]
-    positions = [np.where(cost.weighs[0], reference, np.nan) for reference in references]
+    positions = [*np.where(cost.weighs[0], references, np.nan)]
     for norm in problem.cost.norms:
         for i in range(n):
             reference, weighted = norm.references(i, True, T) or (np.zeros(()), np.zeros(T + 1, dtype=bool))

@@ -14,15 +14,27 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, brief, complex_array, positive_integer, real_array
+from lin_freq_ocp.base.arrays import (
+    SAME,
+    Array,
+    ComplexArray,
+    Indices,
+    brief,
+    complex_array,
+    positive_integer,
+    real_array,
+)
 from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
-from lin_freq_ocp.base.phrases import join_words, number, plural
-from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
+from lin_freq_ocp.base.phrases import first_few, join_words, number, plural
+from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse, response_at_bins
+from lin_freq_ocp.problem.dynamics.measured import read_response
 from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -41,6 +53,7 @@ from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, li
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
+MEASURED = "discs.coherence"  # a field of problem files
 
 
 class Discs(Uncertainty):
@@ -82,7 +95,67 @@ class Discs(Uncertainty):
             raise ProblemError("discs.radius", got, "radii of shape (bins, p, m), zero or above")
         if cost not in ("nominal", "worst"):
             raise ProblemError("discs.cost", brief(cost), "'nominal' or 'worst'")
-        self.cost = cost
+        self.cost: Literal["nominal", "worst"] = cost
+
+    @classmethod
+    def from_table(
+        cls,
+        table: ArrayLike,
+        samples: int,
+        sampling_time: float,
+        averages: int,
+        confidence: float = 0.95,
+        cost: Literal["nominal", "worst"] = "nominal",
+        outside: str = "refuse",
+    ) -> Discs:
+        """Return the discs of a response and its coherence, measured at some frequencies, at the bins of a record.
+
+        Between two frequencies, the radius is linear, as the response of ``FrequencyResponse.from_table`` is.
+
+        Parameters
+        ----------
+        table : (k, 4)
+            Increasing frequency in Hz, real part, imaginary part, coherence.
+        samples, sampling_time
+            As for ``FrequencyResponse.from_table``.
+        averages, confidence
+            As for ``radius_of_coherence``; the probability is that of all frequencies of the table together.
+        cost
+            As for the constructor.
+        outside : {"refuse", "zero"}
+            Bins outside the table: raise an error that names them, or have radius 0.
+
+        Raises
+        ------
+        ProblemError
+            If the table has another shape, does not cover the bins, or an argument does not fit its description.
+
+        Examples
+        --------
+        >>> table = [[0.0, 1.0, 0.0, 0.99], [0.5, 0.0, -1.0, 0.9]]
+        >>> lfo.Discs.from_table(table, samples=4, sampling_time=1.0, averages=16).radius.round(4).tolist()
+        [0.0531, 0.1146, 0.1761]
+        """
+        frequencies, G, coherence = _measured_columns(table)
+        radius = radius_of_coherence(G, coherence, averages, confidence, len(G)).astype(np.complex128)
+        return cls(response_at_bins(MEASURED, frequencies, radius, samples, sampling_time, outside).real, cost)
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        samples: int,
+        sampling_time: float,
+        averages: int,
+        confidence: float = 0.95,
+        cost: Literal["nominal", "worst"] = "nominal",
+        outside: str = "refuse",
+    ) -> Discs:
+        """Return the discs of the response and the coherence in a CSV file; see ``from_table``.
+
+        The header names the columns, as for ``FrequencyResponse.from_csv``: ``frequency [Hz], re, im, coherence``.
+        """
+        return cls.from_table(read_response(Path(path)), samples, sampling_time, averages, confidence, cost, outside)
 
     def radii(self, problem: OptimalControlProblem) -> Array:
         """Return the radii (bins, p, m) for a problem, which must have a frequency response."""
@@ -92,7 +165,7 @@ class Discs(Uncertainty):
         shape, given = problem.response.G.shape, self.radius
         given = given[:, None, None] if given.ndim == 1 and shape[1:] == (1, 1) else given
         if given.ndim and (given.ndim != 3 or given.shape[::2] != shape[::2] or given.shape[1] > shape[1]):
-            raise ProblemError("discs.radius", f"shape {given.shape}", f"shape {shape}, that of G, or one number")
+            raise ProblemError("discs.radius", f"shape {self.radius.shape}", f"shape {shape}, that of G, or one number")
         further = shape[1] - given.shape[1] if given.ndim else 0  # outputs that rate_limited adds are known
         return np.pad(given, ((0, 0), (0, further), (0, 0))) if further else np.broadcast_to(given, shape)
 
@@ -232,7 +305,10 @@ def discs_of(
     averages: int | None = None,
     confidence: float = 0.95,
 ) -> Callable[[OptimalControlProblem], Discs]:
-    """Return what makes the discs for a problem: of radii, or of the coherence at all bins of its response."""
+    """Return what makes the discs for a problem: of radii, or of the coherence of its response.
+
+    That is one at all bins, or a table (k, 4) with the response at measured frequencies.
+    """
     if (radius is None) == (coherence is None) or (averages is None) != (coherence is None):
         given = {"radius": radius, "coherence": coherence, "averages": averages}
         stated = [name for name, value in given.items() if value is not None]
@@ -241,16 +317,43 @@ def discs_of(
     def make(problem: OptimalControlProblem) -> Discs:
         if radius is not None or problem.response is None:
             return Discs(0.0 if radius is None else radius, cost)
-        G = _plant(problem).G
-        c = real_array("discs.coherence", coherence)
-        c = c[:, None, None] if c.ndim == 1 and G.shape[1:] == (1, 1) else c
+        plant, c = _plant(problem), real_array(MEASURED, coherence)
+        G = plant.G[:, 0, 0] if c.ndim == 1 and plant.G.shape[1:] == (1, 1) else plant.G
         try:
-            return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
+            if c.ndim != 2:
+                return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
+            record = problem.response.record, plant.sampling_time or 0.0
+            _require_measured(c, plant, *record)
+            return Discs.from_table(c, *record, averages or 0, confidence, cost, "zero")
         except ProblemError as error:
-            field = f"discs.{error.field.removeprefix('discs.')}"
+            field = error.field if "." in error.field else f"discs.{error.field}"
             raise ProblemError(field, error.got, error.expected, error.advice) from None
 
     return make
+
+
+def _measured_columns(table: ArrayLike) -> tuple[Array, ComplexArray, Array]:
+    """Return the frequencies, the response and the coherence of a table, (k,) each."""
+    rows = real_array(MEASURED, table)
+    if rows.ndim != 2 or rows.shape[1] != 4:
+        expected = "(k, 4): frequency in Hz, real part, imaginary part, coherence"
+        advice = "The header of a CSV file names them: 'frequency [Hz],re,im,coherence'."
+        raise ProblemError(MEASURED, f"shape {rows.shape}", expected, advice)
+    return rows[:, 0], rows[:, 1] + 1j * rows[:, 2], rows[:, 3]
+
+
+def _require_measured(table: Array, plant: FrequencyResponse, samples: int, sampling_time: float) -> None:
+    """Raise ProblemError unless the response of a table is that of a plant, which is zero where the table has none."""
+    frequencies, measured, _ = _measured_columns(table)
+    if plant.G.shape[1:] != (1, 1):
+        got = f"a table, for a response of shape {plant.G.shape}"
+        raise ProblemError(MEASURED, got, "the coherence of each entry at each bin, or a radius")
+    own = plant.G[:, 0, 0]
+    stated = response_at_bins(MEASURED, frequencies, measured, samples, sampling_time, "zero")
+    if (other := np.flatnonzero(np.abs(own - stated) > SAME * (np.abs(own) + np.abs(stated)))).size:
+        named = first_few([f"{k} ({k / (samples * sampling_time):.6g} Hz)" for k in other], 6)
+        advice = "The dynamics and the discs take the same file, {csv = ..}; radius has discs around another response."
+        raise ProblemError(MEASURED, f"another response than that of the dynamics, at bins {named}", "the same", advice)
 
 
 class DiscLimits(FrequencyConstraint):

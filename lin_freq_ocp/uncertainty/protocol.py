@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from lin_freq_ocp.base.activity import activity
 from lin_freq_ocp.base.archives import FileValue
-from lin_freq_ocp.base.arrays import assign, brief
+from lin_freq_ocp.base.arrays import Array, assign, brief
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
 from lin_freq_ocp.problem.trajectory import Trajectory
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.uncertainty.worst_loads import WorstCase
+
+SPECTRA = "state_spectrum", "control_spectrum", "output_spectrum"
+LIMITED = "state_set", "control_set", "terminal_state", "stage_rows", *SPECTRA
 
 
 class Uncertainty(ABC):
@@ -86,6 +91,36 @@ class RobustProblem(OptimalControlProblem):
     def as_made(self) -> bool:
         """Return whether all fields are those that ``robust`` made, and none was replaced."""
         return all(getattr(self, name) is value for name, value in self.limits.items())
+
+    def margin_at(self, block: str, times: Sequence[int]) -> float:
+        """Return by how much ``robust`` has tightened a limit at some times at most; 0 if limits were replaced."""
+        if any(getattr(self, name) is not value for name, value in self.limits.items() if name in LIMITED):
+            return 0.0
+        given, tight = (_limits_at(problem, block, list(times)) for problem in (self.given, self))
+        with np.errstate(invalid="ignore"):
+            less = given - tight if given.shape == tight.shape else np.zeros(0)
+        return float(less[np.isfinite(less)].max(initial=0.0))
+
+
+def _limits_at(problem: OptimalControlProblem, block: str, times: list[int]) -> Array:
+    """Return the limits of a block of a conflict at some times, or bins, lower ones multiplied by -1."""
+    of_end, found = problem.terminal_box, dict[str, Array]()
+    found["terminal state"] = np.concatenate([of_end.upper, -of_end.lower])
+    states, controls = (problem.state_names, problem.state_boxes), (problem.control_names, problem.control_tube)
+    for kind, (names, box) in (("state", states), ("control", controls)):
+        for name, lower, upper in zip(names, box.lower.T, box.upper.T, strict=True):
+            if block == f"{kind} bound on {name}":
+                found[block] = np.concatenate([upper[times], -lower[times]])
+    for rows in problem.stage_rows:
+        e = np.broadcast_to(rows.e, (problem.horizon, rows.rows))
+        found |= {
+            f"row {i} of {rows.name}": e[times, i] for i in range(rows.rows) if f"row {i} of {rows.name}" == block
+        }
+    for term in problem.terms:
+        if term.name == block and not term.kind.is_rows:
+            limits, acting = term.penalty.bounds(term.shape)[1], np.isin(term.map.positions, times)
+            found[block] = limits[acting] if len(limits) == len(acting) else limits
+    return found.get(block, np.zeros(0))
 
 
 @activity("computing margins")

@@ -106,12 +106,24 @@ class Worst:
         values = (self.planned, self.margin, self.limit, self.attained)
         return [self.name, at, *(NOTHING if np.isnan(value) else f"{value + 0.0:.5g}" for value in values)]
 
-    def __str__(self) -> str:
+    def remark(self, soft: bool = False) -> str:
+        """Return in words whether the limit holds, and by how much the worst case exceeds it; empty without a limit."""
+        if np.isnan(self.limit):
+            return ""
+        kind, beyond = ("soft, ", "exceeded") if soft else ("", "violated")
+        return kind + ("holds" if self.holds else f"{beyond} by {number(self.violation)}")
+
+    def line(self, soft: bool = False) -> str:
+        """Return the line of a table, with the case and, if it is soft or does not hold, a remark."""
         case = f"  plant {self.plant}" if isinstance(self.plant, int) else ""
         acting = None if self.loads is None else self.loads if self.in_spectrum else self.loads[: self.index]
         if acting is not None and acting.any():
             case = f"  {number(float(np.abs(acting).max()))} at t = 0 .. {len(acting) - 1}"
-        return LINE.format(*self.cells) + case + ("" if self.holds or np.isnan(self.limit) else "  violated")
+        remark = self.remark(soft)
+        return LINE.format(*self.cells) + case + (f"  {remark}" if remark not in ("", "holds") else "")
+
+    def __str__(self) -> str:
+        return self.line()
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +195,7 @@ class WorstCase:
     def __str__(self) -> str:
         head = LINE.format("limit", "at", "plan", "margin", "limit", "attained") + "  largest load"
         lines = [self.words, head, *map(str, self.limits)]
-        lines += [f"{one}  (soft)" for one in self.soft]
+        lines += [one.line(soft=True) for one in self.soft]
         lines += [f"for the plan only: {one}" for one in self.leakage]
         if self.end is not None and self.end.any():
             lines.append(f"end of the plan: loads move it by up to {vector(self.end)}")
@@ -201,8 +213,8 @@ class WorstCase:
         return f"WorstCase({self.words}: {self.verdict})"
 
     def _repr_html_(self) -> str:
-        found = (*self.limits, *self.soft, *self.leakage)
-        return html_table(self.words, [(one.name, str(one)[len(one.name) :]) for one in found])
+        found = [(one, one in self.soft) for one in (*self.limits, *self.soft, *self.leakage)]
+        return html_table(self.words, [(one.name, one.line(soft)[len(one.name) :]) for one, soft in found])
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ SOLVE = {
     "backend": (str, None),
     "seconds": {"setup": float, "solve": float, "certify": float},
     "certificate": (CERTIFICATE, None),
-    "conflict": ([{"block": str, "share": float, "times": [int]}], None),
+    "conflict": ([{"block": str, "share": float, "times": [int], "margin": float}], None),
     "explanation": (
         {"family": [str], "irreducible": bool, "cures": [{"block": str, "amount": float, "words": str}]},
         None,

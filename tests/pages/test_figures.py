@@ -141,6 +141,22 @@ def test_positions_are_paired_with_their_speeds():
     assert phase_pairs(1) == []
 
 
+def test_states_of_several_plants_are_paired_within_a_plant():
+    assert phase_pairs(4, plants=2) == [(0, 1), (2, 3)]
+    assert phase_pairs(12, plants=3) == [(0, 2), (1, 3)]
+    assert phase_pairs(6, plants=2) == [(0, 1), (1, 2)]
+    assert phase_pairs(3, plants=3) == []
+    plant = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]], state_names="position [m], speed [m/s]")
+    end = Box([0, -1], [0.02, 1])
+    problem = OptimalControlProblem(plant, 6, QuadraticCost(R=1.0), initial_state=[0, 0], terminal_state=end)
+    plants = lfo.Plants([plant, replace(plant, B=1.001 * plant.B)])
+    figure = result_figure(solve(lfo.robust(problem, plants)))
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert [title[4:] for title in titles if " and " in title] == [
+        f"position of plant {k} and speed of plant {k}" for k in (1, 2)
+    ]
+
+
 def test_prices_and_gaps_are_the_multipliers_and_stage_gaps():
     comparison = case("pendulum")
     result = comparison.constrained

@@ -123,10 +123,62 @@ def test_twice_the_loads_are_infeasible_by_a_ray():
     assert "rigorous ray" in found.message
 
 
+def test_the_words_of_a_ray_say_what_loads_take_of_each_limit():
+    """Where a limit acts; the ends as they were given, and limits that were replaced after that, say nothing."""
+    load = lfo.Disturbance(lfo.Box(-0.3, 0.3))
+    plan = lfo.robust(tube(), load)
+    message = (
+        r"initial state, t = 0; state bound on x_0, t = 3 \(less 1.3 for loads\); .* u_0, .* \(less 0.35 for loads\)"
+    )
+    with pytest.raises(lfo.errors.InfeasibleError, match=message) as info:
+        lfo.solve(plan)
+    loop, parts = load.error_loop(tube()), {one.block: one for one in info.value.result.conflict}
+    of_x, of_u = parts["state bound on x_0"], parts["control bound on u_0"]
+    most = loop.margins(-np.eye(2), np.zeros((2, 1)))[list(of_x.times), 0].max()
+    assert of_x.margin == pytest.approx(most, rel=1e-12)
+    most = loop.margins(np.zeros((1, 2)), np.eye(1))[list(of_u.times), 0].max()
+    assert of_u.margin == pytest.approx(most, rel=1e-12)
+    wider = lfo.solve(replace(plan, control_set=lfo.Box(-0.1, 0.1)), throw=False)
+    assert {one.margin for one in wider.conflict} == {0.0}
+    assert "for loads" not in "".join(map(str, lfo.solve(tube(initial_state=[5.0, 5.0]), throw=False).conflict))
+
+
+@pytest.mark.parametrize(
+    ("block", "changes"),
+    [
+        ("row 0 of sum", {"stage_rows": lfo.StageRows([[1.0, 1.0]], [[0.5]], [-9.2], name="sum")}),
+        ("terminal state", {"terminal_state": lfo.Box([1.0, -0.5], [2.0, 0.5]), "horizon": 5}),
+        ("mask on u_0", {"control_spectrum": lfo.MagnitudeBound(1.2, bins=[0, 1, 2, 3, 4, 5])}),
+        ("state set", {"state_set": lfo.Box(-10, 2) & lfo.sets.Polyhedron([[-1.0, -0.1]], [7.3])}),
+    ],
+)
+def test_the_words_of_a_ray_name_margins_of_rows_ends_masks_and_polyhedra(block, changes):
+    load, fields = lfo.Disturbance(lfo.Box(-0.05, 0.05)), {"horizon": 10} | changes
+    found = lfo.solve(lfo.robust(tube(**fields), load), throw=False)
+    assert found.status == "infeasible"
+    (part,) = (one for one in found.conflict if one.block == block)
+    assert part.margin > 0.02
+    assert "for loads)" in str(part)
+    (start,) = (one for one in found.conflict if one.block == "initial state")
+    assert start.margin == 0.0
+
+
 WRONG = {
     "a power too many": lambda loop: replace(loop, E=loop.A @ loop.E),
     "a power too few": lambda loop: replace(loop, E=np.linalg.solve(loop.A, loop.E)),
     "without K'd": lambda loop: replace(loop, K=0 * loop.K),
+    "without the first load": lambda loop: replace(
+        loop,
+        A=np.broadcast_to(loop.A, (4, 2, 2)),
+        a=np.broadcast_to(loop.a, (4, 2, 2)),
+        E=np.array([0 * loop.E, *[loop.E] * 3]),
+    ),
+    "without the last load": lambda loop: replace(
+        loop,
+        A=np.array([loop.A, loop.A, 0 * loop.A, loop.A]),
+        a=np.broadcast_to(loop.a, (4, 2, 2)),
+        E=np.array([loop.E, loop.E, 0 * loop.E, loop.E]),
+    ),
     "a gain of the wrong sign": lambda loop: replace(loop, K=-loop.K),
     "another closed loop": lambda loop: replace(loop, A=loop.A - 0.1 * np.eye(2)),
 }
@@ -240,11 +292,12 @@ def test_a_periodic_plan_that_repeats_forever_never_violates_a_limit():
         plan = lfo.solve(lfo.robust(problem, load)).trajectory
     worst = lfo.worst_case(problem, load, plan)
     assert worst
+    assert "end of the plan: loads move it by up to" in str(worst)
     for one in worst.limits:
         assert one.attained == pytest.approx(one.planned + one.sign * one.margin, rel=1e-9)
     K, rng, over = load.feedback(problem), np.random.default_rng(1), []
     x = np.tile(plan.x[0], (3, 1))
-    for k in range(20 * T):
+    for k in range(200 * T):
         u = plan.u[k % T] + (x - plan.x[k % T]) @ K.T
         over.append(max(np.abs(u).max() - 1, np.abs(x).max() - 1.5))
         w = [rng.choice([-W, W], 2), [W, W], W * np.sign(np.sin(0.1 * k + np.arange(2)))]

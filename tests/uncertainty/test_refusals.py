@@ -85,6 +85,14 @@ Records, Gaussian = lfo.uncertainty.Records, lfo.uncertainty.Gaussian
         (lambda: Disturbance(Gaussian([[1.0, 2.0], [2.0, 1.0]], 0.9)), "Gaussian.covariance: .*positive semidefinite"),
         (lambda: Disturbance(Gaussian([[1.0, 0.0], [0.5, 1.0]], 0.9)), "Gaussian.covariance: .*symmetric"),
         (lambda: Disturbance(Gaussian(np.eye(2), 0.5)), "Gaussian.probability: got 0.5; expected one number above 0.5"),
+        (lambda: Disturbance(Box(1, -1)), r"lower: got 1(.0)? above upper = -1"),
+        (lambda: Disturbance(Box(-np.inf, 1)), "disturbance.set: got .*without bounds"),
+        (lambda: Disturbance(Box(np.nan, 1)), "lower: got nan"),
+        (lambda: Disturbance(np.zeros((0, 2))), r"disturbance.set: got shape \(0, 2\)"),
+        (
+            lambda: Disturbance(lfo.sets.Polyhedron(np.vstack([np.eye(2), -np.eye(2)]), [-1.0, -1, -1, -1])),
+            "disturbance.set: got .*empty",
+        ),
         (lambda: lfo.sets.Ball(0.1), "uncertainty: got Ball.*expected a Disturbance, Plants or Discs"),
     ],
 )
@@ -100,6 +108,23 @@ def test_what_is_no_disturbance_is_refused_with_the_field(make, message):
         (lambda: tube(control_set=lfo.FiniteSet([-1.0, 1.0])), "dynamics|control_set"),
         (lambda: tube(stage_rows=lfo.sets.PathConstraint(lambda t, x, u: x[0] * x[0], upper=200.0)), "stage_rows"),
         (lambda: tube(state_set=lfo.sets.Ball(20.0)), "robust: got a set of the kind Ball.*State a polyhedron"),
+        (
+            lambda: tube(state_set=lfo.sets.Ellipsoid(0.01 * np.eye(2))),
+            "robust: got a set of the kind Ellipsoid.*State a polyhedron",
+        ),
+        (
+            lambda: tube(state_set=lfo.sets.SecondOrderCone([[0.0, 1.0]], [0.0], [-1.0, 0.0], 20.0)),
+            "robust: got a set of the kind SecondOrderCone.*State a polyhedron",
+        ),
+        (
+            lambda: lfo.OptimalControlProblem(
+                lfo.PiecewiseSmoothDynamics.from_formulas("x_0 + x_0**3 + u_0", 1, 1),
+                5,
+                lfo.QuadraticCost(R=1.0),
+                initial_state=[0.0],
+            ),
+            "dynamics",
+        ),
     ],
 )
 def test_problems_with_modes_formulas_levels_and_balls_are_unsupported(problem, message):

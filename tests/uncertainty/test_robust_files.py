@@ -14,6 +14,7 @@ import lin_freq_ocp as lfo
 from helpers.schemas import PROBLEM, RESULT, faults
 from helpers.seeds import expensive
 from helpers.tubes import A, B, simulate, tube
+from lin_freq_ocp.base import number
 from lin_freq_ocp.cli import cli
 
 TEXT = """
@@ -117,7 +118,15 @@ def test_an_invariant_end_is_written_back_and_a_problem_with_replaced_fields_wit
         (f"{BOX}\ninput = [[0.0], [0.0]]", "disturbance.input: got zeros"),
         ("set = {lower = -0.9, upper = 0.9}", "(state|control)_set: got a range of .* of which the loads take"),
         ('set = {kind = "gaussian", covariance = 1.0, probability = 0.1}', "disturbance.set.probability: got 0.1"),
-        (f'{BOX}\n[robust]\nend = "set"', "end: got .set.; expected .invariant."),
+        (
+            'set = {kind = "records", loads = [[[0.1, 0.1]]]}',
+            "disturbance.set.loads: got loads of 1 steps; expected one",
+        ),
+        ("set = {lower = 0.1, upper = -0.1}", "disturbance.set.lower: got 0.1 above upper"),
+        ("set = {lower = -inf, upper = 0.1}", "disturbance.set: got .*without bounds"),
+        ("set = {lower = nan, upper = 0.1}", "disturbance.set.lower: got nan"),
+        ("set = []", r"disturbance.set: got shape \(0,\); expected a set such as Box"),
+        (f'{BOX}\n[robust]\nend = "set"', "robust.end: got .set.; expected .invariant."),
     ],
 )
 def test_loads_of_a_file_that_do_not_fit_are_refused_with_their_field(file, lines, message):
@@ -250,6 +259,23 @@ def test_the_page_of_a_robust_plan_has_its_worst_case(file, tmp_path, text):
     assert shown[text] in (tmp_path / "report" / "worst_case.svg").read_text(encoding="utf-8")
 
 
+def test_the_page_says_by_how_much_a_soft_limit_is_exceeded(file, tmp_path):
+    speed = 'kind = "soft"\npenalty = 5.0\nset = {lower = [-inf, -1.0], upper = [inf, 1.0]}'
+    path = file(BOX.replace("0.15", "0.05"))
+    text = path.read_text().replace("[state_set]\nlower = [-10.0, -2.0]\nupper = [2.0, 2.0]", f"[state_set]\n{speed}")
+    path.write_text(text)
+    assert call("compare", path, "--out", tmp_path / "report").return_value == 0
+    page = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
+    problem = lfo.read_problem(path)
+    worst = lfo.worst_case(problem.given, problem.uncertainty, lfo.solve(problem))
+    broken = max(worst.soft, key=lambda one: one.violation)
+    assert worst
+    assert broken.attained - broken.limit > 0.1
+    assert f"soft, exceeded by {number(broken.attained - broken.limit)}" in page
+    assert ">soft<" not in page
+    assert "violated" not in str(worst)
+
+
 PLANTS = """
 [[plants]]
 A = [[1.0, 1.0], [0.0, 1.0]]
@@ -305,6 +331,28 @@ upper = 0.4
 """
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("horizon = 10", "horizon = 10\nplant_shares = [1.0]", r"plant_shares: got \[1.0\]; expected 2 weights"),
+        ("horizon = 10", "horizon = 10\nplant_shares = [1.0, -1.0]", r"plant_shares: got .*; expected 2 weights"),
+        ("horizon = 10", "horizon = 10\nplant_shares = ['a', 1.0]", "plant_shares: .*Numbers have no quotes"),
+        (PLANTS, "", r"plant_shares: got \[1.0, 1.0\]; expected tables \[\[plants\]\]"),
+        ("[0.8]]", "[0.8, 1.0]]", r"plants\[1\].B: .*rectangular"),
+        ("[[0.4], [0.8]]", "[[0.4, 0.8]]", r"plants\[1\].B: got shape \(1, 2\); expected a matrix"),
+        ("[[0.4], [0.8]]", "[[nan], [0.8]]", r"plants\[1\].B\[0\]\[0\]: got nan"),
+        ("[[0.4], [0.8]]", "[[0.4, 1.0], [0.8, 1.0]]", r"plants\[1\]: got 2 states, 2 controls"),
+    ],
+)
+def test_plants_of_a_file_that_do_not_fit_are_refused_with_the_key_of_the_file(tmp_path, old, new, message):
+    text = TEXT.replace("[disturbance]", PLANTS).replace("[-7.0, -2.0]", "[-5.0, 0.0]")
+    if "shares" not in new:
+        text = text.replace("horizon = 10", "horizon = 10\nplant_shares = [1.0, 1.0]")
+    (tmp_path / "plants.toml").write_text(text.replace(old, new))
+    with pytest.raises(lfo.errors.ProblemError, match=f"plants.toml: {message}"):
+        lfo.read_problem(tmp_path / "plants.toml")
+
+
 def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
     c = [0.99, 0.99, 0.98, 0.97, 0.9]
     text = f"{RESPONSE}[discs]\ncoherence = {c}\naverages = 20\nconfidence = 0.9\n"
@@ -316,7 +364,7 @@ def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
     np.testing.assert_array_equal(read.uncertainty.radii(read.given)[:, 0, 0], radius)
     lfo.write_problem(read, tmp_path / "again.toml")  # with the radii
     again = lfo.read_problem(tmp_path / "again.toml")
-    np.testing.assert_array_equal(again.uncertainty.radius[:, 0, 0], radius)
+    np.testing.assert_array_equal(again.uncertainty.radius, radius)
     assert lfo.solve(again).cost == lfo.solve(read).cost
     solved = json.loads(call("solve", tmp_path / "again.toml", "--json").output)
     assert faults(RESULT, solved) == []
@@ -325,6 +373,127 @@ def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
     plant = np.array(one["plant"]["G_real"]) + 1j * np.array(one["plant"]["G_imag"])
     np.testing.assert_array_equal(plant, found.limits[0].plant)
     assert found.cost == solved["worst_case"]["cost"] == pytest.approx(solved["cost"])
+
+
+MEASURED = """
+schema = 2
+horizon = 20
+[dynamics]
+table = {csv = "buoy.csv"}
+samples = 20
+sampling_time = 0.1
+disturbance = [[0.5], [0.2], [0.1], [-0.3], [-0.4], [-0.2], [0.1], [0.4], [0.3], [0.1],
+               [0.5], [0.2], [0.1], [-0.3], [-0.4], [-0.2], [0.1], [0.4], [0.3], [0.1]]
+[cost]
+Q = 1.0
+R = 5.0
+[state_set]
+lower = -0.4
+upper = 0.4
+[discs]
+coherence = {csv = "buoy.csv"}
+averages = 20
+"""
+FREQUENCIES = np.array([0.0, 0.7, 1.9, 3.0, 5.0])  # but the first and the last, no bins, which are 0, 0.5 .. 5 Hz
+OF_BUOY, COHERENCE = 1 / (1 + 1j * FREQUENCIES * (FREQUENCIES < 5)), np.array([0.99, 0.98, 0.97, 0.99, 0.9])
+
+
+@pytest.fixture
+def measured(tmp_path):
+    """Return what writes a problem file beside its table, and returns its path."""
+
+    def write(text: str = MEASURED, header: str = "frequency [Hz],re,im,coherence", last: float = 5.0):
+        rows = np.column_stack([FREQUENCIES, OF_BUOY.real, OF_BUOY.imag, COHERENCE])[:, : len(header.split(","))]
+        rows = rows[FREQUENCIES <= last]
+        np.savetxt(tmp_path / "buoy.csv", rows, "%.17g", ",", header=header, comments="")
+        np.savetxt(tmp_path / "other.csv", rows * [1, 1000, 1000, 1][: rows.shape[1]], "%.17g", ",", header=header)
+        (tmp_path / "buoy.toml").write_text(text)
+        return tmp_path / "buoy.toml"
+
+    return write
+
+
+def test_discs_of_a_file_are_those_of_the_coherence_in_a_csv_file_between_measured_frequencies(measured, tmp_path):
+    path = measured()
+    assert faults(PROBLEM, tomllib.loads(MEASURED)) == []
+    read = lfo.read_problem(path)
+    at_measured = lfo.uncertainty.radius_of_coherence(OF_BUOY, COHERENCE, averages=20, confidence=0.95, bins=5)
+    expected = np.interp(np.arange(11) / 2, FREQUENCIES, at_measured)
+    np.testing.assert_allclose(read.uncertainty.radius, expected, rtol=1e-15)
+    discs = lfo.Discs.from_csv(tmp_path / "buoy.csv", 20, 0.1, averages=20)
+    np.testing.assert_array_equal(discs.radius, read.uncertainty.radius)
+    found = lfo.solve(read)
+    assert found.status == "optimal"
+    assert found.cost > lfo.solve(read.given).cost * (1 + 1e-6)
+    assert lfo.worst_case(read.given, discs, found)["x_0, upper"].attained == pytest.approx(0.4)
+    lfo.write_problem(read, tmp_path / "again.toml")  # with the radii
+    assert lfo.solve(lfo.read_problem(tmp_path / "again.toml")).cost == pytest.approx(found.cost, rel=1e-12)
+    assert call("solve", path).return_value == 0
+    assert "proven, to 1e-08 of their terms" in call("solve", path).output
+
+
+@pytest.mark.parametrize("key", ["coherence = {csv", "radius = 0.05", "coherence = 0.97"])
+def test_the_last_controls_that_a_rate_limit_adds_are_known(measured, key):
+    text = MEASURED + "[rate_limit]\nlimit = 0.4\n"
+    if key != "coherence = {csv":
+        array = "[0.97" + 10 * ", 0.97" + "]\naverages = 20" if "coherence" in key else "0.05"
+        text = text.replace('coherence = {csv = "buoy.csv"}\naverages = 20', f"{key.split()[0]} = {array}")
+    read = lfo.read_problem(measured(text))
+    radii = read.uncertainty.radii(read.given)[..., 0]
+    assert (radii[:, 0] > 0).all()
+    assert not radii[:, 1:].any()
+    found = lfo.solve(read)
+    assert np.abs(np.diff(found.trajectory.u[:, 0])).max() <= 0.4 * (1 + 1e-9)
+    worst = lfo.worst_case(read.given, read.uncertainty, found)
+    assert worst
+    assert {one.margin for one in worst.limits if "rate limit" in one.name} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "written", "message"),
+    [
+        (
+            ("", ""),
+            {"header": "frequency [Hz],re,im"},
+            r"discs.coherence: got shape \(5, 3\); expected \(k, 4\): frequency .*The header of a CSV file names them",
+        ),
+        (
+            ('coherence = {csv = "buoy.csv"}', 'coherence = {csv = "other.csv"}'),
+            {},
+            r"discs.coherence: got another response than that of the dynamics, at bins 0 \(0 Hz\), 1 \(0.5 Hz\), .*"
+            " and 5 more; expected the same. The dynamics and the discs take the same file",
+        ),
+        (
+            ('table = {csv = "buoy.csv"}', "table = [[0, 1, 0], [5, 0, 0]]"),
+            {"last": 3.0},
+            "discs.coherence: got another response .* at bins 1",
+        ),
+        (('coherence = {csv = "buoy.csv"}', 'coherence = {csv = "none.csv"}'), {}, "discs.coherence.csv: .*none.csv"),
+        (("averages = 20", "averages = 1"), {}, "discs.averages: got 1; expected a whole number of independent"),
+        (("averages = 20", "averages = 20\nconfidence = 95"), {}, "discs.confidence: got 95; .*State 95 % as 0.95"),
+        (
+            ('coherence = {csv = "buoy.csv"}', "coherence = [[0.0, 1.0, 0.0, 0.9], [5.0, 1.0, 0.0, 1.9]]"),
+            {},
+            "discs.coherence: got another response than",
+        ),
+    ],
+)
+def test_coherences_in_files_that_do_not_fit_are_refused_with_their_field(measured, change, written, message):
+    with pytest.raises(lfo.errors.ProblemError, match=f"buoy.toml: {message}"):
+        lfo.read_problem(measured(MEASURED.replace(*change), **written))
+
+
+def test_bins_outside_of_a_measured_table_are_known_only_where_the_response_is_zero(measured):
+    zero = MEASURED.replace("sampling_time = 0.1", 'sampling_time = 0.1\noutside = "zero"')
+    read = lfo.read_problem(measured(zero, last=3.0))
+    assert (read.uncertainty.radius[:7] > 0).all()
+    assert not read.uncertainty.radius[7:].any()
+    table = np.column_stack([FREQUENCIES, OF_BUOY.real, OF_BUOY.imag, COHERENCE])[:4]
+    with pytest.raises(lfo.errors.ProblemError, match=r"discs.coherence: got frequencies from 0 to 3 Hz; expected all"):
+        lfo.Discs.from_table(table, 20, 0.1, averages=20)
+    np.testing.assert_array_equal(
+        lfo.Discs.from_table(table, 20, 0.1, averages=20, outside="zero").radius, read.uncertainty.radius
+    )
 
 
 @pytest.mark.parametrize(
@@ -337,6 +506,8 @@ def test_discs_of_a_file_may_be_those_of_a_coherence(tmp_path):
             "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 1.2]\naverages = 9",
             "discs.coherence: got .*; expected .* at most 1",
         ),
+        ("[discs]\nradius = [0.1, 0.1]", r"discs.radius: got shape \(2,\); expected shape \(5, 1, 1\)"),
+        ("[discs]\ncoherence = [0.9, 0.9]\naverages = 9", r"discs.coherence: got shape \(2,\); expected shape \(5,\)"),
         (
             "[discs]\ncoherence = [0.9, 0.9, 0.9, 0.9, 0.9]\naverages = 1",
             "discs.averages: got 1; expected a whole number of independent",

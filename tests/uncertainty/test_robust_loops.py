@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
+from helpers.checks import robust_loops
 from helpers.generated import CompiledController, write_log
 from helpers.seeds import expensive, seeds
 from helpers.tubes import A, B, tube
@@ -23,13 +24,30 @@ DRAWS = {
 
 
 @expensive
+@pytest.mark.parametrize("seed", seeds(range(12)))
+def test_a_loop_near_the_largest_loads_that_it_bears_has_a_plan_at_every_step(seed):
+    """A sample of scripts/verify.py, whose loops have 1000 steps."""
+    found = robust_loops.check(seed, steps=60)
+    assert found.passed, found
+
+
+@expensive
+@pytest.mark.parametrize("seed", seeds(range(8)))
+def test_a_loop_under_three_times_the_loads_is_seen_to_fail(seed):
+    """Of all kinds of loads but those that stay in the middle of the set."""
+    found = robust_loops.check(seed, steps=60, share=3.0)
+    assert not found.passed
+    assert found.planned < found.steps or found.excess > 0.01
+
+
+@expensive
 @pytest.mark.parametrize("name", DRAWS)
 def test_every_step_to_an_invariant_end_has_a_plan_whatever_the_loads(name):
     plan = lfo.robust(tube(initial_state=None), LOAD, end="invariant")
     assert plan.stage_rows[-1].rows == 8
     controller = lfo.RecedingHorizon(plan, certify="later")
     x, rng, over = np.array([-7.0, -2.0]), np.random.default_rng(0), []
-    for k in range(40):
+    for k in range(300):
         u = controller.step(x)
         x = A @ x + B @ u + DRAWS[name](rng, k, x)
         over.append(max((x - 2).max(), ([-10, -2] - x).max(), abs(u[0]) - 1))
@@ -56,19 +74,21 @@ def test_an_invariant_end_does_not_depend_on_units(unit):
 
 
 @expensive
-def test_loads_at_which_the_controller_of_the_example_leaves_its_limits():
+@pytest.mark.parametrize("extreme", [True, False])
+def test_loads_at_which_the_controller_of_the_example_leaves_its_limits(extreme):
     """HiroIshida/robust-tube-mpc, issue 19: loads of 0.2."""
     controller = lfo.RecedingHorizon(
         lfo.robust(tube(initial_state=None), lfo.Disturbance(lfo.Box(-0.2, 0.2)), end="invariant"), certify="later"
     )
-    x = np.array([-5.0, -2.0])
-    for _ in range(40):
+    x, rng = np.array([-5.0, -2.0]), np.random.default_rng(1)
+    for _ in range(300):
         u = controller.step(x)
-        x = A @ x + B @ u + 0.2 * np.sign(x + 1e-9)
+        x = A @ x + B @ u + 0.2 * (np.sign(x + 1e-9) if extreme else rng.choice([-1.0, 1.0], 2))
         assert max((x - 2).max(), ([-10, -2] - x).max(), abs(u[0]) - 1) < 1e-9
+    assert set(controller.log.sources) == {"plan"}
 
 
-@pytest.mark.parametrize("seed", seeds(range(9)))
+@pytest.mark.parametrize("seed", seeds(range(20)))
 def test_each_step_of_a_shrinking_horizon_has_a_plan_and_the_end_is_reached(seed):
     """An end that is a set, and the same gain at each step; no invariant set is needed."""
     T, rng = 12, np.random.default_rng(seed)

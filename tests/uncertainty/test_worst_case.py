@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
-from helpers.seeds import expensive
+from helpers.checks import robust_plans
+from helpers.seeds import expensive, seeds
 from helpers.tubes import simulate, tube
+from lin_freq_ocp.base import number
 from lin_freq_ocp.transform import translated_by
 
 LOAD = lfo.Disturbance(lfo.Box(-0.15, 0.15))
@@ -32,6 +34,18 @@ def test_the_worst_case_of_the_example_is_that_of_the_design():
     assert "1 % larger loads cost 0.136 %" in str(worst)
     assert "proven" in str(worst)
     assert "u_0, lower" in worst._repr_html_()
+
+
+@pytest.mark.parametrize("seed", seeds(range(120)))
+def test_a_random_plan_bears_all_sequences_of_extreme_loads_and_its_worst_case_is_theirs(seed):
+    """In units of 1e-6 to 1e6, with soft limits, rate limits, polyhedra, ends and masks."""
+    found = robust_plans.check(seed)
+    assert found.passed, found
+
+
+def test_loads_that_are_larger_than_stated_are_seen_to_exceed_the_worst_case():
+    found = [robust_plans.check(seed, share=1.01) for seed in range(12)]
+    assert sum(any("exceeded" in fault for fault in one.faults) for one in found) >= 11
 
 
 def test_every_worst_case_is_attained_by_the_loads_that_it_returns():
@@ -60,6 +74,7 @@ def test_a_margin_that_is_a_little_too_small_is_noticed(missing):
     worst = lfo.worst_case(problem, LOAD, lfo.solve(replace(tight, control_set=wider)))
     broken = [one for one in worst.limits if not one.holds]
     assert broken
+    assert "violated by" in str(worst)
     assert all(one.name.startswith("u_0") for one in broken)
     assert max(one.violation for one in broken) == pytest.approx(missing, rel=1e-2)
     assert max(one.sign * (one.attained - one.limit) for one in broken) == pytest.approx(missing, rel=1e-2)
@@ -146,6 +161,21 @@ def test_leakage_into_stop_bands_is_attained_and_that_of_all_vertices():
     assert (leak.index, np.isnan(leak.limit)) == (2, True)
     assert leak.planned + leak.margin == pytest.approx(brute, rel=1e-12)
     assert leak.attained == pytest.approx(brute, rel=1e-12)
+
+
+def test_leakage_into_many_removed_bins_of_a_longer_plan_is_attained_and_exceeded_by_no_load():
+    T, size = 40, 0.01
+    problem = tube(T, control_spectrum=lfo.stop_band(bins=list(range(4, T // 2 + 1))), initial_state=[-2.0, 0.0])
+    load = lfo.Disturbance(lfo.Box(-size, size))
+    with pytest.warns(lfo.errors.ClosedLoopWarning, match="control_spectrum"):
+        found = lfo.solve(lfo.robust(problem, load))
+    (leak,) = lfo.worst_case(problem, load, found).leakage
+    assert leak.index >= 4
+    assert leak.attained == pytest.approx(leak.planned + leak.margin, rel=1e-9)
+    w = np.random.default_rng(0).choice([-size, size], (20_000, T, 2))
+    _, u = simulate(problem, load.feedback(problem), found.trajectory, np.eye(2), w)
+    reached = np.abs(np.fft.rfft(u[..., 0], axis=1))[:, 4:].max()
+    assert 0.4 * leak.attained < reached < leak.attained
 
 
 @expensive
@@ -289,6 +319,11 @@ def test_soft_limits_are_shown_at_their_worst_and_priced_but_break_nothing():
     for one in worst.soft:
         assert one.attained == pytest.approx(one.planned + one.margin, rel=1e-12)
     assert worst.price == pytest.approx((plan(1.001).cost - plan(0.999).cost) / 0.002, rel=1e-6)
-    assert str(worst).count("(soft)") == 3
+    broken, kept = worst["row 1 of state set"], replace(worst["sum"], limit=10.0)
+    assert broken.remark(soft=True) == f"soft, exceeded by {number(broken.attained - broken.limit)}"
+    assert broken.remark() == broken.remark(soft=True).replace("soft, exceeded", "violated")
+    assert (kept.remark(soft=True), kept.remark(), replace(kept, limit=np.nan).remark()) == ("soft, holds", "holds", "")
+    assert str(worst).count("  soft, ") == worst._repr_html_().count("  soft, ") == 3
+    assert "violated" not in str(worst)
     assert not all(one.holds for one in worst.soft)
     assert worst.verdict.startswith("No case violates one of the hard limits: proven")

@@ -23,7 +23,7 @@ from lin_freq_ocp.problem.dynamics.response import Response
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.program.backends.base import DEFAULT_TOLERANCE, Claim, Solution, Solver, backend
 from lin_freq_ocp.program.linear_program import LinearProgram, dense_rows
-from lin_freq_ocp.program.passed_bins import PassedBins, passed_bins
+from lin_freq_ocp.program.passed_bins import PassedBins, passed_bins_of
 from lin_freq_ocp.program.program import Program, Residuals, Scaling
 from lin_freq_ocp.program.units import (
     bounds_scaling,
@@ -155,7 +155,7 @@ def _response_candidates(
     end = np.inf if options.time_limit is None else started + options.time_limit
     units, setup = stated_sizes(problem), 0.0
     for attempt in range(1 + REVISIONS):
-        bins = passed_bins(linear, response, linear.column_units(*units))
+        bins = passed_bins_of(linear, response, linear.column_units(*units))
         setup = setup or now() - started
         tolerance = options.tolerance or DEFAULT_TOLERANCE
         solution, final = _exchange_rows(bins, solver, tolerance, end, FIRST_ROUNDS if attempt == 0 else np.inf)

@@ -43,6 +43,7 @@ from lin_freq_ocp.pages.figures.panels import (
 from lin_freq_ocp.pages.figures.plot_data import Obstacle, PlotData, Trace
 from lin_freq_ocp.solving.outcome import Outcome
 from lin_freq_ocp.uncertainty.disturbance import Disturbance
+from lin_freq_ocp.uncertainty.plants import Plants
 from lin_freq_ocp.uncertainty.protocol import RobustProblem
 
 LEGEND_HEIGHT = 0.5  # inches for the legend above the panels
@@ -118,7 +119,8 @@ def four_panels(data: PlotData, alone: bool = False) -> Figure:
         panels = [partial(panel, data=data, component=control) for panel in (time_panel, spectrum_panel)]
         add_panels(look.ROW_HEIGHT, panels)
     # Two phase portraits, those with obstacles first; without two pairs, the first state over time, unless all follow
-    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim, data.obstacles)]
+    plants = len(problem.uncertainty.plants) if isinstance(problem.uncertainty, Plants) else 1
+    pairs = [[states[i] for i in pair] for pair in phase_pairs(problem.state_dim, data.obstacles, plants)]
     views: list[Callable[..., None]] = [partial(phase_panel, data=data, pair=pair) for pair in pairs]
     views += [] if alone or len(views) == 2 else [partial(time_panel, data=data, component=states[0])]
     add_panels(look.ROW_HEIGHT, views)
@@ -153,14 +155,15 @@ def _groups_of_states(data: PlotData) -> list[list[ProblemSignal]]:
     return [states[at : at + size] for states in of_unit.values() for at in range(0, len(states), size)]
 
 
-def phase_pairs(n: int, obstacles: Sequence[Obstacle] = ()) -> list[tuple[int, int]]:
-    """Return at most two pairs of states, first those of obstacles.
+def phase_pairs(n: int, obstacles: Sequence[Obstacle] = (), plants: int = 1) -> list[tuple[int, int]]:
+    """Return at most two pairs of states, first those of obstacles; the states may be those of several plants.
 
-    For even n, i and i + n/2 follow (positions with speeds); otherwise neighbours.
+    For an even number n of a plant, i and i + n/2 follow (positions with speeds); otherwise neighbours.
     """
-    half = n // 2
-    pairs = [(i, i + half) for i in range(half)] if n % 2 == 0 else [(i, i + 1) for i in range(n - 1)]
-    return list(dict.fromkeys([*(obstacle.pair for obstacle in obstacles), *pairs]))[:2]
+    own, half = n // plants, n // plants // 2
+    pairs = [(i, i + half) for i in range(half)] if own % 2 == 0 else [(i, i + 1) for i in range(own - 1)]
+    of_plants = [(first + i, first + j) for first in range(0, n, own) for i, j in pairs]
+    return list(dict.fromkeys([*(obstacle.pair for obstacle in obstacles), *of_plants]))[:2]
 
 
 def states_figure(data: PlotData) -> Figure:

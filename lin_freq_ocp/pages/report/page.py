@@ -171,8 +171,9 @@ def worst_case_table(comparison: ComparisonOutcome) -> PageTable | None:
     if not isinstance(problem, RobustProblem) or plan is None:
         return None
     worst = problem.uncertainty.worst(problem.given, plan, None)
-    rows = [[*one.cells, "" if np.isnan(one.limit) else "holds" if one.holds else "violated"] for one in worst.limits]
-    rows += [[*one.cells, "soft"] for one in worst.soft]
+    rows = [
+        [*one.cells, one.remark(soft)] for soft, ones in ((False, worst.limits), (True, worst.soft)) for one in ones
+    ]
     rows += [[*one.cells, "for the plan only"] for one in worst.leakage]
     note = f"{worst.words[:1].upper()}{worst.words[1:]}. {worst.verdict}"
     columns = ("limit", "at", "plan", "margin", "limit", "attained", "")

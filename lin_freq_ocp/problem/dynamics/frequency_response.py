@@ -146,9 +146,10 @@ class FrequencyResponse(StateEquations):
 
         Parameters
         ----------
-        table : (k, 3)
-            Increasing frequency in Hz, real part, imaginary part. Between frequencies, both parts are linear. At the
-            Nyquist frequency only the real part counts; at 0 the response must be real.
+        table : (k, 3) or (k, 4)
+            Increasing frequency in Hz, real part, imaginary part; a coherence is for ``Discs.from_table``. Between
+            frequencies, both parts are linear. At the Nyquist frequency only the real part counts; at 0 the response
+            must be real.
         samples : int
             N, the samples of the record: the horizon, or twice the horizon if zero-padded.
         sampling_time : float
@@ -170,8 +171,8 @@ class FrequencyResponse(StateEquations):
         [(1+0j), (0.5-0.5j), 0j]
         """
         rows = real_array("dynamics.table", table)
-        if rows.ndim != 2 or rows.shape[1] != 3:
-            expected = "(k, 3): frequency in Hz, real part, imaginary part"
+        if rows.ndim != 2 or rows.shape[1] not in (3, 4):
+            expected = "(k, 3): frequency in Hz, real part, imaginary part, or (k, 4) with a coherence"
             raise ProblemError("dynamics.table", f"shape {rows.shape}", expected)
         values = rows[:, 1] + 1j * rows[:, 2]
         G = response_at_bins("dynamics.table", rows[:, 0], values, samples, sampling_time, outside)
@@ -192,7 +193,7 @@ class FrequencyResponse(StateEquations):
         """Interpolate the response in a CSV file; see ``from_table``.
 
         The first line, which may be a comment, says what the columns are: ``frequency [Hz], re, im`` or
-        ``omega [rad/s], magnitude [dB], phase [deg]``, and a coherence, which is left out. Without it, they are
+        ``omega [rad/s], magnitude [dB], phase [deg]``, and a coherence (``Discs.from_csv``). Without it, they are
         frequency in Hz, real and imaginary part. Semicolons, tabs and decimal commas are read, too. ``samples`` and
         ``sampling_time`` must be stated, because a file does not have them: the error of a missing one says what the
         file suggests.

@@ -34,12 +34,12 @@ QUESTION = "A column that reaches 7 to 720 may be in dB or degrees: say in the f
 
 
 def read_response(path: Path) -> Array:
-    """Return the table of a file, (k, 3): frequency in Hz, real and imaginary part.
+    """Return the table of a file, (k, 3): frequency in Hz, real and imaginary part; (k, 4) with a coherence.
 
     Columns are separated by commas, semicolons, tabs or blanks; where it is not commas, numbers may have decimal
     commas. The header, which may be a comment, names the columns and their units: frequency in Hz, kHz or rad/s, real
-    and imaginary part, or magnitude, in dB or not, and phase in degrees or radians. A coherence is left out. Without a
-    header, the columns are frequency in Hz, real and imaginary part, unless they look like dB or degrees.
+    and imaginary part, or magnitude, in dB or not, and phase in degrees or radians, and a coherence. Without a header,
+    the columns are frequency in Hz, real and imaginary part, unless they look like dB or degrees.
     """
     content = read_bytes(path)
     try:
@@ -127,12 +127,12 @@ def _columns(file: str, names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _cartesian(file: str, columns: Sequence[tuple[str, str]], values: Array, first: int) -> Array:
-    """Return frequency in Hz, real and imaginary part, (k, 3), from columns with units; ``first`` is their row."""
+    """Return frequency in Hz, real and imaginary part, and coherence, from columns with units; ``first``: their row."""
     by_kind = {kind: (values[:, i], unit) for i, (kind, unit) in enumerate(columns)}
     frequency, unit = by_kind[FREQUENCY]
-    hertz = frequency * TO_HERTZ[unit]
+    hertz, known = frequency * TO_HERTZ[unit], [by_kind[COHERENCE][0]] if COHERENCE in by_kind else []
     if REAL in by_kind:
-        return np.column_stack([hertz, by_kind[REAL][0], by_kind[IMAGINARY][0]])
+        return np.column_stack([hertz, by_kind[REAL][0], by_kind[IMAGINARY][0], *known])
     (magnitude, of_magnitude), (phase, of_phase) = by_kind[MAGNITUDE], by_kind[PHASE]
     if of_magnitude == "db":
         magnitude = 10 ** (magnitude / 20)
@@ -140,7 +140,7 @@ def _cartesian(file: str, columns: Sequence[tuple[str, str]], values: Array, fir
         advice = "Is it in dB? The header 'magnitude [dB]' says so."
         raise ProblemError(f"{file}: row {first + i}", f"the magnitude {magnitude[i]:g}", "zero or above", advice)
     angle = phase * TO_RADIANS[of_phase]
-    return np.column_stack([hertz, magnitude * np.cos(angle), magnitude * np.sin(angle)])
+    return np.column_stack([hertz, magnitude * np.cos(angle), magnitude * np.sin(angle), *known])
 
 
 NUMBERS = {"a": "A", "b": "B", "e": "E", "ts": "Ts"}  # fields of a plant, by their names in lower case
