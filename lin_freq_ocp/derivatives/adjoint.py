@@ -243,7 +243,7 @@ def settle(
     kkt = LongKKT(problem, units, slope_units, ~free | active)
     for _ in range(POINT_STEPS):
         exact = kkt.solve((right[0], np.where(above, upper, lower), right[2]))
-        if exact is None:
+        if exact is None or exact.error[0] == np.inf:  # nothing is known of what is near a bound
             break
         at = exact
         of_z, of_y = (np.maximum(FORWARD, SAFETY * last) for last in exact.error)
@@ -313,7 +313,7 @@ class AdjointDerivatives(SolutionDerivatives):
                 for sign in (-1.0, 1.0)
             )
             return Derivative(*existence, cost, below, above)
-        return Derivative(*existence, cost, side, side, *self._reach(changed, found))
+        return Derivative(*existence, cost, side, side, *(NO_REACH if self.reason else self._reach(changed, found)))
 
     def _solve(self, right: Sides, levels: Array) -> tuple[LongSolution, Array]:
         """Return the solution of K for removed bins with levels, and what it leaves outside of bounds, (T+1, n+m)."""

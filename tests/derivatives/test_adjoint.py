@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.checks.derivatives import exact, inner, moved, random_change
 from helpers.seeds import expensive, seeds
 from lin_freq_ocp import SpectralSolver
-from lin_freq_ocp.derivatives import AdjointDerivatives, SolutionDerivatives
+from lin_freq_ocp.derivatives import AdjointDerivatives, LongKKT, SolutionDerivatives
 
 
 def regulator(horizon=40, unit=1.0, **changes) -> lfo.OptimalControlProblem:
@@ -154,6 +154,16 @@ def test_bounds_that_no_trajectory_meets_do_not_settle():
     everywhere = replace(result.multipliers, nu=(-1.0) ** np.arange(40)[:, None])  # a bin that is removed
     found = AdjointDerivatives(result.problem, result.trajectory, everywhere).vjp(u=np.ones((40, 1)))
     assert (found.exists, found.reason) == (False, "the active rows did not settle")
+
+
+def test_a_solution_whose_error_is_not_known_calls_no_bound_weak(monkeypatch):
+    """All bounds had been weak, and the system with all of them as equations took 27 GB."""
+    solve, result = LongKKT.solve, lfo.solve(regulator())
+    monkeypatch.setattr(LongKKT, "solve", lambda kkt, right: replace(solve(kkt, right), error=(np.inf, np.inf)))
+    found = AdjointDerivatives(result.problem, result.trajectory, result.multipliers)
+    change = found.jvp(initial_state=[1.0, 0.0])
+    assert (change.exists, change.reason) == (False, "the active rows did not settle")
+    assert change.holds is None
 
 
 def apart(found: lfo.results.Multipliers, known: lfo.results.Multipliers) -> float:
