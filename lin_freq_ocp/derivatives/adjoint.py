@@ -33,6 +33,7 @@ from lin_freq_ocp.certificate.hamiltonian import cost_curvatures, extremal_withi
 from lin_freq_ocp.derivatives.data import Values, Variables
 from lin_freq_ocp.derivatives.derivatives import (
     DEPENDENT_ROWS,
+    NO_REACH,
     SEEN,
     UNSETTLED,
     WEAK,
@@ -313,7 +314,7 @@ class AdjointDerivatives(SolutionDerivatives):
                 for sign in (-1.0, 1.0)
             )
             return Derivative(*existence, cost, below, above)
-        return Derivative(*existence, cost, side, side, *(NO_REACH if self.reason else self._reach(changed, found)))
+        return Derivative(*existence, cost, side, side, *(self._reach(changed, found) if existence[0] else NO_REACH))
 
     def _solve(self, right: Sides, levels: Array) -> tuple[LongSolution, Array]:
         """Return the solution of K for removed bins with levels, and what it leaves outside of bounds, (T+1, n+m)."""

@@ -301,14 +301,9 @@ class SolutionDerivatives:
         of_rows = np.where(at_lower, forced.lower, forced.upper) - forced.values
         p, q, error = point.kkt.solve(-forced.of_z, of_rows)
         if not len(weak.rows):
-            side = self._side(p, q)
-            return Derivative(
-                *self._existence((), error),
-                cost,
-                side,
-                side,
-                *(NO_REACH if self.reason else _reach(point, forced, p, q)),
-            )
+            side, existence = self._side(p, q), self._existence((), error)
+            holds = _reach(point, forced, p, q) if existence[0] else NO_REACH
+            return Derivative(*existence, cost, side, side, *holds)
         v, size = weak.F @ p - weak.choice @ of_rows, float(np.abs(p).max(initial=0.0))
         left, right = one_sided(point, p, q, v, -1.0), one_sided(point, p, q, v, 1.0)
         blocked = point.dependent & (np.abs(v) > SEEN * size if forced.affine else np.ones(len(v), dtype=bool))
