@@ -31,7 +31,7 @@ from lin_freq_ocp.base.arrays import (
     positive_integer,
     real_array,
 )
-from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
+from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, rename_field, warn_user
 from lin_freq_ocp.base.phrases import first_few, join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse, response_at_bins
 from lin_freq_ocp.problem.dynamics.measured import read_response
@@ -319,15 +319,12 @@ def discs_of(
             return Discs(0.0 if radius is None else radius, cost)
         plant, c = _plant(problem), real_array(MEASURED, coherence)
         G = plant.G[:, 0, 0] if c.ndim == 1 and plant.G.shape[1:] == (1, 1) else plant.G
-        try:
+        with rename_field(lambda name: name if "." in name else f"discs.{name}"):
             if c.ndim != 2:
                 return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
             record = problem.response.record, plant.sampling_time or 0.0
             _require_measured(c, plant, *record)
             return Discs.from_table(c, *record, averages or 0, confidence, cost, "zero")
-        except ProblemError as error:
-            field = error.field if "." in error.field else f"discs.{error.field}"
-            raise ProblemError(field, error.got, error.expected, error.advice) from None
 
     return make
 
