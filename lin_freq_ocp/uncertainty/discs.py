@@ -49,7 +49,7 @@ from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, closest_bin, hard_rows, limited_spectra, term_rows
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
@@ -219,24 +219,19 @@ class Discs(Uncertainty):
                 (limits if rows in hard else soft).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
-            levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
             if of_x.any() and not _is_of_bins(problem, replace(spectrum, joint=False)):
                 got = "a spectrum of outputs with a window, between bins, or of a zero-padded response"
                 raise UnsupportedError(f"{name}: got {got}; expected bins of a periodic one.")
             values = bin_values(spectrum, nominal)
-            planned = np.abs(values)
-            added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else 0 * planned
-            judged = not np.isnan(levels).any()
-            k = int(np.argmin(levels - planned - added) if judged else np.argmax(added))
-            figures = (float(part[k]) for part in (planned, added, levels))
-            one = Worst(name, int(spectrum.bins[k]), *figures, size=float(planned[k] + added[k]), in_spectrum=True)
+            added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else np.zeros(len(values))
+            k, one = closest_bin(name, spectrum, levels, np.abs(values), added)
             if of_x.any():
                 wave = np.exp(1j * np.angle(values[k])) * (np.arange(len(radius)) == spectrum.bins[k])
                 G, under = _worst_plant(problem, radius, u, np.asarray(spectrum.C), wave)
                 attained, under = float(np.abs(bin_values(spectrum, under)[k])), translation.trajectory(under)
                 one = replace(one, attained=attained, plant=G, trajectory=under)
-            if judged or of_x.any():
-                (limits if judged else leaks).append(one)
+            if of_x.any() or not np.isnan(one.limit):
+                (leaks if np.isnan(one.limit) else limits).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
         words = f"every plant within discs of radii up to {largest}; u = v"
         return WorstCase(words, tuple(limits), tuple(leaks), cost=cost, soft=tuple(soft))

@@ -318,16 +318,13 @@ def worst_loads(
             worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
             (limits if rows in hard else soft).append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
-        levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-        bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
+        bins = bin_values(spectrum, plan)
         largest, loads = leakage(loop, spectrum, bins)
-        k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
+        k, one = closest_bin(name, spectrum, levels, np.abs(bins), largest - np.abs(bins))
         case = None if loads is None else (np.zeros(n), loads[k])
         under = simulate_loop(problem, loop, trajectory, case)
-        planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
-        values = int(spectrum.bins[k]), planned, most - planned, level, size + most
-        one = Worst(name, *values, in_spectrum=True).under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
-        (limits if judged else leaks).append(one.of_given(translation, np.zeros(n)))
+        one = one.under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
+        (leaks if np.isnan(one.limit) else limits).append(one.of_given(translation, np.zeros(n)))
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
     prices = None if multipliers is None else price
@@ -343,6 +340,18 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
     for map in problem.stop_band_maps:
         name = (problem.control_names if map.C is None else problem.state_names)[map.component]
         yield f"stop band on {short_name(name)}", replace(map, joint=False), np.full(len(map.bins), np.nan)
+
+
+def closest_bin(name: str, spectrum: SpectrumMap, levels: Array, planned: Array, margins: Array) -> tuple[int, Worst]:
+    """Return where a spectrum comes closest to its limits, or has the largest margin without any: position and case.
+
+    The limit of a joint spectrum is none of a single bin. Magnitudes ``planned`` and ``margins`` are (bins,).
+    """
+    levels = np.full(len(planned), np.nan) if spectrum.joint else levels
+    k = int(np.argmax(margins) if np.isnan(levels).any() else np.argmin(levels - planned - margins))
+    plan, margin, level = (float(part[k]) for part in (planned, margins, levels))
+    size = plan + margin + float(np.nan_to_num(level))
+    return k, Worst(name, int(spectrum.bins[k]), plan, margin, level, size, in_spectrum=True)
 
 
 def simulate_loop(
