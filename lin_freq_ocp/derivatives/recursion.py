@@ -143,8 +143,9 @@ def many_gradients(
     error = np.maximum(FORWARD * size, SAFETY * last)
     steepest = np.abs(split_signals(of_z, problem.state_dim)[1]).max((1, 2), keepdims=True)
     of_prices = np.maximum(FORWARD, SAFETY * last / size) * steepest
-    weak = np.where(held, price <= of_prices, room <= error)
-    wrong = np.where(held, price < -of_prices, room < -error).any((1, 2))
+    moving = ~tube.fixed  # with equal bounds, either sign of a price is right
+    weak = moving & np.where(held, price <= of_prices, room <= error)
+    wrong = (moving & np.where(held, price < -of_prices, room < -error)).any((1, 2))
     if (weak & held).any():
         regulators = Regulators(problem, ~held | weak)
     way = regulators.solve(stack_signals(*weights), np.zeros_like(eta))
