@@ -49,7 +49,7 @@ from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, closest_bin, hard_rows, limited_spectra, term_rows
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, closest_bin, limit_rows, limited_spectra
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
@@ -208,15 +208,14 @@ class Discs(Uncertainty):
         cost = problem.value(nominal.x, u) + translation.cost
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
-        hard = [*hard_rows(problem, True, margin > 0)]
-        for rows in (*hard, *term_rows(problem, soft=True)):
+        for rows in limit_rows(problem, True, margin > 0):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
                 k = np.arange(len(radius))
                 wave = np.exp(-2j * np.pi * (k * one.index % response.record) / response.record)
                 G, under = _worst_plant(problem, radius, u, c, wave)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
                 found = replace(one, attained=one.sign * value, trajectory=under, plant=G)
-                (limits if rows in hard else soft).append(found.of_given(translation, c))
+                (soft if rows.soft else limits).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
             if of_x.any() and not _is_of_bins(problem, replace(spectrum, joint=False)):
@@ -451,7 +450,8 @@ def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[Output
     """Return the hard limits of outputs, for every plant; none without such limits."""
     response, T, found = _response(problem), problem.horizon, list[OutputSpectrum]()
     weights = response.weight / response.record
-    for one in hard_rows(problem, True, np.ones(problem.state_dim, dtype=bool)):
+    every = limit_rows(problem, True, np.ones(problem.state_dim, dtype=bool))
+    for one in (rows for rows in every if not rows.soft):
         limits = one.limits.copy()
         if response.closed:  # the last state is the first
             limits[0], limits[T] = np.minimum(limits[0], limits[T]), np.inf

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -219,7 +220,7 @@ class WorstCase:
 
 @dataclass(frozen=True, eq=False)
 class LimitRows:
-    """Limits C x_t + D u_t <= limits of all times; infinite where there is none."""
+    """Limits C x_t + D u_t <= limits of all times, hard or ``soft``; infinite where there is none."""
 
     names: Sequence[str]
     C: Array  # (rows, n), or (T+1, rows, n)
@@ -227,6 +228,7 @@ class LimitRows:
     limits: Array  # (T+1, rows)
     term: str = ""  # whose multipliers they have
     signs: Indices | None = None  # -1: lower limits, multiplied by -1
+    soft: bool = False
     others: Array | float = np.inf  # other limits of the same values, without margins: the least one has the multiplier
 
     def values(self, x: Array, u: Array) -> Array:
@@ -256,8 +258,8 @@ class LimitRows:
         return float((weights * (margins * (self.limits - margins < self.others))[: len(weights)]).sum())
 
 
-def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
-    """Yield the hard bounds, rows and polyhedra of a problem.
+def limit_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
+    """Yield the hard bounds of a problem, then its rows and polyhedra, the soft ones last.
 
     Bounds of states count at time 0 if the start is uncertain; fixed ends only where they are not ``moved`` (n,).
     """
@@ -277,13 +279,7 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
     names, others = [f"end of {name}" for name in states], np.where(by_end, np.inf, -np.inf)
     yield LimitRows(names, C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n), others=others)
-    yield from term_rows(problem)
-
-
-def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[LimitRows]:
-    """Yield the hard, or the soft, rows and polyhedra of a problem."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    for term in problem.terms:
+    for soft, term in product((False, True), problem.terms):
         found = term.polyhedron(n, m, soft)
         if found is None or term.kind.is_link:
             continue
@@ -294,7 +290,7 @@ def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[Li
             both = np.zeros((T + 1, *found.C.shape[1:]))
             both[found.times] = found.C
         names = [term.name] if count == 1 else [f"row {i} of {term.name}" for i in range(count)]
-        yield LimitRows(names, both[..., :n], both[..., n:], limits, term.name)
+        yield LimitRows(names, both[..., :n], both[..., n:], limits, term.name, soft=soft)
 
 
 def worst_loads(
@@ -308,15 +304,14 @@ def worst_loads(
     plan = simulate_loop(problem, loop, trajectory)
     x, u, limits, soft, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
-    hard = [*hard_rows(problem, loop.start is not None or loop.forever, end > 0)]
-    for rows in (*hard, *term_rows(problem, soft=True)):
+    for rows in limit_rows(problem, loop.start is not None or loop.forever, end > 0):
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
             t, case = one.index, loop.worst(c, d, one.index)
             under = simulate_loop(problem, loop, trajectory, case)
             worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
-            (limits if rows in hard else soft).append(worst.of_given(translation, c))
+            (soft if rows.soft else limits).append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
         bins = bin_values(spectrum, plan)
         largest, loads = leakage(loop, spectrum, bins)
