@@ -20,7 +20,7 @@ from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 SEEN_CONTROL = 1e-9  # of a solution: the part of a control at a kink that is rounding
-OF_EACH = ("initial_state", "x_ref", "u_ref")  # the data that problems have of their own
+PER_PROBLEM = ("initial_state", "x_ref", "u_ref")  # the data that problems have of their own
 AT_BOUND = 1e-9  # part of the size of a control within which it is at its bound, before the exact point is known
 
 
@@ -183,5 +183,5 @@ def gradients_of(
         each = [derivatives_of(i).vjp(x=weights[0][i], u=weights[1][i]) for i in range(len(x))]
         parts = {name: np.stack([one[name] for one in each]) for name in each[0]}
         reasons = tuple(one.reason for one in each)
-    found = {name: part if name in OF_EACH else part.sum(axis=0) for name, part in parts.items()}
+    found = {name: part if name in PER_PROBLEM else part.sum(axis=0) for name, part in parts.items()}
     return Gradients(found, np.array([not reason for reason in reasons]), reasons)
