@@ -134,7 +134,7 @@ class Discs(Uncertainty):
         --------
         >>> table = [[0.0, 1.0, 0.0, 0.99], [0.5, 0.0, -1.0, 0.9]]
         >>> lfo.Discs.from_table(table, samples=4, sampling_time=1.0, averages=16).radius.round(4).tolist()
-        [0.0531, 0.1146, 0.1761]
+        [0.0531, 0.1145, 0.176]
         """
         frequencies, G, coherence = _measured_columns(table)
         radius = radius_of_coherence(G, coherence, averages, confidence, len(G)).astype(np.complex128)
