@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_859,
-    "code lines": 48_137,
-    "code lines, linear part": 22_717,
+    "shipped lines": 51_823,
+    "code lines": 48_101,
+    "code lines, linear part": 22_716,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -45,7 +45,7 @@ from lin_freq_ocp.derivatives.derivatives import (
     reach,
     require_multipliers,
 )
-from lin_freq_ocp.derivatives.equations import ChangedSignals, changed_signals, hessian_of, level_signal
+from lin_freq_ocp.derivatives.equations import ChangedSignals, changed_signals, level_signal
 from lin_freq_ocp.derivatives.exact_point import FORWARD, POINT_STEPS, SAFETY
 from lin_freq_ocp.derivatives.kkt import KKT_REFINEMENTS, MOST_SOLVE_ERROR
 from lin_freq_ocp.methods.candidate import Candidate, zero_multipliers
@@ -382,7 +382,7 @@ def shift_sides(problem: OptimalControlProblem, right: Sides, by: Array) -> Side
         return right
     x, u = split_signals(by, problem.state_dim)
     motion = x[1:] - replace(problem.linear, offset=0 * problem.linear.offset).successors(x, u)
-    return right[0] - stack_signals(*hessian_of(problem).gradient(x, u)), right[1] - by, right[2] - motion
+    return right[0] - problem.quadratic.bend(by), right[1] - by, right[2] - motion
 
 
 def adjoint_problem(

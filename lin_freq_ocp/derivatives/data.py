@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, complex_array, real_array
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Mask, complex_array, real_array, split_signals, stack_signals
 from lin_freq_ocp.base.errors import ProblemError, UnsupportedError, entry_named, suggestion
 from lin_freq_ocp.problem.costs.quadratic import AXES, CostSum, require_symmetric
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse
@@ -76,26 +76,27 @@ class Variables:
 def slopes(problem: OptimalControlProblem, at: Variables, along: Variables | None = None) -> Values:
     """Return the slope of the Lagrangian by every datum at a point, or the derivative of that slope along a change.
 
-    Matrices, q, r and references that are constant in time have one slope, the sum over time.
+    Matrices, q, r and references that are constant in time have one slope, the sum over time. Signals and multipliers
+    may have an axis of problems in front, as may those slopes, where there are only bounds and ends.
     """
-    cost, one, T = problem.quadratic, along or at, problem.horizon
+    cost, one = problem.quadratic, along or at
     both = (at,) if along is None else (along, at)
-    a, b, last, x, u = zip(*((of.a[:-1], of.b, of.a[-1:], of.x[:-1], of.u) for of in both), strict=True)
+    signals = ((of.a[..., :-1, :], of.b, of.a[..., -1:, :], of.x[..., :-1, :], of.u) for of in both)
+    a, b, last, x, u = zip(*signals, strict=True)
     eta = [of.multipliers.eta for of in both]
 
     def product(left: Sequence[Array], right: Sequence[Array], datum: Array) -> Array:
         """Return the sum of left right' over both orders, and over time where the datum is constant."""
-        form = "ti,tj->ij" if datum.ndim == 2 else "ti,tj->tij"
+        form = "...ti,...tj->...ij" if datum.ndim == 2 else "...ti,...tj->...tij"
         return sum((np.einsum(form, i, j) for i, j in zip(left, reversed(right), strict=True)), np.zeros(()))
 
     def fit(datum: Array, values: Array) -> Array:
-        return values.sum(axis=0) if datum.ndim == 1 else values
+        return values.sum(axis=-2) if datum.ndim == 1 else values
 
-    hessian = replace(cost, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
-    in_x, in_u = hessian.at_dimensions(problem.state_dim, problem.control_dim, T).gradient(one.a, one.b)
+    in_x, in_u = split_signals(cost.bend(stack_signals(one.a, one.b)), problem.state_dim)
     found: Values = {"Q": 0.5 * product(a, a, cost.Q), "R": 0.5 * product(b, b, cost.R), "S": product(a, b, cost.S)}
-    found |= {"P": 0.5 * product(last, last, cost.P), "p": one.x[-1]}
-    found |= {"q": fit(cost.q, one.x[:-1]), "r": fit(cost.r, one.u), "offset": -one.multipliers.eta}
+    found |= {"P": 0.5 * product(last, last, cost.P), "p": one.x[..., -1, :]}
+    found |= {"q": fit(cost.q, one.x[..., :-1, :]), "r": fit(cost.r, one.u), "offset": -one.multipliers.eta}
     found |= {"x_ref": fit(cost.x_ref, -in_x), "u_ref": fit(cost.u_ref, -in_u)}
     if problem.response is not None:
         of_G = sum(_response_slope(problem.response, i, j) for i, j in zip(both, reversed(both), strict=True))
@@ -124,7 +125,7 @@ def _limit_slopes(problem: OptimalControlProblem, point: Variables, along: Varia
     at, one, (lower, upper) = point.multipliers, (along or point).multipliers, bounds_of_ends(problem)
     of_ends, either = np.where(is_upper(at.mu, problem.state_tube), upper, lower), lower | upper
     prices = np.where(either, np.where(of_ends, -one.mu, 0.0), np.nan)
-    found: Values = {name: prices[t] for name, t in zip(ENDS, (0, -1), strict=True)}
+    found: Values = {name: prices[..., t, :] for name, t in zip(ENDS, (0, -1), strict=True)}
     for signal, tube, weights, changes in (
         ("state", problem.state_tube, at.mu, np.where(of_ends, 0.0, one.mu)),
         ("control", problem.control_tube, at.nu, one.nu),

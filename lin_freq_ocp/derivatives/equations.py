@@ -25,7 +25,6 @@ from lin_freq_ocp.derivatives.data import (
     with_data,
 )
 from lin_freq_ocp.derivatives.exact_point import ExactPoint
-from lin_freq_ocp.problem.costs.quadratic import QuadraticCost
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Multipliers
 from lin_freq_ocp.program.linear_program import LinearProgram
@@ -105,14 +104,11 @@ def changed_signals(problem: OptimalControlProblem, at: Variables, change: Value
     cost, linear, T = problem.quadratic, problem.linear, problem.horizon
     of_cost = {name: change.get(name, 0.0) for name in (*WEIGHTS, "q", "r", "p")}
     weights = replace(cost, **of_cost).at_dimensions(problem.state_dim, problem.control_dim, T)
-    moved = tuple(
-        np.broadcast_to(change.get(name, 0.0), part.shape) for name, part in (("x_ref", at.x), ("u_ref", at.u))
-    )
-    parts = zip(weights.gradient(at.x, at.u), hessian_of(problem).gradient(*moved), strict=True)
-    of_x, of_u = (of_weights - of_references for of_weights, of_references in parts)
+    moved = (np.broadcast_to(change.get(name, 0.0), part.shape) for name, part in (("x_ref", at.x), ("u_ref", at.u)))
+    of_z = stack_signals(*weights.gradient(at.x, at.u)) - cost.bend(stack_signals(*moved))
     matrices = {name: change.get(name, np.zeros_like(getattr(linear, name))) for name in ("A", "B")}
     dynamics = replace(linear, **matrices, offset=change.get("offset", 0.0 * linear.offset))
-    through = dynamics.pull_back(at.multipliers.eta)
+    of_z[:-1] -= np.hstack(dynamics.pull_back(at.multipliers.eta))
     sides = [np.zeros((2, *signal.shape)) for signal in (at.x, at.u)]
     for name, d in change.items():
         for block, side in zip((Block.STATE_SET, Block.CONTROL_SET), sides, strict=True):
@@ -120,7 +116,7 @@ def changed_signals(problem: OptimalControlProblem, at: Variables, change: Value
                 side += _bound_changes(problem, at.multipliers, block is Block.STATE_SET, name, d)
     lower, upper = map(stack_signals, *sides)
     return ChangedSignals(
-        stack_signals(np.concatenate([of_x[:-1] - through[0], of_x[-1:]]), of_u - through[1]),
+        of_z,
         lower,
         upper,
         dynamics.successors(at.x, at.u),
@@ -136,12 +132,6 @@ def level_signal(problem: OptimalControlProblem, of_u: ComplexArray | None, of_x
         kept = np.zeros(stop.shape) if levels is None else np.where(stop, levels, 0.0)
         signals.append(np.fft.irfft(kept, samples, axis=0))
     return stack_signals(*signals)
-
-
-def hessian_of(problem: OptimalControlProblem) -> QuadraticCost:
-    """Return the quadratic cost without references and linear terms."""
-    plain = replace(problem.quadratic, q=0.0, r=0.0, p=0.0, x_ref=0.0, u_ref=0.0)
-    return plain.at_dimensions(problem.state_dim, problem.control_dim, problem.horizon)
 
 
 def _slope_change(linear: LinearProgram, name: str, d: Array) -> Array:

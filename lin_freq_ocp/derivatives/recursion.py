@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.derivatives.data import ByDatum, Values
-from lin_freq_ocp.derivatives.derivatives import SolutionDerivatives
+from lin_freq_ocp.base.arrays import Array, Mask, split_signals, stack_signals, with_fields
+from lin_freq_ocp.derivatives.data import ByDatum, Values, Variables, slopes
+from lin_freq_ocp.derivatives.derivatives import UNSETTLED, WEAK, SolutionDerivatives
 from lin_freq_ocp.derivatives.exact_point import FORWARD, SAFETY
+from lin_freq_ocp.methods.candidate import zero_multipliers
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 SEEN_CONTROL = 1e-9  # of a solution: the part of a control at a kink that is rounding
+PER_PROBLEM = ("initial_state", "x_ref", "u_ref")  # the data that problems have of their own
 AT_BOUND = 1e-9  # part of the size of a control within which it is at its bound, before the exact point is known
 
 
@@ -38,24 +40,25 @@ class Regulators:
 
     def __init__(self, problem: OptimalControlProblem, free: Mask):
         cost, self.A, self.B = problem.quadratic, problem.linear.A, problem.linear.B
-        self.Q, self.R, self.S, self.P, self.free = cost.Q, cost.R, cost.S, cost.P, free.astype(np.float64)
+        self.cost, self.free = cost, free.astype(np.float64)
         (N, T, m), n = free.shape, len(self.A)
         self.gains, self.inverses, self.mixed = np.empty((T, N, m, n)), np.empty((T, N, m, m)), np.empty((T, N, n, m))
         self.V = np.empty((T + 1, N, n, n))
-        self.V[T] = self.P
+        self.V[T] = cost.P
         for t in range(T - 1, -1, -1):
             f, V = self.free[:, t], self.V[t + 1]
             BV = self.B.T @ V
-            M = (self.R + BV @ self.B) * (f[:, :, None] * f[:, None, :]) + np.eye(m) * (1 - f)[:, :, None]
+            M = (cost.R + BV @ self.B) * (f[:, :, None] * f[:, None, :]) + np.eye(m) * (1 - f)[:, :, None]
             self.inverses[t] = np.linalg.inv(M) * (f[:, :, None] * f[:, None, :])
-            self.mixed[t] = self.S + np.swapaxes(BV @ self.A, 1, 2)
+            self.mixed[t] = cost.S + np.swapaxes(BV @ self.A, 1, 2)
             self.gains[t] = self.inverses[t] @ np.swapaxes(self.mixed[t], 1, 2)
-            V = self.Q + self.A.T @ V @ self.A - self.mixed[t] @ self.gains[t]
+            V = cost.Q + self.A.T @ V @ self.A - self.mixed[t] @ self.gains[t]
             self.V[t] = 0.5 * (V + np.swapaxes(V, 1, 2))
 
-    def solve(self, of_x: Array, of_u: Array, d: Array) -> Solved:
-        """Return the solution with p_0 = 0 for slopes of_x (N, T+1, n), of_u (N, T, m), and offsets d (N, T, n)."""
-        (N, T, m), n = of_u.shape, of_x.shape[2]
+    def solve(self, of_z: Array, d: Array) -> Solved:
+        """Return the solution with p_0 = 0 for slopes of_z (N, T+1, n+m), and offsets d (N, T, n)."""
+        (N, T, m), n = self.free.shape, d.shape[2]
+        of_x, of_u = split_signals(of_z, n)
         steps, g = np.empty((T, N, m)), -of_x[:, T]
         for t in range(T - 1, -1, -1):
             h = g + (self.V[t + 1] @ d[:, t, :, None])[:, :, 0]
@@ -65,12 +68,11 @@ class Regulators:
         for t in range(T):
             v[:, t] = -(self.gains[t] @ p[:, t, :, None])[:, :, 0] - steps[t]
             p[:, t + 1] = p[:, t] @ self.A.T + v[:, t] @ self.B.T + d[:, t]
-        slope = of_x[:, :-1] - p[:, :-1] @ self.Q - v @ self.S.T
-        q[:, T - 1] = of_x[:, T] - p[:, T] @ self.P
+        slope, of_bounds = split_signals(of_z - self.cost.bend(stack_signals(p, v)), n)
+        q[:, T - 1] = slope[:, T]
         for t in range(T - 1, 0, -1):
             q[:, t - 1] = slope[:, t] + q[:, t] @ self.A
-        of_bounds = (of_u - v @ self.R - p[:, :-1] @ self.S + q @ self.B) * (1 - self.free)
-        return Solved(p, v, q, slope[:, 0] + q[:, 0] @ self.A, of_bounds)
+        return Solved(p, v, q, slope[:, 0] + q[:, 0] @ self.A, (of_bounds + q @ self.B) * (1 - self.free))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,64 +118,47 @@ def takes_many(problem: OptimalControlProblem) -> bool:
 
 def many_gradients(
     problem: OptimalControlProblem, x: Array, u: Array, references: tuple[Array, Array], weights: tuple[Array, Array]
-) -> Gradients:
+) -> tuple[Values, tuple[str, ...]]:
     """Return the derivatives of <weights, optima> of problems that differ in initial states and references.
 
-    x (N, T+1, n) and u (N, T, m) are answers; references and weights have these shapes.
+    x (N, T+1, n) and u (N, T, m) are answers; references and weights have these shapes. The derivatives have an axis of
+    problems in front; there is a reason for each problem that has none, else an empty text.
     """
-    cost, linear, tube = problem.quadratic, problem.linear, problem.control_tube
+    cost, tube, linear_slopes = problem.quadratic, problem.control_tube, problem.quadratic.linear_slopes(u.shape[1])
     size = np.maximum(np.abs(u).max((1, 2), keepdims=True), np.finfo(np.float64).tiny)
     held = (tube.upper - u <= AT_BOUND * size) | (u - tube.lower <= AT_BOUND * size)
     u = np.where(held, np.clip(u, tube.lower, tube.upper), u)
     upper = tube.upper - u <= u - tube.lower
     u = np.where(held, np.where(upper, tube.upper, tube.lower), u)
     regulators = Regulators(problem, ~held)
-    last = eta = nu = of_u = np.zeros(())
+    last = eta = nu = of_z = np.zeros(())
     for _ in range(2):  # the exact point, and its last correction
         a, b = x - references[0], u - references[1]
-        of_x = -np.concatenate([a[:, :-1] @ cost.Q + b @ cost.S.T + cost.q, a[:, -1:] @ cost.P + cost.p], axis=1)
-        of_u = -(b @ cost.R + a[:, :-1] @ cost.S + cost.r)
-        drift = x[:, :-1] @ linear.A.T + u @ linear.B.T + linear.offset - x[:, 1:]
-        step = regulators.solve(of_x, of_u, drift)
+        of_z = -cost.bend(stack_signals(a, b)) - (0.0 if linear_slopes is None else linear_slopes)
+        step = regulators.solve(of_z, problem.linear.successors(x, u) - x[:, 1:])
         x, u = x + step.p, u + step.v
         last, eta, nu = np.abs(step.v).max((1, 2), keepdims=True), step.q, step.of_bounds
     a, b = x - references[0], u - references[1]
     room, price = np.where(upper, tube.upper - u, u - tube.lower), np.where(upper, nu, -nu)
     error = np.maximum(FORWARD * size, SAFETY * last)
-    of_prices = np.maximum(FORWARD, SAFETY * last / size) * np.abs(of_u).max((1, 2), keepdims=True)
-    weak = np.where(held, price <= of_prices, room <= error)
-    wrong = np.where(held, price < -of_prices, room < -error).any((1, 2))
+    steepest = np.abs(split_signals(of_z, problem.state_dim)[1]).max((1, 2), keepdims=True)
+    of_prices = np.maximum(FORWARD, SAFETY * last / size) * steepest
+    moving = ~tube.fixed  # with equal bounds, either sign of a price is right
+    weak = moving & np.where(held, price <= of_prices, room <= error)
+    wrong = (moving & np.where(held, price < -of_prices, room < -error)).any((1, 2))
     if (weak & held).any():
         regulators = Regulators(problem, ~held | weak)
-    way = regulators.solve(*weights, np.zeros_like(eta))
+    way = regulators.solve(stack_signals(*weights), np.zeros_like(eta))
     sizes = np.maximum(np.abs(way.p).max((1, 2)), np.abs(way.v).max((1, 2)))
     seen = (np.abs(np.where(weak, way.v, 0.0)) > SEEN_CONTROL * sizes[:, None, None]).any((1, 2))
-    reasons = np.where(wrong, "the active rows did not settle", np.where(seen, "active with multiplier zero", ""))
-
-    def product(*pairs: tuple[Array, Array]) -> Array:
-        return -sum((np.tensordot(left, right, axes=([0, 1], [0, 1])) for left, right in pairs), np.zeros(()))
-
-    p, v, q, inner = way.p, way.v, way.q, a[:, :-1]
-    in_x = np.concatenate([p[:, :-1] @ cost.Q + v @ cost.S.T, p[:, -1:] @ cost.P], axis=1)
-    in_u, sides = v @ cost.R + p[:, :-1] @ cost.S, np.where(weak, 0.0, way.of_bounds)
-    found: Values = {
-        "A": -product((q, x[:, :-1]), (eta, p[:, :-1])),
-        "B": -product((q, u), (eta, v)),
-        "offset": q.sum(0),
-        "Q": 0.5 * product((p[:, :-1], inner), (inner, p[:, :-1])),
-        "R": 0.5 * product((v, b), (b, v)),
-        "S": product((p[:, :-1], b), (inner, v)),
-        "P": 0.5 * product((p[:, -1:], a[:, -1:]), (a[:, -1:], p[:, -1:])),
-        "q": -p[:, :-1].sum((0, 1)),
-        "r": -v.sum((0, 1)),
-        "p": -p[:, -1].sum(0),
-        "x_ref": in_x if cost.x_ref.ndim == 2 else in_x.sum(1),
-        "u_ref": in_u if cost.u_ref.ndim == 2 else in_u.sum(1),
-        "initial_state": way.of_start,
-        "control_upper": np.where(upper, sides, 0.0).sum(0),
-        "control_lower": np.where(upper, 0.0, sides).sum(0),
-    }
-    return Gradients(found, reasons == "", tuple(reasons.tolist()))
+    reasons = np.where(wrong, UNSETTLED, np.where(seen, WEAK, ""))
+    none, mu, of_bounds = zero_multipliers(problem, 1.0), 0 * x, np.where(weak, 0.0, way.of_bounds)
+    mu[:, 0] = way.of_start
+    rho_u, rho_x = (np.broadcast_to(part, (len(x), *part.shape)) for part in (none.rho_u, none.rho_x))
+    at = with_fields(none, eta=eta, mu=0 * x, nu=nu, rho_u=rho_u, rho_x=rho_x)
+    along = with_fields(at, eta=way.q, mu=mu, nu=of_bounds)
+    found = slopes(problem, Variables(x, u, a, b, at), Variables(way.p, way.v, way.p, way.v, along))
+    return {name: -part for name, part in found.items()}, tuple(reasons.tolist())
 
 
 def gradients_of(
@@ -193,9 +178,10 @@ def gradients_of(
         x_ref[:], u_ref[:] = cost.x_ref, cost.u_ref
         for i, own in enumerate(references):
             x_ref[i], u_ref[i] = own.get("x_ref", x_ref[i]), own.get("u_ref", u_ref[i])
-        return many_gradients(problem, x, u, (x_ref, u_ref), weights)
-    found = [derivatives_of(i).vjp(x=weights[0][i], u=weights[1][i]) for i in range(len(x))]
-    each = ("initial_state", "x_ref", "u_ref")
-    parts = {name: np.stack([one[name] for one in found]) for name in found[0]}
-    summed = {name: part if name in each else part.sum(axis=0) for name, part in parts.items()}
-    return Gradients(summed, np.array([one.exists for one in found]), tuple(one.reason for one in found))
+        parts, reasons = many_gradients(problem, x, u, (x_ref, u_ref), weights)
+    else:
+        each = [derivatives_of(i).vjp(x=weights[0][i], u=weights[1][i]) for i in range(len(x))]
+        parts = {name: np.stack([one[name] for one in each]) for name in each[0]}
+        reasons = tuple(one.reason for one in each)
+    found = {name: part if name in PER_PROBLEM else part.sum(axis=0) for name, part in parts.items()}
+    return Gradients(found, np.array([not reason for reason in reasons]), reasons)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain, takewhile
 from typing import ClassVar
 
@@ -84,27 +85,24 @@ class _Trial:
         if outcome.attempt.reason not in UNPROVEN_POINTS and not out_of_steps:
             return outcome
         try:
-            along = steepest_recession(self.problem)
-            direction = None if along is None else verified_direction(self.problem, along)
-            if direction is None:
+            if self.direction is None:
                 return outcome
-            along = Trajectory(direction.x, direction.u)
-            proof = self._judge_unbounded(Candidate(Status.UNBOUNDED, descent=along, seconds=candidate.seconds))
+            proof = self._judge_unbounded(replace(self.direction, seconds=candidate.seconds))
         except UnsupportedError:  # the program does not fit into memory
             return outcome
         return take_best([proof, outcome] if out_of_steps else [outcome, proof])
 
-    def diagnose(self, problem: OptimalControlProblem) -> Candidate | None:
-        """Return the prover's claim that a problem is infeasible or unbounded, or None, at the default tolerance."""
-        claim = solve_convex(problem, PROVER, SolveOptions(time_limit=seconds_left(self.end)))
-        return claim if claim.status in CLAIMS else None
+    @cached_property
+    def direction(self) -> Candidate | None:
+        """Look for a verified direction of descent of the problem, once for all candidates; None without one."""
+        along = steepest_recession(self.problem)
+        found = None if along is None else verified_direction(self.problem, along)
+        return None if found is None else Candidate(Status.UNBOUNDED, descent=Trajectory(found.x, found.u))
 
     def _judge_unbounded(self, candidate: Candidate) -> Outcome:
         """Judge a direction of descent, which proves something if the problem without its cost has a trajectory."""
-        without_cost, options = (
-            self.problem.derived(cost=QuadraticCost()),
-            SolveOptions(time_limit=seconds_left(self.end)),
-        )
+        without_cost = self.problem.derived(cost=QuadraticCost())
+        options = SolveOptions(time_limit=seconds_left(self.end))
         if is_long(self.problem):
             found = solve_long(self.problem.derived(cost=distance_cost(self.problem)), options) or candidate
         else:
@@ -165,7 +163,8 @@ class Convex(_Linear):
         candidates = convex_candidates(trial.problem, backend, trial.options, programs)
         first = next(candidates)
         if first.status not in (Status.OPTIMAL, Status.LIMIT) and backend != PROVER:
-            first = trial.diagnose(trial.problem) or first
+            claim = solve_convex(trial.problem, PROVER, SolveOptions(time_limit=seconds_left(trial.end)))
+            first = claim if claim.status in CLAIMS else first  # at the default tolerance
         yield from map(trial.judge_point, chain([first], candidates))
 
 

@@ -31,7 +31,7 @@ from lin_freq_ocp.base.arrays import (
     positive_integer,
     real_array,
 )
-from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, warn_user
+from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError, UnsupportedError, rename_field, warn_user
 from lin_freq_ocp.base.phrases import first_few, join_words, number, plural
 from lin_freq_ocp.problem.dynamics.frequency_response import FrequencyResponse, response_at_bins
 from lin_freq_ocp.problem.dynamics.measured import read_response
@@ -49,7 +49,7 @@ from lin_freq_ocp.transform.reformulations import augment_states, translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.leakage import bin_values
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, closest_bin, limit_rows, limited_spectra
 
 WORST_POWER = "worst case of the cost"
 FEWEST_AVERAGES = 2
@@ -134,7 +134,7 @@ class Discs(Uncertainty):
         --------
         >>> table = [[0.0, 1.0, 0.0, 0.99], [0.5, 0.0, -1.0, 0.9]]
         >>> lfo.Discs.from_table(table, samples=4, sampling_time=1.0, averages=16).radius.round(4).tolist()
-        [0.0531, 0.1146, 0.1761]
+        [0.0531, 0.1145, 0.176]
         """
         frequencies, G, coherence = _measured_columns(table)
         radius = radius_of_coherence(G, coherence, averages, confidence, len(G)).astype(np.complex128)
@@ -208,35 +208,29 @@ class Discs(Uncertainty):
         cost = problem.value(nominal.x, u) + translation.cost
         size = np.abs(np.fft.rfft(u, n=response.record, axis=0))
         margin = np.einsum("k,kij,kj->i", response.weight / response.record, radius, size)
-        hard = [*hard_rows(problem, True, margin > 0)]
-        for rows in (*hard, *term_rows(problem, soft=True)):
+        for rows in limit_rows(problem, True, margin > 0):
             for one, c, d in rows.closest(nominal.x, u, np.broadcast_to(np.abs(rows.C) @ margin, rows.limits.shape)):
                 k = np.arange(len(radius))
                 wave = np.exp(-2j * np.pi * (k * one.index % response.record) / response.record)
                 G, under = _worst_plant(problem, radius, u, c, wave)
                 value = float(under.x[one.index] @ c + u[one.index : one.index + 1].sum(axis=0) @ d)
                 found = replace(one, attained=one.sign * value, trajectory=under, plant=G)
-                (limits if rows in hard else soft).append(found.of_given(translation, c))
+                (soft if rows.soft else limits).append(found.of_given(translation, c))
         for name, spectrum, levels in limited_spectra(problem):
             of_x = np.zeros(problem.state_dim) if spectrum.C is None else np.abs(spectrum.C)
-            levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
             if of_x.any() and not _is_of_bins(problem, replace(spectrum, joint=False)):
                 got = "a spectrum of outputs with a window, between bins, or of a zero-padded response"
                 raise UnsupportedError(f"{name}: got {got}; expected bins of a periodic one.")
             values = bin_values(spectrum, nominal)
-            planned = np.abs(values)
-            added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else 0 * planned
-            judged = not np.isnan(levels).any()
-            k = int(np.argmin(levels - planned - added) if judged else np.argmax(added))
-            figures = (float(part[k]) for part in (planned, added, levels))
-            one = Worst(name, int(spectrum.bins[k]), *figures, size=float(planned[k] + added[k]), in_spectrum=True)
+            added = np.einsum("i,kij,kj->k", of_x, radius, size)[spectrum.bins] if of_x.any() else np.zeros(len(values))
+            k, one = closest_bin(name, spectrum, levels, np.abs(values), added)
             if of_x.any():
                 wave = np.exp(1j * np.angle(values[k])) * (np.arange(len(radius)) == spectrum.bins[k])
                 G, under = _worst_plant(problem, radius, u, np.asarray(spectrum.C), wave)
                 attained, under = float(np.abs(bin_values(spectrum, under)[k])), translation.trajectory(under)
                 one = replace(one, attained=attained, plant=G, trajectory=under)
-            if judged or of_x.any():
-                (limits if judged else leaks).append(one)
+            if of_x.any() or not np.isnan(one.limit):
+                (leaks if np.isnan(one.limit) else limits).append(one)
         largest = number(float(radius.max(initial=0.0)), 3)
         words = f"every plant within discs of radii up to {largest}; u = v"
         return WorstCase(words, tuple(limits), tuple(leaks), cost=cost, soft=tuple(soft))
@@ -319,15 +313,12 @@ def discs_of(
             return Discs(0.0 if radius is None else radius, cost)
         plant, c = _plant(problem), real_array(MEASURED, coherence)
         G = plant.G[:, 0, 0] if c.ndim == 1 and plant.G.shape[1:] == (1, 1) else plant.G
-        try:
+        with rename_field(lambda name: name if "." in name else f"discs.{name}"):
             if c.ndim != 2:
                 return Discs(radius_of_coherence(G, c, averages or 0, confidence, len(G)), cost)
             record = problem.response.record, plant.sampling_time or 0.0
             _require_measured(c, plant, *record)
             return Discs.from_table(c, *record, averages or 0, confidence, cost, "zero")
-        except ProblemError as error:
-            field = error.field if "." in error.field else f"discs.{error.field}"
-            raise ProblemError(field, error.got, error.expected, error.advice) from None
 
     return make
 
@@ -459,7 +450,8 @@ def _limits_of_all(problem: OptimalControlProblem, radius: Array) -> list[Output
     """Return the hard limits of outputs, for every plant; none without such limits."""
     response, T, found = _response(problem), problem.horizon, list[OutputSpectrum]()
     weights = response.weight / response.record
-    for one in hard_rows(problem, True, np.ones(problem.state_dim, dtype=bool)):
+    every = limit_rows(problem, True, np.ones(problem.state_dim, dtype=bool))
+    for one in (rows for rows in every if not rows.soft):
         limits = one.limits.copy()
         if response.closed:  # the last state is the first
             limits[0], limits[T] = np.minimum(limits[0], limits[T]), np.inf

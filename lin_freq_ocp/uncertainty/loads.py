@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, brief, real_array
-from lin_freq_ocp.base.errors import ProblemError
+from lin_freq_ocp.base.errors import ProblemError, rename_field
 from lin_freq_ocp.base.phrases import plural
 from lin_freq_ocp.problem.sets.base import ConvexSet
 
@@ -210,11 +210,8 @@ def loads_of(given: object, dimension: int, field: str = SET, each: str = "colum
         if given.dimension not in (None, dimension):
             raise ProblemError(field, f"a set in {given.dimension} dimensions", f"{dimension}, one per {each}")
         kind, words = LoadSet if given.members else BoxLoads, f"a {type(given).__name__}"
-        try:
+        with rename_field(lambda name: field + name.removeprefix(SET)):
             loads = kind(*given.farthest(dimension), f"every load of {words} of {plural(dimension, 'component')}")
-        except ProblemError as error:
-            where = field + error.field.removeprefix(SET)
-            raise ProblemError(where, error.got, error.expected, error.advice) from None
     else:
         samples = real_array(SET, given)
         if samples.ndim != 2 or 0 in samples.shape:

@@ -29,7 +29,7 @@ from lin_freq_ocp.transform.limits import intersection
 from lin_freq_ocp.transform.reformulations import translation_of
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.uncertainty.protocol import Uncertainty
-from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, hard_rows, limited_spectra, term_rows
+from lin_freq_ocp.uncertainty.worst_loads import Worst, WorstCase, limit_rows, limited_spectra
 
 
 class Plants(Uncertainty):
@@ -122,7 +122,7 @@ class Plants(Uncertainty):
     def worst(self, problem: OptimalControlProblem, plan: Trajectory, solved: Outcome | None) -> WorstCase:
         """Return what the worst plant does to the controls of a plan; see ``worst_case``."""
         self._require(problem)
-        n, u, found = problem.state_dim, plan.u, dict[str, list[Worst]]()
+        n, u, found = problem.state_dim, plan.u, dict[tuple[str, bool], list[Worst]]()
         if plan.x.shape[1] != n * len(self.plants) or u.shape != (problem.horizon, problem.control_dim):
             problem.require(plan)
         starts, cost = plan.x[0].reshape(-1, n), 0.0
@@ -131,33 +131,32 @@ class Plants(Uncertainty):
             start = starts[min(k, len(starts) - 1)] if own.response is None else None
             moved = simulate(own, u, start)
             cost += self.shares[k] * own.value(moved.x, u)
-            for one in _closest_values(own, moved):
-                found.setdefault(one.name, []).append(replace(one, plant=k + 1))
+            for one, priced in _closest_values(own, moved):
+                found.setdefault((one.name, priced), []).append(replace(one, plant=k + 1))
         limits, soft = list[Worst](), list[Worst]()
-        prices = {name for rows in term_rows(problem, soft=True) for name in rows.names}
-        for cases in found.values():  # the plan of the first plant, and what the worst one adds
+        for (_, priced), cases in found.items():  # the plan of the first plant, and what the worst one adds
             first, most = cases[0], max(cases, key=lambda case: case.violation)
             added = most.sign * (most.planned - first.planned)
             worst = replace(most, planned=most.planned - most.sign * max(added, 0.0), margin=max(added, 0.0))
-            (soft if worst.name in prices else limits).append(worst)
+            (soft if priced else limits).append(worst)
         words = f"each of {plural(len(self.plants), 'plant')}; u = v"
         return WorstCase(words, tuple(limits), cost=cost, soft=tuple(soft))
 
 
-def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[Worst]:
-    """Yield each limit at the time, or bin, where a trajectory is closest to it."""
+def _closest_values(problem: OptimalControlProblem, trajectory: Trajectory) -> Iterator[tuple[Worst, bool]]:
+    """Yield each limit at the time, or bin, where a trajectory is closest to it, and whether it is soft."""
     translation = translation_of(problem)
     problem, trajectory = translation.judged_at(trajectory)
     x, u = trajectory.x, trajectory.u
-    hard = hard_rows(problem, False, np.zeros(problem.state_dim, dtype=bool))
-    for rows in (*hard, *term_rows(problem, soft=True)):
-        yield from (one.of_given(translation, c) for one, c, _ in rows.closest(x, u, np.zeros(rows.limits.shape)))
+    for rows in limit_rows(problem, False, np.zeros(problem.state_dim, dtype=bool)):
+        closest = rows.closest(x, u, np.zeros(rows.limits.shape))
+        yield from ((one.of_given(translation, c), rows.soft) for one, c, _ in closest)
     for name, spectrum, limits in limited_spectra(problem):
         sizes, levels = np.linalg.norm(spectrum.values(x, u), axis=1), np.nan_to_num(limits)
         k = int(np.argmax(sizes - levels))
         size = float(np.abs(x).max() + np.abs(u).max()) * problem.horizon
         value, level = float(sizes[k]), float(levels[k])
-        yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True)
+        yield Worst(name, int(spectrum.bins[k]), value, 0.0, level, size, value, in_spectrum=True), False
 
 
 def _at_share(one: FrequencyConstraint, share: float) -> list[FrequencyConstraint]:

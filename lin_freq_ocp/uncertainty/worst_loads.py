@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import cast
 
 import numpy as np
@@ -219,7 +220,7 @@ class WorstCase:
 
 @dataclass(frozen=True, eq=False)
 class LimitRows:
-    """Limits C x_t + D u_t <= limits of all times; infinite where there is none."""
+    """Limits C x_t + D u_t <= limits of all times, hard or ``soft``; infinite where there is none."""
 
     names: Sequence[str]
     C: Array  # (rows, n), or (T+1, rows, n)
@@ -227,6 +228,7 @@ class LimitRows:
     limits: Array  # (T+1, rows)
     term: str = ""  # whose multipliers they have
     signs: Indices | None = None  # -1: lower limits, multiplied by -1
+    soft: bool = False
     others: Array | float = np.inf  # other limits of the same values, without margins: the least one has the multiplier
 
     def values(self, x: Array, u: Array) -> Array:
@@ -256,8 +258,8 @@ class LimitRows:
         return float((weights * (margins * (self.limits - margins < self.others))[: len(weights)]).sum())
 
 
-def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
-    """Yield the hard bounds, rows and polyhedra of a problem.
+def limit_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) -> Iterator[LimitRows]:
+    """Yield the hard bounds of a problem, then its rows and polyhedra, the soft ones last.
 
     Bounds of states count at time 0 if the start is uncertain; fixed ends only where they are not ``moved`` (n,).
     """
@@ -277,13 +279,7 @@ def hard_rows(problem: OptimalControlProblem, bounded_start: bool, moved: Mask) 
     yield LimitRows(controls, np.zeros((2 * m, n)), D, of_u, signs=np.repeat((1, -1), m))
     names, others = [f"end of {name}" for name in states], np.where(by_end, np.inf, -np.inf)
     yield LimitRows(names, C, np.zeros((2 * n, m)), end, signs=np.repeat((1, -1), n), others=others)
-    yield from term_rows(problem)
-
-
-def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[LimitRows]:
-    """Yield the hard, or the soft, rows and polyhedra of a problem."""
-    n, m, T = problem.state_dim, problem.control_dim, problem.horizon
-    for term in problem.terms:
+    for soft, term in product((False, True), problem.terms):
         found = term.polyhedron(n, m, soft)
         if found is None or term.kind.is_link:
             continue
@@ -294,7 +290,7 @@ def term_rows(problem: OptimalControlProblem, soft: bool = False) -> Iterator[Li
             both = np.zeros((T + 1, *found.C.shape[1:]))
             both[found.times] = found.C
         names = [term.name] if count == 1 else [f"row {i} of {term.name}" for i in range(count)]
-        yield LimitRows(names, both[..., :n], both[..., n:], limits, term.name)
+        yield LimitRows(names, both[..., :n], both[..., n:], limits, term.name, soft=soft)
 
 
 def worst_loads(
@@ -308,26 +304,22 @@ def worst_loads(
     plan = simulate_loop(problem, loop, trajectory)
     x, u, limits, soft, leaks, price = plan.x, plan.u, list[Worst](), list[Worst](), list[Worst](), 0.0
     end = loop.margins(np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, m)))[T].reshape(2, n).max(axis=0)
-    hard = [*hard_rows(problem, loop.start is not None or loop.forever, end > 0)]
-    for rows in (*hard, *term_rows(problem, soft=True)):
+    for rows in limit_rows(problem, loop.start is not None or loop.forever, end > 0):
         margins = loop.margins(rows.C, rows.D)
         price += 0.0 if multipliers is None else rows.price(margins, multipliers)
         for one, c, d in rows.closest(x, u, margins):
             t, case = one.index, loop.worst(c, d, one.index)
             under = simulate_loop(problem, loop, trajectory, case)
             worst = one.under(case, under, float(under.x[t] @ c + under.u[t : t + 1].sum(axis=0) @ d))
-            (limits if rows in hard else soft).append(worst.of_given(translation, c))
+            (soft if rows.soft else limits).append(worst.of_given(translation, c))
     for name, spectrum, levels in limited_spectra(problem):
-        levels = np.full(len(spectrum.bins), np.nan) if spectrum.joint else levels
-        bins, judged = bin_values(spectrum, plan), not np.isnan(levels).any()
+        bins = bin_values(spectrum, plan)
         largest, loads = leakage(loop, spectrum, bins)
-        k = int(np.argmin(levels - largest) if judged else np.argmax(largest - np.abs(bins)))
+        k, one = closest_bin(name, spectrum, levels, np.abs(bins), largest - np.abs(bins))
         case = None if loads is None else (np.zeros(n), loads[k])
         under = simulate_loop(problem, loop, trajectory, case)
-        planned, most, level, size = map(float, (np.abs(bins[k]), largest[k], levels[k], np.nan_to_num(levels[k])))
-        values = int(spectrum.bins[k]), planned, most - planned, level, size + most
-        one = Worst(name, *values, in_spectrum=True).under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
-        (limits if judged else leaks).append(one.of_given(translation, np.zeros(n)))
+        one = one.under(case, under, float(np.abs(bin_values(spectrum, under)[k])))
+        (leaks if np.isnan(one.limit) else limits).append(one.of_given(translation, np.zeros(n)))
     K = f"u = v + K (x - z), K = {matrix(loop.K)}" if loop.K.any() else "u = v, without feedback"
     words = f"{loop.loads.words}{', since ever' if loop.forever else ''}; {K}"
     prices = None if multipliers is None else price
@@ -343,6 +335,18 @@ def limited_spectra(problem: OptimalControlProblem) -> Iterator[tuple[str, Spect
     for map in problem.stop_band_maps:
         name = (problem.control_names if map.C is None else problem.state_names)[map.component]
         yield f"stop band on {short_name(name)}", replace(map, joint=False), np.full(len(map.bins), np.nan)
+
+
+def closest_bin(name: str, spectrum: SpectrumMap, levels: Array, planned: Array, margins: Array) -> tuple[int, Worst]:
+    """Return where a spectrum comes closest to its limits, or has the largest margin without any: position and case.
+
+    The limit of a joint spectrum is none of a single bin. Magnitudes ``planned`` and ``margins`` are (bins,).
+    """
+    levels = np.full(len(planned), np.nan) if spectrum.joint else levels
+    k = int(np.argmax(margins) if np.isnan(levels).any() else np.argmin(levels - planned - margins))
+    plan, margin, level = (float(part[k]) for part in (planned, margins, levels))
+    size = plan + margin + float(np.nan_to_num(level))
+    return k, Worst(name, int(spectrum.bins[k]), plan, margin, level, size, in_spectrum=True)
 
 
 def simulate_loop(

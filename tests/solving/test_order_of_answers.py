@@ -11,7 +11,7 @@ import lin_freq_ocp as lfo
 from helpers.replacing import substitute
 from helpers.seeds import expensive
 from lin_freq_ocp.certificate import RIGOROUS, Bound, judge
-from lin_freq_ocp.methods import Candidate, solve_convex, zero_multipliers
+from lin_freq_ocp.methods import Candidate, solve_convex, steepest_recession, zero_multipliers
 from lin_freq_ocp.results import Attempt, Reason, Status, Trajectory
 from lin_freq_ocp.solving import Options, judge_candidate, solve_judged, take_best
 
@@ -209,6 +209,24 @@ def test_a_direction_whose_program_is_too_large_is_not_looked_for(monkeypatch):
     substitute(monkeypatch, "solving.solve_spectral", stop)
     substitute(monkeypatch, "methods.steepest_recession", refuse)
     assert lfo.solve(FALLING, method="spectral", throw=False).status == "numerical_error"
+
+
+def test_a_direction_is_looked_for_once_for_all_candidates(monkeypatch):
+    searches, claimed = [], solve_convex(PROBLEM, "clarabel")
+
+    def count(problem):
+        searches.append(problem)
+        return steepest_recession(problem)
+
+    def refute(problem, candidate, *options):
+        return replace(judge_candidate(problem, candidate, *options), status=Status.NUMERICAL_ERROR)
+
+    substitute(monkeypatch, "methods.convex_candidates", lambda *given: iter([claimed] * 3))
+    substitute(monkeypatch, "methods.steepest_recession", count)
+    substitute(monkeypatch, "solving.judge_candidate", refute)
+    attempts = lfo.solve(PROBLEM, method="convex", throw=False).attempts
+    assert [one.reason for one in attempts] == [Reason.FEASIBLE] * 3
+    assert len(searches) == 1
 
 
 NEARLY = replace(FALLING, cost=lfo.QuadraticCost(R=1.0), terminal_state=[3.0 + 1e-7])

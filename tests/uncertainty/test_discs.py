@@ -399,3 +399,14 @@ def test_outputs_far_from_zero_have_the_same_plan_and_the_same_worst_case(mode, 
             assert other.violation == pytest.approx(one.violation, abs=digits)
             assert other.attained - other.limit == pytest.approx(one.attained - one.limit, abs=digits)
             np.testing.assert_allclose(other.trajectory.x - place, one.trajectory.x, atol=digits)
+
+
+def test_the_bin_of_a_mask_is_the_one_that_margins_bring_closest():
+    """The spectrum of the plan is 4 at bin 1 and 3.6 at bin 2, which is uncertain by 40 %."""
+    plant, t = lfo.FrequencyResponse(np.ones((5, 1, 1)), 1.0), 2 * np.pi * np.arange(8) / 8
+    mask = lfo.MagnitudeBound(6.0, bins=[1, 2], component=0)
+    problem = lfo.OptimalControlProblem(plant, 8, lfo.QuadraticCost(R=1.0), state_spectrum=mask)
+    plan = lfo.Trajectory(np.zeros((9, 1)), (np.cos(t) + 0.9 * np.cos(2 * t))[:, None])
+    (one,) = lfo.worst_case(problem, lfo.Discs(np.array([0.0, 0, 0.4, 0, 0])), plan).limits
+    assert one.index == 2
+    assert [one.planned, one.margin, one.attained] == pytest.approx([3.6, 1.44, 5.04], rel=1e-12)

@@ -13,7 +13,7 @@ from lin_freq_ocp.comparison.compare import ComparisonOutcome
 from lin_freq_ocp.comparison.filters import filter_limits, has_frequency_constraint
 from lin_freq_ocp.comparison.trajectories import SAME_PEAK, MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import RIGOROUS, proven_optimal
-from lin_freq_ocp.pages.report.tables import moves_sentence
+from lin_freq_ocp.pages.report.tables import moves_sentence, stop_band_figures
 from lin_freq_ocp.pages.units import frequency_scale, quantity, rough
 from lin_freq_ocp.problem.measures import stopped_runs
 from lin_freq_ocp.solving.outcome import Outcome
@@ -89,11 +89,9 @@ def faults(replay: MeasuredTrajectory, comparison: ComparisonOutcome) -> list[st
         *_violations("misses the end by", replay.end, names, "other state", lambda name, size, i: f"{size} in {name}"),
     ]
     measures, best = replay.measures, comparison.constrained.cost
-    for of_states, kind, energy in (
-        (False, "control", measures.stopband_energy),
-        (True, "state", measures.state_stopband_energy),
-    ):
+    for of_states, kind in ((False, "control"), (True, "state")):
         if replay.empties_band(of_states) is False:
+            energy = stop_band_figures(measures, of_states)[0]
             sentences.append(f"leaves an energy of {number(energy, 3)} at the bins of the {kind} stop band")
     if best is not None and measures.cost is not None and comparison.constrained.primal:
         if measures.cost > best + MORE_EXPENSIVE * abs(best):
@@ -146,11 +144,9 @@ def _constraints_in_words(comparison: ComparisonOutcome) -> str:
     result, constrained = comparison.constrained, comparison.constrained_measures
     if not result.primal:
         return f"not every constraint holds ({result.message or result.status.replace('_', ' ')})"
-    classical, larger = comparison.classical_measures, list[str]()
-    for kind, peak, before in (
-        ("control", constrained and constrained.stopband_peak, classical.stopband_peak),
-        ("state", constrained and constrained.state_stopband_peak, classical.state_stopband_peak),
-    ):
+    both, larger = (constrained, comparison.classical_measures), list[str]()
+    for of_states, kind in ((False, "control"), (True, "state")):
+        peak, before = (measures and stop_band_figures(measures, of_states)[1] for measures in both)
         if peak is not None and before is not None and peak > (1 + SAME_PEAK) * before:
             larger.append(
                 f"the spectrum of the {kind} peaks at {number(peak, 3)} between the bins of its band, above the "

@@ -18,6 +18,7 @@ from lin_freq_ocp.comparison.moves import OURS, Moves
 from lin_freq_ocp.comparison.trajectories import MeasuredTrajectory, Violation, controls_of
 from lin_freq_ocp.pages.report.proof import bound_kind
 from lin_freq_ocp.pages.units import align
+from lin_freq_ocp.problem.measures import Measures
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 
 NOT_MEANINGFUL = "not meaningful"  # instead of numbers of a replay that is not meaningful
@@ -158,16 +159,18 @@ def _reading_group(columns: Columns) -> Group:
 
 def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states: bool) -> Group:
     def cell(trajectory: MeasuredTrajectory, i: int) -> TableCell:
-        measures = trajectory.measures
-        if of_states:
-            values = measures.state_stopband_energy, measures.state_stopband_peak
-        else:
-            values = measures.stopband_energy, measures.stopband_peak
-        return _measured_cell(trajectory, values[i], None if i else trajectory.empties_band(of_states))
+        value = stop_band_figures(trajectory.measures, of_states)[i]
+        return _measured_cell(trajectory, value, None if i else trajectory.empties_band(of_states))
 
     rows = ["energy at its bins", "peak between its bins"]
     banded = (problem.state_band if of_states else problem.control_band).any()
     return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
+
+
+def stop_band_figures(measures: Measures, of_states: bool) -> tuple[float | None, float | None]:
+    """Return the energy at the bins of the stop band of the states, or of the controls, and the peak between them."""
+    of_controls = measures.stopband_energy, measures.stopband_peak
+    return (measures.state_stopband_energy, measures.state_stopband_peak) if of_states else of_controls
 
 
 def worst_location(problem: OptimalControlProblem, condition: Condition) -> str:
