@@ -114,8 +114,7 @@ class Exchange:
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
-                prices = self.working.prices(data.lti)
-                self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
+                self.working.weights = np.minimum(self.first.weights, self.working.prices(data.lti))
         self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
         self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
         self.best, self.stalled = np.inf, 0
@@ -224,8 +223,7 @@ class Exchange:
         Z, S = working.eliminated(inverse)
         d = self.slack - working.coupling.T @ step - S @ working.weights
         diagonal_bound = None if self.diagonal_bound is None else self.diagonal_bound[working.f] * working.inner
-        prices = working.prices(self.data.lti)
-        response = None if prices is None else working.free_response()
+        prices, response = working.prices(self.data.lti), working.free_response()
         new, accurate = bounded_qp(S, d, guess, diagonal_bound, self.stop, prices, response)
         combine = (want_ray or not accurate) and self.stop() is None
         ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
@@ -241,8 +239,7 @@ class Exchange:
             return inverse @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
         prices = working.prices(self.data.lti)
-        upper = np.full(len(working), np.inf) if prices is None else prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, upper)
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, prices)
         step, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
             return step, new, None
@@ -349,22 +346,21 @@ def exchange_values(
     """
     index, sign, weights = start.indices, start.sign, start.weights
     lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
-    n, prices = lti.state_dim, lti.prices
+    n = lti.state_dim
     for count in range(1, MODEL_ROUNDS + 1):
         values, saturated = base, index[:0]
         if len(index):
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
             free = None if diagonal_bound is None else diagonal_bound[f] * (t < lti.horizon)
-            price = None if prices is None else prices.at(t, f, sign)
-            response = None if prices is None else whole.kernels.free_response(t, f)
+            price, response = lti.prices.at(t, f, sign), whole.kernels.free_response(t, f)
             S = whole.gram(index) * sign * sign[:, None]
             weights, accurate = bounded_qp(S, d, weights, free, stop, price, response)
             duals = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
             values = base - whole.response(index, sign * weights)
-            saturated = saturated if price is None else index[weights >= price]
+            saturated = index[weights >= price]
         violations.set_saturated(whole.t[saturated], whole.f[saturated])
         if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
             break
@@ -436,7 +432,7 @@ def _hold_samples(lti: Lti) -> Lti:
             offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
     coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
     linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    prices = None if coarse.prices is None else coarse.prices.map(lambda price: HOLD_FACTOR * price)
+    prices = coarse.prices.map(lambda price: HOLD_FACTOR * price)
     return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
 
 
@@ -454,7 +450,7 @@ def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array],
         ),
         linear=None if lti.linear is None else sample(lti.linear),
         offset=None if lti.offset is None else sample(lti.offset),
-        prices=None if lti.prices is None else lti.prices.map(sample),
+        prices=lti.prices.map(sample),
     )
 
 

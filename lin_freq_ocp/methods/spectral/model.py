@@ -49,8 +49,8 @@ class Lti:
     p: Array
     offset: Array | None  # d_t, (n, T)
     bounds: Bounds
+    prices: Bounds  # of a unit of violation, infinite for hard bounds
     constant: float  # cost at x = 0, u = 0
-    prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
@@ -85,7 +85,7 @@ class Lti:
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         changed = with_fields(self, start=start, end=end)
-        if self.prices is None:  # else, the end is the same
+        if not self.soft:  # else, the end is the same
             last_lower, last_upper = (side / x for side in ends[1].bounds)
             assign(changed, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
         return changed
@@ -93,6 +93,14 @@ class Lti:
     def row_values(self, y: Array, t: Indices, f: Indices) -> Array:
         """Return F_f y_t of some rows at t < T, (count,), for y (n+m, T)."""
         return y[f, t] if len(self.F) == len(y) else np.einsum("ri,ir->r", self.F[f], y[:, t])
+
+    @cached_property
+    def soft(self) -> bool:
+        """Whether some bound has a price."""
+        prices = self.prices
+        return any(
+            np.isfinite(side).any() for side in (prices.lower, prices.upper, prices.last_lower, prices.last_upper)
+        )
 
     @cached_property
     def state_cost(self) -> bool:
@@ -281,7 +289,8 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
-    bounds, prices = _bounds(problem, units), None
+    bounds, hard = _bounds(problem, units), np.broadcast_to(np.inf, (len(y) + len(units.rows), T))
+    prices = Bounds(hard, hard, np.full(n, np.inf), np.full(n, np.inf))
     if not all(term.hard for term in problem.terms):
         bounds, prices = _soft_bounds(problem, units, bounds)
     periodic = closes_on_the_circle(problem)
@@ -308,8 +317,8 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
         p=p * x / units.cost,
         offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
         bounds=bounds,
-        constant=constant / units.cost,
         prices=prices,
+        constant=constant / units.cost,
         periodic=periodic,
         response=None if response is None else response * (u / x[:, None])[:, :, None],
     )

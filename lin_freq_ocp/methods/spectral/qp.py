@@ -46,13 +46,14 @@ def bounded_qp(
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``upper`` is u, None if all prices are infinite. If equations decide a row with a price, it is saturated iff it is
+    ``upper`` is u; by default all prices are infinite. If equations decide a row with a price, it is saturated iff it is
     violated: its entry of S is a rounding error, relative to its ``response`` without equations.
 
     ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
     there is no such diagonal.
     """
-    if upper is not None and response is not None:
+    upper = np.full(len(d), np.inf) if upper is None else upper
+    if response is not None:
         decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
         if decided.any():  # they are at a bound of their multipliers
             lam, undecided, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
@@ -66,28 +67,25 @@ def bounded_qp(
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
     A *= unit
-    scaled_upper = None if upper is None else upper / unit / size
+    scaled_upper = upper / unit / size
     lam, accurate = block_pivoting(A, b, warm, scaled_upper) if len(d) <= PIVOTING_ROWS else None, True
     if lam is None:
         thin = None if diagonal_bound is None else diagonal_bound * unit**2
-        lam, accurate = interior_point(A, b, thin, stop, warm, scaled_upper)
-    if upper is None or scaled_upper is None:
-        return lam * unit * size, accurate
+        lam, accurate = interior_point(A, b, scaled_upper, thin, stop, warm)
     return np.where(lam >= scaled_upper, upper, lam * unit * size), accurate  # exactly u if saturated
 
 
-def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
+def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | None:
     """Exchange all wrong rows at once, later the worst ones; None if that cycles, or if rows are nearly dependent.
 
     An exchange of all rows is fast, but cycles on some programs. Most cycles end if only rows with at least half of the
     worst error are exchanged. Judice and Pires (1994) exchange a single row instead, which takes longer.
     """
-    slope, none = A @ start + b, np.zeros(len(b), dtype=bool)
-    saturated, above = none if upper is None else start >= upper, none
+    slope, saturated = A @ start + b, start >= upper
     active = ((start > 0) | (slope < 0)) & ~saturated
     for step in range(PIVOTING_STEPS):
         lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
-        if upper is not None and saturated.any():
+        if saturated.any():
             lam[saturated] = upper[saturated]
             target = b + A[:, saturated] @ lam[saturated]
         if len(rows):
@@ -96,18 +94,17 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        error = np.where(active, -lam, -tol.WRONG_SLOPE - slope)
-        if upper is not None:
-            above = active & (lam > upper)
-            error = np.where(above, lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))
+        above = active & (lam > upper)
+        error = np.where(
+            active, np.where(above, lam - upper, -lam), np.where(saturated, slope, -slope) - tol.WRONG_SLOPE
+        )
         wrong = error > 0
         if not wrong.any():
             return lam
         if step >= STEPS_OF_ALL:  # multipliers and slopes are compared with their own kind
             worst = [error[kind].max(initial=0.0) for kind in (active, ~active)]
             wrong &= error >= WORST_SHARE * np.where(active, *worst)
-        if upper is not None:
-            saturated = np.where(wrong, above, saturated)
+        saturated = np.where(wrong, above, saturated)
         active ^= wrong
     return None
 
@@ -115,10 +112,10 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None)
 def interior_point(
     A: Array,
     b: Array,
+    upper: Array,
     diagonal_bound: Array | None,
     stop: Callable[[], str | None] = lambda: None,
     start: Array | None = None,
-    upper: Array | None = None,
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; arguments after b as in ``bounded_qp``.
 
@@ -133,7 +130,7 @@ def interior_point(
     """
     system, ridge, count = _thin_factor(A, diagonal_bound) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
     lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
-    caps = Caps(np.full(count, np.inf) if upper is None else upper)
+    caps = Caps(upper)
     weights = caps.inside(lam, least)
     z = caps.slacks(system.times(weights[:count]) + b, weights, least)
     best = np.inf, weights, z

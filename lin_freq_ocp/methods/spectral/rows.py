@@ -262,14 +262,13 @@ class WorkingSet:
         """Return the right-hand sides of the rows, shape (count,)."""
         return self.sign * lti.bounds.at(self.t, self.f, self.sign)
 
-    def prices(self, lti: Lti) -> Array | None:
-        """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
-        return None if lti.prices is None else lti.prices.at(self.t, self.f, self.sign)
+    def prices(self, lti: Lti) -> Array:
+        """Return the largest multipliers of the rows, (count,), infinite for hard rows."""
+        return lti.prices.at(self.t, self.f, self.sign)
 
     def saturated(self, lti: Lti) -> Mask:
         """Return the rows whose multiplier is their price, (count,)."""
-        prices = self.prices(lti)
-        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
+        return self.weights >= self.prices(lti)
 
     def slacks(self, lti: Lti, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
@@ -286,7 +285,7 @@ class WorkingSet:
 def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
     """Return the samples around the working rows; None if these are absent, many or soft, or the horizon is short."""
     T, inner = violations.lti.horizon, working.inner
-    if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
+    if T < NEIGHBOURHOOD_HORIZON or violations.lti.soft:
         return None
     window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
     times = (working.t[inner, None] + window).clip(0, T - 1)

@@ -224,7 +224,7 @@ class SpectralSolver:
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
         data = change.bounds or change.references or change.disturbance is not None
         all_data = data or (initial_state is None and terminal_state is None)
-        ends_only = not (all_data or (terminal_state is not None and self._lti.prices is not None))
+        ends_only = not (all_data or (terminal_state is not None and self._lti.soft))
         lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
         lti = lti or lti_problem(problem, self._units)
         if lti.periodic != self._lti.periodic:

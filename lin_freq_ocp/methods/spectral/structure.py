@@ -233,8 +233,7 @@ def row_ray(
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
-    prices, free = working.prices(data.lti), working.free_response()
-    hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
+    hard, free = np.isinf(working.prices(data.lti)), working.free_response()
     violated = d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
     decided = hard & violated & (np.diagonal(S) < tol.DECIDED_RESPONSE * free)
     weights = np.zeros(len(d))

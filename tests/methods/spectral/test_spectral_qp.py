@@ -151,19 +151,19 @@ def test_rows_that_nothing_restricts_get_exact_zeros():
 
 def test_block_pivoting_settles_or_gives_up():
     qp = well_conditioned(60)
-    lam = block_pivoting(*qp, np.zeros(60))
+    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
     assert max(errors(qp, lam)) < 1e-12
-    assert block_pivoting(*nearly_parallel(60), np.ones(60)) is None
+    assert block_pivoting(*nearly_parallel(60), np.ones(60), np.full(60, np.inf)) is None
 
 
 @pytest.mark.parametrize("seed", [6, 21, 40])
 def test_block_pivoting_leaves_a_cycle_by_the_worst_rows(seed, monkeypatch):
     qp = smooth(60, seed)
-    lam = block_pivoting(*qp, np.zeros(60))
+    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
     assert max(errors(qp, lam)) < 1e-11
     assert block_pivoting(*qp, np.zeros(60), np.full(60, 1e9)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
     substitute(monkeypatch, "methods.spectral.STEPS_OF_ALL", PIVOTING_STEPS)
-    assert block_pivoting(*qp, np.zeros(60)) is None
+    assert block_pivoting(*qp, np.zeros(60), np.full(60, np.inf)) is None
 
 
 def test_a_conflict_is_no_answer():
@@ -176,7 +176,7 @@ def test_a_conflict_is_no_answer():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_interior_point_is_polished_to_rounding(family):
     qp = FAMILIES[family](150)
-    lam, accurate = interior_point(*qp, None)
+    lam, accurate = interior_point(*qp, np.full(150, np.inf), None)
     assert accurate
     assert max(errors(qp, lam)) < 1e-7
 
@@ -197,10 +197,11 @@ def test_the_factor_of_low_rank_gives_the_same_answer(share):
     S = low_passed(600, share)[np.ix_(arcs(300), arcs(300))]
     qp = S, -S @ (np.random.default_rng(0).standard_normal(300) + 0.5)
     assert np.linalg.matrix_rank(np.eye(300) - S if share > 0.5 else S, tol=1e-12) < 150
-    for lam, accurate in (interior_point(*qp, np.ones(300)), interior_point(*qp, None)):
+    for diagonal_bound in (np.ones(300), None):
+        lam, accurate = interior_point(*qp, np.full(300, np.inf), diagonal_bound)
         assert accurate
         assert max(errors(qp, lam)) < 1e-9
-    cheap, _ = bounded_qp(*qp, np.zeros(300), np.ones(300))
+    cheap, _ = bounded_qp(*qp, np.zeros(300), diagonal_bound=np.ones(300))
     assert value(qp, cheap) == pytest.approx(independent_value(qp), rel=1e-9)
 
 
@@ -228,7 +229,7 @@ def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
 def test_a_textbook_answer_with_upper_bounds(method):
     S, d, upper = np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.array([np.inf, 1.0, 2.0])
     if method is None:
-        lam = interior_point(S, d, None, upper=upper)[0]
+        lam = interior_point(S, d, upper, None)[0]
     else:
         lam = method(S, d, np.zeros(3), upper)
     np.testing.assert_allclose(lam, [1, 0, 2], rtol=1e-12)
