@@ -97,10 +97,7 @@ class Lti:
     @cached_property
     def soft(self) -> bool:
         """Whether some bound has a price."""
-        prices = self.prices
-        return any(
-            np.isfinite(side).any() for side in (prices.lower, prices.upper, prices.last_lower, prices.last_upper)
-        )
+        return not all(np.isinf(prices).all() for prices in vars(self.prices).values())
 
     @cached_property
     def state_cost(self) -> bool:

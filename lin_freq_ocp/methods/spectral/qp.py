@@ -46,8 +46,8 @@ def bounded_qp(
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``upper`` is u; by default all prices are infinite. If equations decide a row with a price, it is saturated iff it is
-    violated: its entry of S is a rounding error, relative to its ``response`` without equations.
+    ``upper`` is u, by default infinite. If equations decide a soft row, it is saturated iff it is violated: its entry of
+    S is a rounding error, relative to its ``response`` without equations.
 
     ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
     there is no such diagonal.
@@ -95,9 +95,8 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | No
             lam[rows] = -solution
         slope = A @ lam + b
         above = active & (lam > upper)
-        error = np.where(
-            active, np.where(above, lam - upper, -lam), np.where(saturated, slope, -slope) - tol.WRONG_SLOPE
-        )
+        outside = np.where(above, lam - upper, -lam)
+        error = np.where(active, outside, np.where(saturated, slope, -slope) - tol.WRONG_SLOPE)
         wrong = error > 0
         if not wrong.any():
             return lam
