@@ -29,5 +29,5 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "model": "Lti LtiUnits lti_problem natural_units", "reductions": "SoftBounds priced_bounds row_form soft_bins",
     "qp": "BorderedQp PIVOTING_STEPS STEPS_OF_ALL block_pivoting bounded_qp interior_point predictor_corrector",
     "rows": "MOST_VALUES NEIGHBOURHOOD_HORIZON Rows Violations WholeHorizon WorkingSet",
-    "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Structure data_of verified_ray",
+    "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Data Structure verified_ray",
 })

@@ -35,13 +35,9 @@ from lin_freq_ocp.methods.spectral.structure import (
     Ray,
     Signals,
     Structure,
-    data_of,
     equation_ray,
-    equation_residual,
     regularised_ray,
     row_ray,
-    signals,
-    unconstrained_point,
 )
 
 MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
@@ -86,44 +82,36 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
 
 @dataclass(eq=False)
 class ExchangeOutcome:
-    """The result of an exchange: the last point, and its multipliers of equations and rows."""
+    """The result of an exchange: the last trajectory, and its multipliers of equations and rows."""
 
     status: str  # of a Candidate
     message: str
     signals: Signals
-    multipliers: Array
+    zeta: Array
     working: WorkingSet
     rounds: int  # small QPs that were solved
-    violation: float  # worst, relative
-    cost: float
     ray: Ray | None  # if infeasible
 
 
 class Exchange:
-    """One solve: the point, its working rows, and the rules of a round."""
+    """One solve: theta, zeta and the working rows with their weights, their signals, and the rules of a round."""
 
-    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
-        self.structure, self.data, self.kkt = structure, data, structure.kkt
-        self.working = WorkingSet(self.kkt)
-        self.violations = Violations(data.lti)
-        self.whole = structure.whole_horizon(self.violations.rows)
-        self.first_point = None
-        if self.whole is not None:
-            self.first_point = unconstrained_point(structure, data, self.violations, self.whole)
+    def __init__(self, data: Data, first: Rows | None, tolerance: float, stop: Stop):
+        self.data, self.kkt = data, data.structure.kkt
+        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
+        self.theta, self.zeta = np.zeros(self.kkt.size), np.zeros(len(data.e))
+        self.working, self.violations = WorkingSet(self.kkt, data.lti), Violations(data.lti)
+        self.whole = data.structure.whole_horizon(self.violations.rows)
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
-                self.working.weights = np.minimum(self.first.weights, self.working.prices(data.lti))
-        self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
+                self.working.weights = np.minimum(self.first.weights, self.working.prices)
         self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
-        self.best, self.stalled = np.inf, 0
-        self.flattest, self.farthest = np.inf, 0.0
-        self.diagonal_bound = structure.diagonal_bound
         self.ray: Ray | None = None
-        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        if self.first_point is None:
-            self._evaluate()
+        # progress so far: the least violation and slope, the largest theta, and rounds without progress
+        self.best, self.flattest, self.farthest, self.stalled = np.inf, np.inf, 0.0, 0
+        self._evaluate()
 
     def run(self) -> ExchangeOutcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
@@ -166,28 +154,25 @@ class Exchange:
             return
         working.weights = new
         self.theta = self.theta + step[: kkt.size]
-        self.multipliers = self.multipliers + step[kkt.size :]
+        self.zeta = self.zeta + step[kkt.size :]
         self._evaluate()
         if self.relative_residual > tol.EQUATION_CONFLICT:
-            self.ray = equation_ray(self.structure, self.data, self.residual)
+            self.ray = equation_ray(self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
         """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
-        working, is_first = self.working, self.first_point is not None
-        if self.first_point is None:  # the point without working rows, from the present one
-            step = self.kkt.inverse @ self.defects
+        working = self.working
+        # the values without working rows
+        step = self.kkt.inverse @ self.defects
+        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        if len(working):
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
             step, base = step + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
-        else:
-            (step, base), self.first_point = self.first_point, None
         start, self.first = whole.duals(self.first or working.rows()), None
-        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.diagonal_bound, self.stop)
+        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.stop)
         rows = whole.rows_of(duals)
         self.rounds += max(0, duals.rounds - 1)
         if not duals.accurate:
-            if is_first:
-                self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
             self._measure_rows()
             return None
@@ -222,13 +207,12 @@ class Exchange:
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
         d = self.slack - working.coupling.T @ step - S @ working.weights
-        diagonal_bound = None if self.diagonal_bound is None else self.diagonal_bound[working.f] * working.inner
-        prices, response = working.prices(self.data.lti), working.free_response()
-        new, accurate = bounded_qp(S, d, guess, diagonal_bound, self.stop, prices, response)
+        diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
+        new, accurate = bounded_qp(S, d, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
         combine = (want_ray or not accurate) and self.stop() is None
-        ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
+        ray = row_ray(self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
-            ray = regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+            ray = regularised_ray(self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
     def _compliant_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
@@ -238,12 +222,12 @@ class Exchange:
             inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_with(self.proximal)
             return inverse @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
-        prices = working.prices(self.data.lti)
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, prices)
+        at = self.slack, working.weights, working.prices
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, *at)
         step, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
             return step, new, None
-        return step, new, regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+        return step, new, regularised_ray(self.data, working, self._ray_tolerance, self.stop)
 
     @property
     def _ray_tolerance(self) -> float:
@@ -252,24 +236,23 @@ class Exchange:
 
     def _evaluate(self) -> None:
         """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""
-        for name in ("signals", "spectrum", "cost"):  # large: freed before the next are made
+        for name in ("signals", "cost"):  # large: freed before the next are made
             self.__dict__.pop(name, None)
-        point = self.theta, self.multipliers, self.working
-        self.signals, self.spectrum = signals(self.structure, self.data, *point)
-        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
-        saturated = self.working.saturated(self.data.lti)
+        self.signals = self.data.signals(self.theta, self.zeta, self.working)
+        self.residual = self.data.residual(self.theta, self.signals)
+        saturated = self.working.saturated
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
         self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
-        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
         largest = max(1.0, float(np.abs(self.signals.y).max()))
         self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
 
     def _measure_rows(self) -> None:
         """Set the slacks of the working rows at this point."""
-        self.slack = self.working.slacks(self.data.lti, self.signals.y, self.signals.last)
+        self.slack = self.working.slacks(self.signals.y, self.signals.last)
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
@@ -309,7 +292,7 @@ class Exchange:
         """Return the largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
-        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
+        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.zeta)
         least = tol.LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
@@ -327,8 +310,7 @@ class Exchange:
 
     def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
         self.violations.violation = np.zeros((0, 0))  # large; it is measured again before the next use
-        point = self.signals, self.multipliers, self.working
-        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
+        return ExchangeOutcome(status, message, self.signals, self.zeta, self.working, self.rounds, self.ray)
 
 
 def exchange_values(
@@ -337,12 +319,11 @@ def exchange_values(
     start: ActiveSetDuals,
     base: Array,
     tolerance: float,
-    diagonal_bound: Array | None,
     stop: Callable[[], str | None],
 ) -> ActiveSetDuals:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` is v_0, (values,); ``diagonal_bound`` is per row of F, see ``bounded_qp``.
+    ``base`` (values,) are those without multipliers, v_0.
     """
     index, sign, weights = start.indices, start.sign, start.weights
     lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
@@ -352,10 +333,9 @@ def exchange_values(
         if len(index):
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            free = None if diagonal_bound is None else diagonal_bound[f] * (t < lti.horizon)
-            price, response = lti.prices.at(t, f, sign), whole.kernels.free_response(t, f)
-            S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, d, weights, free, stop, price, response)
+            price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
+            S, response = whole.gram(index) * sign * sign[:, None], whole.kernels.free_response(t, f)
+            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, response, stop)
             duals = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
@@ -393,9 +373,8 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
-        structure = structures[coarse.horizon]
         guess = first_working_set(coarse, stop, structures)
-        outcome = Exchange(structure, data_of(structure, coarse), guess, tolerance, stop).run()
+        outcome = Exchange(Data(structures[coarse.horizon], coarse), guess, tolerance, stop).run()
     except (UnsupportedError, np.linalg.LinAlgError):
         return None
     if outcome.status != "optimal":

@@ -49,7 +49,7 @@ class BorderedSystem:
         # x(0) = x_0, with its free components on the left side, and values that bounds fix
         n, (t, f) = lti.start_points, lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
-        point_rows = self.values(self.point_t, self.point_f)
+        point_rows = self.derivatives(self.point_t, self.point_f).T
         point_rows[self.free_start, self.at_start] -= 1.0
         self._set_compatibility_rows()
         self._set_band_rows()
@@ -210,15 +210,15 @@ class BorderedSystem:
         ]
         return np.concatenate([*points, *compatibility, -self.bands[:, -1] * end[self.band_component]])
 
-    def values(self, t: Indices, f: Indices) -> Array:
-        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+    def derivatives(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (size, len(t)), for t < T."""
         rows, T = self.lti.F[f], self.lti.horizon
         at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
         phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
-        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real]).T
 
-    def values_at_all_times(self, rows: Indices) -> Array:
-        """Return the responses of F_f y_t at all t < T to unknowns and equations: (size + equations, len(rows), T)."""
+    def coupling_at_all_times(self, rows: Indices) -> Array:
+        """Return the ``coupling`` of F_f y_t at all t < T: (size + equations, len(rows), T)."""
         F = self.lti.F[rows]
         response = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
@@ -230,6 +230,15 @@ class BorderedSystem:
         if len(self.bands):
             response[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
         return response.swapaxes(0, 1)
+
+    def coupling(self, t: Indices, f: Indices) -> Array:
+        """Return [d/dtheta; -S_E] of F_f y_t, and of component f of x_T at t = T: (size + equations, len(t))."""
+        inner, last = t < self.lti.horizon, np.flatnonzero(t == self.lti.horizon)
+        columns = np.zeros((len(self.matrix), len(t)))
+        columns[: self.size, inner] = self.derivatives(t[inner], f[inner])
+        columns[self.size :, inner] = -self.responses(t[inner], f[inner])
+        columns[self.at_end[np.searchsorted(self.free_end, f[last])], last] = 1.0
+        return columns
 
     def responses(self, t: Indices, f: Indices) -> Array:
         """Return the decrease of the equations by unit forces on F_f y_t, (equations, len(t)), for t < T."""

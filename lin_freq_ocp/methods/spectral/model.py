@@ -111,6 +111,18 @@ class Lti:
         return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
 
     @cached_property
+    def diagonal_bound(self) -> Array:
+        """A diagonal d, (rows of F,), with diag(d) - S >= 0 for small QPs on control rows: 1/R there, else 0.
+
+        It is zero if R is not diagonal, or if the cost has products of states and controls.
+        """
+        n, bound = self.state_dim, np.zeros(len(self.F))
+        R = np.diagonal(self.M)[n:]
+        if not self.M[:n, n:].any() and np.array_equal(self.M[n:, n:], np.diag(R)) and R.all():
+            bound[n : len(self.M)] = 1 / R
+        return bound
+
+    @cached_property
     def cost_level(self) -> float:
         """Cost of a stage or the end where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))

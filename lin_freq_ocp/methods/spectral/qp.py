@@ -39,30 +39,25 @@ def bounded_qp(
     S: Array,
     d: Array,
     start: Array,
-    diagonal_bound: Array | None = None,
+    upper: Array,
+    diagonal_bound: Array,
+    response: Array,
     stop: Callable[[], str | None] = lambda: None,
-    upper: Array | None = None,
-    response: Array | None = None,
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``upper`` is u, by default infinite. If equations decide a soft row, it is saturated iff it is violated: its entry of
-    S is a rounding error, relative to its ``response`` without equations.
-
-    ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
-    there is no such diagonal.
+    ``upper`` is u. ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows, else 0. If
+    equations decide a soft row, it is saturated iff it is violated: its entry of S is a rounding error, relative to its
+    ``response`` without equations.
     """
-    upper = np.full(len(d), np.inf) if upper is None else upper
-    if response is not None:
-        decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
-        if decided.any():  # they are at a bound of their multipliers
-            lam, undecided, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
-            if undecided.any():
-                free = None if diagonal_bound is None else diagonal_bound[undecided]
-                target = d[undecided] + S[np.ix_(undecided, decided)] @ lam[decided]
-                S = S[np.ix_(undecided, undecided)]
-                lam[undecided], accurate = bounded_qp(S, target, start[undecided], free, stop, upper[undecided])
-            return lam, accurate
+    decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
+    if decided.any():  # they are at a bound of their multipliers
+        lam, free, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+        if free.any():
+            d = d[free] + S[np.ix_(free, decided)] @ lam[decided]
+            rows = start[free], upper[free], diagonal_bound[free], response[free]
+            lam[free], accurate = bounded_qp(S[np.ix_(free, free)], d, *rows, stop)
+        return lam, accurate
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
     size = max(float((np.abs(d) * unit).max()), tol.TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
@@ -70,8 +65,7 @@ def bounded_qp(
     scaled_upper = upper / unit / size
     lam, accurate = block_pivoting(A, b, warm, scaled_upper) if len(d) <= PIVOTING_ROWS else None, True
     if lam is None:
-        thin = None if diagonal_bound is None else diagonal_bound * unit**2
-        lam, accurate = interior_point(A, b, scaled_upper, thin, stop, warm)
+        lam, accurate = interior_point(A, b, scaled_upper, diagonal_bound * unit**2, warm, stop)
     return np.where(lam >= scaled_upper, upper, lam * unit * size), accurate  # exactly u if saturated
 
 
@@ -109,12 +103,7 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | No
 
 
 def interior_point(
-    A: Array,
-    b: Array,
-    upper: Array,
-    diagonal_bound: Array | None,
-    stop: Callable[[], str | None] = lambda: None,
-    start: Array | None = None,
+    A: Array, b: Array, upper: Array, diagonal_bound: Array, start: Array, stop: Callable[[], str | None] = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; arguments after b as in ``bounded_qp``.
 
@@ -128,7 +117,7 @@ def interior_point(
     Mehrotra (1992), On the implementation of a primal-dual interior point method.
     """
     system, ridge, count = _thin_factor(A, diagonal_bound) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
-    lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
+    lam, least = (start, WARM) if start.any() else (np.ones(count), 1.0)
     caps = Caps(upper)
     weights = caps.inside(lam, least)
     z = caps.slacks(system.times(weights[:count]) + b, weights, least)
@@ -252,12 +241,12 @@ def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
     return 1 / max(tol.TINY, float((-dw / weights).max()), float((-dz / z).max()))
 
 
-def _thin_factor(A: Array, diagonal_bound: Array | None) -> _Thin | None:
+def _thin_factor(A: Array, diagonal_bound: Array) -> _Thin | None:
     """Return A by a thin factor of A or of diag(diagonal_bound) - A; None if neither is known to have a low rank.
 
     The eigenvalues of A, relative to diag(diagonal_bound), are near 0 and 1: they add up to its rank.
     """
-    if diagonal_bound is None or len(A) <= LOW_RANK_ROWS or not (diagonal_bound > 0).all():
+    if len(A) <= LOW_RANK_ROWS or not (diagonal_bound > 0).all():
         return None
     share = float((np.diagonal(A) / diagonal_bound).mean())
     if min(share, 1 - share) > LARGEST_SHARE:

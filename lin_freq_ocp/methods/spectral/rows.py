@@ -170,21 +170,16 @@ def _largest_finite(bounds: Array) -> Array:
 class WorkingSet:
     """Rows G y <= limit, each sign F_f y_t, with multipliers ``weights`` l >= 0; at t = T, on free components of x_T.
 
-    Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
-
+    ``limits`` and ``prices`` (count,) are their right-hand sides and largest multipliers, infinite for hard rows.
     ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count), S_EW the decrease of the equations by unit
     forces on the rows. ``present`` (2, rows of F, T+1) is the mask of the rows, lower bounds first.
     """
 
-    def __init__(self, kkt: BorderedSystem):
-        self._kkt = kkt
-        self.t: Indices = np.zeros(0, dtype=np.intp)
-        self.f: Indices = np.zeros(0, dtype=np.intp)
-        self.sign: Array = np.zeros(0)
-        self.weights: Array = np.zeros(0)
-        self.coupling: Array = np.zeros((len(kkt.matrix), 0))
-        self._cached_gram: Array | None = None
-        self.present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
+    def __init__(self, kkt: BorderedSystem, lti: Lti):
+        self._kkt, self._lti, none = kkt, lti, np.zeros(0, dtype=np.intp)
+        self.t, self.f, self.sign = none, none, np.zeros(0)
+        self.present = np.zeros((2, len(lti.F), lti.horizon + 1), dtype=bool)
+        self.replace(Rows(none, none, np.zeros(0)), np.zeros((len(kkt.matrix), 0)))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -192,7 +187,7 @@ class WorkingSet:
     @property
     def inner(self) -> Mask:
         """Which rows act at t < T."""
-        return self.t < self._kkt.lti.horizon
+        return self.t < self._lti.horizon
 
     def rows(self) -> Rows:
         """Return the rows with their weights."""
@@ -210,15 +205,9 @@ class WorkingSet:
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
-        kkt, inner = self._kkt, t < self._kkt.lti.horizon
-        columns = np.zeros((len(self.coupling), len(t)))
-        columns[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
-        columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
-        free = np.flatnonzero(~inner)
-        columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
         indices, signs = (np.append(self.t, t), np.append(self.f, f)), np.append(self.sign, sign)
         rows = Rows(*indices, signs, np.append(self.weights, np.zeros(len(t))))
-        self.replace(rows, np.hstack([self.coupling, columns * sign]))
+        self.replace(rows, np.hstack([self.coupling, self._kkt.coupling(t, f) * sign]))
         return len(t)
 
     def keep(self, chosen: Mask) -> None:
@@ -234,7 +223,10 @@ class WorkingSet:
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
         self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
-        self.coupling, self._cached_gram = coupling, None
+        self.coupling = coupling
+        self.limits = self.sign * self._lti.bounds.at(self.t, self.f, self.sign)
+        self.prices = self._lti.prices.at(self.t, self.f, self.sign)
+        self._cached_gram: Array | None = None
 
     @property
     def gram(self) -> Array:
@@ -258,24 +250,17 @@ class WorkingSet:
         S += gram
         return Z, S
 
-    def limits(self, lti: Lti) -> Array:
-        """Return the right-hand sides of the rows, shape (count,)."""
-        return self.sign * lti.bounds.at(self.t, self.f, self.sign)
+    @property
+    def saturated(self) -> Mask:
+        """Which multipliers are the price of their row: these rows are violated."""
+        return self.weights >= self.prices
 
-    def prices(self, lti: Lti) -> Array:
-        """Return the largest multipliers of the rows, (count,), infinite for hard rows."""
-        return lti.prices.at(self.t, self.f, self.sign)
-
-    def saturated(self, lti: Lti) -> Mask:
-        """Return the rows whose multiplier is their price, (count,)."""
-        return self.weights >= self.prices(lti)
-
-    def slacks(self, lti: Lti, y: Array, last: Array) -> Array:
+    def slacks(self, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
         at_end = np.flatnonzero(~self.inner)
-        values = lti.row_values(y, np.minimum(self.t, lti.horizon - 1), self.f)
+        values = self._lti.row_values(y, np.minimum(self.t, self._lti.horizon - 1), self.f)
         values[at_end] = last[self.f[at_end]]
-        return self.limits(lti) - self.sign * values
+        return self.limits - self.sign * values
 
     def free_response(self) -> Array:
         """Return the response of each row to a unit force on it, without equations, (count,)."""
@@ -304,14 +289,14 @@ class Neighbourhood:
         self._kkt, self.t, self.f = kkt, t, f
         self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
         self._is_state = ~lti.F[f, lti.state_dim :].any(1)
-        self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
+        self._coupling = kkt.coupling(t, f)
 
     def entering(
         self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
     ) -> tuple[Indices, Indices, Array]:
         """Return (t, f, sign) of the rows to add: a bordering step with new weights violates these."""
         kkt, inner = self._kkt, working.inner
-        values = kkt.lti.row_values(y, self.t, self.f) + self._coupling @ step
+        values = kkt.lti.row_values(y, self.t, self.f) + step @ self._coupling
         change = working.sign * (weights - working.weights)
         acting = np.flatnonzero(inner & (change != 0))
         values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
@@ -353,7 +338,7 @@ class WholeHorizon:
         self._row_index = np.zeros(len(lti.F), dtype=np.intp)
         self._row_index[rows] = np.arange(len(rows))
         self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
-        self.coupling[:, : self._inner] = kkt.values_at_all_times(rows).reshape(-1, self._inner)
+        self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
         self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
         self.through = kkt.inverse @ self.coupling
         self._spaces = kkt.kernels.of_rows(rows)

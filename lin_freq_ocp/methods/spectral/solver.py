@@ -22,7 +22,7 @@ from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natu
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
-from lin_freq_ocp.methods.spectral.structure import Structure, data_of
+from lin_freq_ocp.methods.spectral.structure import Data, Structure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
@@ -260,9 +260,9 @@ class SpectralSolver:
         """Exchange from the first working rows; without any, from a guess. Recover the multipliers."""
         if first is None:
             first = first_working_set(lti, stop, self._coarser)
-        exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
-        outcome = exchange.run()
-        return outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum)
+        data = Data(self._structure, lti)
+        outcome = Exchange(data, first, tolerance, stop).run()
+        return outcome, recover(data, outcome)
 
     def _solution(
         self, problem: OptimalControlProblem, outcome: ExchangeOutcome, scaled: LtiMultipliers, started: float
