@@ -75,11 +75,11 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | No
     An exchange of all rows is fast, but cycles on some programs. Most cycles end if only rows with at least half of the
     worst error are exchanged. Judice and Pires (1994) exchange a single row instead, which takes longer.
     """
-    slope, saturated = A @ start + b, start >= upper
+    slope, saturated, soft = A @ start + b, start >= upper, np.isfinite(upper).any()
     active = ((start > 0) | (slope < 0)) & ~saturated
     for step in range(PIVOTING_STEPS):
         lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
-        if saturated.any():
+        if soft and saturated.any():
             lam[saturated] = upper[saturated]
             target = b + A[:, saturated] @ lam[saturated]
         if len(rows):
@@ -88,16 +88,17 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | No
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        above = active & (lam > upper)
-        outside = np.where(above, lam - upper, -lam)
-        error = np.where(active, outside, np.where(saturated, slope, -slope) - tol.WRONG_SLOPE)
+        error = np.where(active, -lam, -tol.WRONG_SLOPE - slope)
+        if soft:
+            error = np.where(active & (lam > upper), lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))
         wrong = error > 0
         if not wrong.any():
             return lam
         if step >= STEPS_OF_ALL:  # multipliers and slopes are compared with their own kind
             worst = [error[kind].max(initial=0.0) for kind in (active, ~active)]
             wrong &= error >= WORST_SHARE * np.where(active, *worst)
-        saturated = np.where(wrong, above, saturated)
+        if soft:
+            saturated = np.where(wrong, lam > upper, saturated)
         active ^= wrong
     return None
 
