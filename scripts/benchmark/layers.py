@@ -31,7 +31,7 @@ def nothing(*_: object) -> None:
 
 LAYERS = {
     "first working set": (solver, "first_working_set", nothing),
-    "its held samples": (exchange, "_grows_slowly", lambda lti: False),
+    "its held samples": (exchange, "HOLD_GROWTH", 0.0),
     "its shorter horizon": (exchange, "_shortened_horizon", lambda lti: lti.horizon),
     "model of the whole horizon": (structure.Structure, "whole_horizon", nothing),
     "rows near the working rows": (exchange, "neighbourhood_of", nothing),

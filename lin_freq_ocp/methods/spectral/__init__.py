@@ -28,6 +28,6 @@ __all__, __getattr__ = lazy_exports(__name__, {
     "exchange": "Exchange deadline first_working_set", "kkt": "LARGEST_BORDERED", "recovery": "recover",
     "model": "Lti LtiUnits lti_problem natural_units", "reductions": "SoftBounds priced_bounds row_form soft_bins",
     "qp": "BorderedQp PIVOTING_STEPS STEPS_OF_ALL block_pivoting bounded_qp interior_point predictor_corrector",
-    "rows": "MOST_VALUES NEIGHBOURHOOD_HORIZON Rows Violations WholeHorizon WorkingSet",
+    "rows": "Rows Violations WorkingSet", "shortcuts": "MOST_VALUES NEIGHBOURHOOD_HORIZON WholeHorizon",
     "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Data Structure verified_ray",
 })

@@ -17,20 +17,12 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
-from lin_freq_ocp.methods.spectral.rows import (
-    LOCAL_ROWS,
-    ActiveSetDuals,
-    Rows,
-    Violations,
-    WholeHorizon,
-    WorkingSet,
-    bounded_rows,
-    neighbourhood_of,
-)
+from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, bounded_rows
+from lin_freq_ocp.methods.spectral.shortcuts import LOCAL_ROWS, WholeHorizon, exchange_values, neighbourhood_of
 from lin_freq_ocp.methods.spectral.structure import (
+    RAY_TOLERANCE,
     Data,
     Ray,
     Signals,
@@ -40,14 +32,13 @@ from lin_freq_ocp.methods.spectral.structure import (
     row_ray,
 )
 
-MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
 QP_SECONDS = 1e-10  # measured time of a small QP over the cube of its rows
 LARGE_QP = 1000  # rows of a small QP that takes 0.1 s: it is not begun if less time is left
 LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are evaluated
 KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
-STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row
+STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above FINE_VIOLATION, add a row
 RAY_ROUNDS = 8  # rounds between Farkas rays; one is also computed if the small QP is not accurate
 LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
 GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
@@ -58,6 +49,24 @@ ON_CIRCLE = 1e-6  # |log |lambda|| up to which a mode does not decay: it has no 
 LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR if samples may be held instead
 HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
 LARGEST_SHORTENING = 10  # largest ratio of the horizons
+LEAST_SIZE = 1e-4  # components that should be zero hold rounding: they are not measured more finely than this
+VIOLATION_TOLERANCE = 1e-12  # relative violation of a bound at which it stops; rounding of the signals is near 1e-15
+FINE_VIOLATION = 1e-9  # ... above which a round that adds a row improves, even if it does not halve the violation
+ACCEPTED_VIOLATION = 1e-7  # ... that is accepted where it no longer improves
+NEARLY_FEASIBLE = 1e-3  # ... below which longer steps are taken along directions without cost
+EQUATION_TOLERANCE = 1e-9  # residual of the bordered system's equations, relative to the largest signal
+EQUATION_CONFLICT = 1e-7  # ... from which the dependent equations are tested for infeasibility
+SLOPE_TOLERANCE = 1e-10  # slope left in the bordering unknowns, relative to its terms
+ACCEPTED_SLOPE = 1e-7  # ... that is accepted where it no longer improves
+SLACK_TOLERANCE = 1e-9  # <multipliers, slacks> left, relative to the cost
+ACCEPTED_SLACK = 1e-7  # ... that is accepted where it no longer improves
+GAIN_TOLERANCE = 1e-15  # possible decrease of the cost along the bordering unknowns, relative to it
+DECREASE_TOLERANCE = 1e-9  # ... by moves as large as the point: flat directions promise any gain by rounding
+SMALL_COST = 1e-6  # least cost that decreases are relative to, as a part of that of states and controls of order 1
+DIVERGING_WEIGHT = 1e6  # weight of a row from which the rows are tested for infeasibility
+UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lower bound
+SHORT_TOLERANCE, HOLD_TOLERANCE = 1e-6, 1e-4  # violations at which the cheaper problems of the first set stop
+ACCEPTED_RAY = 1e-5  # stationarity of a ray that is accepted if the exchange no longer improves
 
 
 class Stop(Protocol):
@@ -122,13 +131,13 @@ class Exchange:
             if reason is not None:
                 return self._outcome("limit", reason)
             self.rounds += 1
-            diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
+            diverging = self.working.weights.max(initial=0.0) > DIVERGING_WEIGHT * self.data.lti.cost_level
             self._step(want_ray=diverging or count % RAY_ROUNDS == 0)
             if self.ray is not None:
                 return self._outcome("infeasible", INFEASIBLE)
             if self._optimal(added):
                 return self._outcome("optimal")
-            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > tol.UNBOUNDED_SIZE:
+            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > UNBOUNDED_SIZE:
                 return self._outcome("unbounded", "the cost has no lower bound")
             reason = self.stop()
             if reason is not None:
@@ -156,7 +165,7 @@ class Exchange:
         self.theta = self.theta + step[: kkt.size]
         self.zeta = self.zeta + step[kkt.size :]
         self._evaluate()
-        if self.relative_residual > tol.EQUATION_CONFLICT:
+        if self.relative_residual > EQUATION_CONFLICT:
             self.ray = equation_ray(self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
@@ -232,7 +241,7 @@ class Exchange:
     @property
     def _ray_tolerance(self) -> float:
         """Return the stationarity of rays: the exchange may stall because the rows conflict."""
-        return tol.ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else tol.RAY_TOLERANCE
+        return ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else RAY_TOLERANCE
 
     def _evaluate(self) -> None:
         """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""
@@ -257,43 +266,43 @@ class Exchange:
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
         kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
-        level = worst < tol.NEARLY_FEASIBLE and slope < tol.SLOPE_TOLERANCE
+        level = worst < NEARLY_FEASIBLE and slope < SLOPE_TOLERANCE
         if level and kkt.size:  # the cost hardly decreases along the bordering unknowns
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
-            level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
+            level = gain <= GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
         far = float(np.abs(self.theta).max(initial=0.0))
         moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if kkt.compliant and worst < tol.NEARLY_FEASIBLE and not level:
+        if kkt.compliant and worst < NEARLY_FEASIBLE and not level:
             self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
-        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moves
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
         if self.stalled >= STALLED_ROUNDS:
             return self._accurate()
-        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
+        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is accepted."""
-        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
-        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
+        flat = self._relative_slope() < ACCEPTED_SLOPE or self._cannot_decrease()
+        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
         slack = float(self.working.weights @ np.maximum(0.0, self.slack))
-        return self.relative_residual < tol.EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
+        return self.relative_residual < EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
 
     def _cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
-        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self.cost), tol.SMALL_COST * self.data.lti.cost_level)
+        return decrease <= DECREASE_TOLERANCE * max(abs(self.cost), SMALL_COST * self.data.lti.cost_level)
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.zeta)
-        least = tol.LEAST_SIZE * self.data.lti.curvature_unit
+        least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
     @cached_property
@@ -313,51 +322,6 @@ class Exchange:
         return ExchangeOutcome(status, message, self.signals, self.zeta, self.working, self.rounds, self.ray)
 
 
-def exchange_values(
-    whole: WholeHorizon,
-    violations: Violations,
-    start: ActiveSetDuals,
-    base: Array,
-    tolerance: float,
-    stop: Callable[[], str | None],
-) -> ActiveSetDuals:
-    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
-
-    ``base`` (values,) are those without multipliers, v_0.
-    """
-    index, sign, weights = start.indices, start.sign, start.weights
-    lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
-    n = lti.state_dim
-    for count in range(1, MODEL_ROUNDS + 1):
-        values, saturated = base, index[:0]
-        if len(index):
-            t, f = whole.t[index], whole.f[index]
-            d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
-            S, response = whole.gram(index) * sign * sign[:, None], whole.kernels.free_response(t, f)
-            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, response, stop)
-            duals = ActiveSetDuals(index, sign, weights, count, accurate)
-            if not accurate:
-                break
-            values = base - whole.response(index, sign * weights)
-            saturated = index[weights >= price]
-        violations.set_saturated(whole.t[saturated], whole.f[saturated])
-        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
-            break
-        active = weights > 0
-        index, sign, weights = index[active], sign[active], weights[active]
-        present[:] = False
-        present[index] = True
-        entering, side = violations.entering_values(tolerance)
-        new = ~present[entering]
-        added = np.count_nonzero(new)
-        if not added or len(index) + added > LOCAL_ROWS:
-            break
-        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
-        weights = np.concatenate([weights, np.zeros(added)])
-    return duals
-
-
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
     """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
     if lti.horizon < GUESSED_HORIZON or lti.response is not None or not lti.has_limits:
@@ -367,9 +331,7 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
     hold = shorter * HOLD_FACTOR > lti.horizon and growth <= HOLD_GROWTH
     if not hold and shorter * LEAST_SHORTENING > lti.horizon:
         return None
-    coarse, tolerance = (
-        (_hold_samples(lti), tol.HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), tol.SHORT_TOLERANCE)
-    )
+    coarse, tolerance = (_hold_samples(lti), HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), SHORT_TOLERANCE)
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)

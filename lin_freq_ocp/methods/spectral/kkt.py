@@ -17,13 +17,18 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels, times_columns
 from lin_freq_ocp.program.program_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDERED = 3000  # rows of the matrix; with more, its dense decomposition takes longer than the sparse program
+NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
+EQUATION_ROUNDING = 1e-13  # relative eigenvalue of S_E that is rounding of 0
+COMPLIANT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
+COMPLIANT_END = 1e8  # the same for free ends, which move all signals
+HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
+SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control
 
 
 class BorderedSystem:
@@ -154,14 +159,14 @@ class BorderedSystem:
         self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(S + S.T) / 2
         self.dependent = _null_space(self.E.T, S)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
-        self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
+        self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_with(0.0)
         # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost
         response = np.abs(self.inverse.diagonal()[: self.size])
         of_ends = response[: self.ends_count].max(initial=0.0)
         of_directions = response[self.ends_count :].max(initial=0.0)
-        stiff_ends = of_ends <= min(tol.COMPLIANT_END / unit, 0.1 / self.least_proximal)
-        self.compliant = not (stiff_ends and of_directions <= tol.COMPLIANT_RESPONSE / unit)
+        stiff_ends = of_ends <= min(COMPLIANT_END / unit, 0.1 / self.least_proximal)
+        self.compliant = not (stiff_ends and of_directions <= COMPLIANT_RESPONSE / unit)
         if self.compliant:
             self.inverse = self.inverse_with(self.least_proximal)
 
@@ -256,11 +261,11 @@ class BorderedSystem:
 
 def _null_space(rows: Array, gram: Array) -> Array:
     """Return an orthonormal basis of the null space of both the rows and the positive semidefinite gram."""
-    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
+    rounding = EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
     if not len(gram) or np.linalg.eigvalsh(gram)[0] > rounding:
         return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
-    rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
+    rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
     basis = V[rank:].T
     eigenvalues, vectors = np.linalg.eigh(basis.T @ gram @ basis)
     return basis @ vectors[:, eigenvalues <= rounding]

@@ -21,7 +21,6 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, with_fields
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -29,6 +28,9 @@ from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.transform.sizes import FAR_BEYOND, natural_sizes
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
+WRONG_UNIT = 1e-5  # largest value of a component, in its unit, below which that unit was wrong
+ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds rounding only
+MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +256,7 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[members], sizes[members] / balanced
         level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
-        wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
+        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
         sizes[members] = np.where(wrong & ~known, level * balanced, sizes[members])
     return sizes
 
@@ -262,10 +264,10 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
 def _control_sizes(tube: Box, stated: Array) -> Array:
     """Return sizes of the controls, (m,): as stated, or their bounds if the stated sizes are much smaller."""
     sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
-    if all((side <= tol.MUCH_LARGER * stated).all() for side in sides):
+    if all((side <= MUCH_LARGER * stated).all() for side in sides):
         return stated
     bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
-    larger = (bounds > tol.MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
+    larger = (bounds > MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
     return np.where(larger, bounds, stated)
 
 
@@ -275,7 +277,7 @@ def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
     If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
     """
     reached = np.abs(y).max(1)
-    wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
+    wrong = (reached > ROUNDED_COMPONENT) & (reached < WRONG_UNIT)
     if not wrong.any():
         return None
     factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)

@@ -1,9 +1,7 @@
 """Pointwise rows: their violations, the working set, and their responses to each other's multipliers.
 
-docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations); the few rows that
-are presumed active form the working set (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels
-give the values of rows near the working rows (Neighbourhood); on short ones, the coupling of all bounded values is
-computed once (WholeHorizon).
+docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations);
+the few rows that are presumed active form the working set (WorkingSet).
 """
 
 from __future__ import annotations
@@ -23,12 +21,7 @@ NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which s
 SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
 LARGEST_SCALE = 1e3  # largest bound that violations are relative to; larger bounds count as this one
 ABSENT = -1.0  # violation of a row that cannot be violated
-LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
-NEIGHBOURHOOD_HORIZON = 10_000  # horizon from which kernels cost less than FFTs
-NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
-MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
-MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
 
 
 class Rows(NamedTuple):
@@ -265,111 +258,3 @@ class WorkingSet:
     def free_response(self) -> Array:
         """Return the response of each row to a unit force on it, without equations, (count,)."""
         return self._kkt.kernels.free_response(self.t, self.f)
-
-
-def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if these are absent, many or soft, or the horizon is short."""
-    T, inner = violations.lti.horizon, working.inner
-    if T < NEIGHBOURHOOD_HORIZON or violations.lti.soft:
-        return None
-    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
-    times = (working.t[inner, None] + window).clip(0, T - 1)
-    keys = np.unique((working.f[inner, None] * T + times).ravel())
-    return Neighbourhood(kkt, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
-
-
-class Neighbourhood:
-    """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
-
-    def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
-        lti = violations.lti
-        lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
-        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
-        t, f = t[free], f[free]
-        self._kkt, self.t, self.f = kkt, t, f
-        self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
-        self._is_state = ~lti.F[f, lti.state_dim :].any(1)
-        self._coupling = kkt.coupling(t, f)
-
-    def entering(
-        self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
-    ) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign) of the rows to add: a bordering step with new weights violates these."""
-        kkt, inner = self._kkt, working.inner
-        values = kkt.lti.row_values(y, self.t, self.f) + step @ self._coupling
-        change = working.sign * (weights - working.weights)
-        acting = np.flatnonzero(inner & (change != 0))
-        values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
-        above, below = values - self._upper, self._lower - values
-        violation = np.maximum(above, below) / self._scale
-        # violated peaks of states, and violated or nearly active samples of the others
-        worst = float(violation.max(initial=0.0))
-        entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
-        if self._is_state.any():
-            follows = (np.diff(self.t) == 1) & (np.diff(self.f) == 0)
-            before, after = (np.where(follows, side, -np.inf) for side in (violation[:-1], violation[1:]))
-            peaks = (violation >= np.append(-np.inf, before)) & (violation >= np.append(after, -np.inf))
-            entering &= ~self._is_state | peaks
-        chosen = np.flatnonzero(entering & (not worst <= tolerance))
-        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
-
-
-class ActiveSetDuals(NamedTuple):
-    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
-
-    indices: Indices
-    sign: Array
-    weights: Array
-    rounds: int = 0
-    accurate: bool = True
-
-
-class WholeHorizon:
-    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
-
-    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
-    """
-
-    def __init__(self, kkt: BorderedSystem, rows: Indices):
-        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
-        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
-        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
-        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
-        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
-        self._row_index[rows] = np.arange(len(rows))
-        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
-        self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
-        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
-        self.through = kkt.inverse @ self.coupling
-        self._spaces = kkt.kernels.of_rows(rows)
-
-    def flat_indices(self, t: Indices, f: Indices) -> Indices:
-        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self.kernels.lti.horizon
-        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
-
-    def duals(self, rows: Rows) -> ActiveSetDuals:
-        """Return the rows by flat indices."""
-        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
-        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
-        return ActiveSetDuals(indices, rows.sign[once], weights)
-
-    def gram(self, index: Indices) -> Array:
-        """Return S of some values."""
-        S = self.coupling[:, index].T @ self.through[:, index]
-        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
-
-    def rows_of(self, duals: ActiveSetDuals) -> Rows:
-        """Return the rows of some values."""
-        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
-
-    def response(self, index: Indices, mu: Array) -> Array:
-        """Return S mu of all values, for multipliers mu of the values ``index``."""
-        pulses = np.zeros(len(self.t))
-        pulses[index] = mu
-        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
-        acting = pulses.any(1)
-        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
-        values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
-        return values

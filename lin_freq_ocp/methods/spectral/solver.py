@@ -16,8 +16,14 @@ from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends, require_convex
-from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import Exchange, ExchangeOutcome, Stop, deadline, first_working_set
+from lin_freq_ocp.methods.spectral.exchange import (
+    VIOLATION_TOLERANCE,
+    Exchange,
+    ExchangeOutcome,
+    Stop,
+    deadline,
+    first_working_set,
+)
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
@@ -188,7 +194,7 @@ class SpectralSolver:
             if ray is not None:
                 message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
                 return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
-            first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
+            first, allowed = None, tolerance or VIOLATION_TOLERANCE
             if warm_start is not None:
                 self._require_same_shape(warm_start)
                 first = warm_start.active

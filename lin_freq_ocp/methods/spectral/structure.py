@@ -13,14 +13,20 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.qp import bounded_qp
-from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, WholeHorizon, WorkingSet
+from lin_freq_ocp.methods.spectral.rows import WorkingSet
+from lin_freq_ocp.methods.spectral.shortcuts import MOST_VALUES, WholeHorizon
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
+RAY_TOLERANCE = 1e-6  # stationarity of a ray, relative to its multipliers
+RAY_VALUE = 100.0  # times that, its least value: less may be rounding
+DECIDED_RESPONSE = 1e-11  # part of a row's own response left by the equations below which they alone decide the row
+DECIDED_VIOLATION = 1e-8  # violation, relative to the bound, of a row that the equations decide
+CONFLICT_TAU = 1e-4  # tau of the homogeneous dual (1: rows are consistent, 0: they conflict) below which they conflict
+TINY_SQUARED = 1e-150  # keeps the scale of a violation of exactly zero finite when squared
 
 
 class Structure:
@@ -163,19 +169,19 @@ class Ray:
     zeta: Array
 
 
-def verified_ray(data: Data, working: WorkingSet, zeta: Array, tolerance: float = tol.RAY_TOLERANCE) -> Ray | None:
+def verified_ray(data: Data, working: WorkingSet, zeta: Array, tolerance: float = RAY_TOLERANCE) -> Ray | None:
     """Return the ray if it is stationary to a tolerance and proves that these data are infeasible, else None."""
     kkt, F, N = data.structure.kkt, data.lti.F, data.structure.spaces.N
     force, _ = data.forces(zeta, working)
     size = float(working.weights @ np.abs(F[working.f]).sum(1) + np.abs(zeta).sum()) + 1e-300
     response = sum(np.conj(N[i]) * force[i] for i in range(len(N)))
-    stationarity = float(np.abs(response).max()) / (max(float(np.abs(N).max()), tol.TINY_SQUARED) * size)
+    stationarity = float(np.abs(response).max()) / (max(float(np.abs(N).max()), TINY_SQUARED) * size)
     slope = np.abs(kkt.E.T @ zeta + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
     c, residual = data.without_forces()
     value = float(working.weights @ working.slacks(c.y, c.last) + zeta @ residual)
     terms = float(working.weights @ np.abs(working.limits) + np.abs(zeta) @ np.abs(data.e)) + 1e-300
-    proven = stationarity < tolerance * min(1.0, -tol.RAY_VALUE * value / terms)
+    proven = stationarity < tolerance * min(1.0, -RAY_VALUE * value / terms)
     return Ray(working, zeta) if proven else None
 
 
@@ -201,18 +207,18 @@ def row_ray(
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
-    hard, violated = np.isinf(working.prices), d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits))
-    decided = hard & violated & (np.diagonal(S) < tol.DECIDED_RESPONSE * working.free_response())
+    hard, violated = np.isinf(working.prices), d < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
+    decided = hard & violated & (np.diagonal(S) < DECIDED_RESPONSE * working.free_response())
     weights = np.zeros(len(d))
     if decided.any():
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
     elif combine and hard.any():
         S, b = S[np.ix_(hard, hard)], d[hard]
-        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
-        rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
+        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), TINY_SQUARED))
+        rho = max(float(size.max()), TINY_SQUARED) ** -2
         none, free = np.zeros(len(b)), np.full(len(b), np.inf)
         weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, none, free, none, none, stop)
-        if not weights.any() or 1 + rho * float(d @ weights) >= tol.CONFLICT_TAU:
+        if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT_TAU:
             return None
     else:
         return None

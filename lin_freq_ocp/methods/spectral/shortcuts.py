@@ -1,0 +1,178 @@
+"""Rounds of the exchange without FFTs of all signals; the method is complete without them (docs/spectral.md, 7).
+
+On short horizons, the effect of each bounded value on all others is computed once (WholeHorizon), and the exchange runs
+on these values (exchange_values). On long ones, kernels give the values near the working rows (Neighbourhood). The
+signals of all bins verify the result of either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from lin_freq_ocp.base.arrays import Array, Indices
+from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
+from lin_freq_ocp.methods.spectral.qp import bounded_qp
+from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, entering_violation
+
+LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
+NEIGHBOURHOOD_HORIZON = 10_000  # horizon from which kernels cost less than FFTs
+NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
+MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
+MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
+MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
+
+
+def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
+    """Return the samples around the working rows; None if these are absent, many or soft, or the horizon is short."""
+    T, inner = violations.lti.horizon, working.inner
+    if T < NEIGHBOURHOOD_HORIZON or violations.lti.soft:
+        return None
+    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
+    times = (working.t[inner, None] + window).clip(0, T - 1)
+    keys = np.unique((working.f[inner, None] * T + times).ravel())
+    return Neighbourhood(kkt, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
+
+
+class Neighbourhood:
+    """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
+
+    def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
+        lti = violations.lti
+        lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
+        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
+        t, f = t[free], f[free]
+        self._kkt, self.t, self.f = kkt, t, f
+        self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
+        self._is_state = ~lti.F[f, lti.state_dim :].any(1)
+        self._coupling = kkt.coupling(t, f)
+
+    def entering(
+        self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
+    ) -> tuple[Indices, Indices, Array]:
+        """Return (t, f, sign) of the rows to add: a bordering step with new weights violates these."""
+        kkt, inner = self._kkt, working.inner
+        values = kkt.lti.row_values(y, self.t, self.f) + step @ self._coupling
+        change = working.sign * (weights - working.weights)
+        acting = np.flatnonzero(inner & (change != 0))
+        values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
+        above, below = values - self._upper, self._lower - values
+        violation = np.maximum(above, below) / self._scale
+        # violated peaks of states, and violated or nearly active samples of the others
+        worst = float(violation.max(initial=0.0))
+        entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
+        if self._is_state.any():
+            follows = (np.diff(self.t) == 1) & (np.diff(self.f) == 0)
+            before, after = (np.where(follows, side, -np.inf) for side in (violation[:-1], violation[1:]))
+            peaks = (violation >= np.append(-np.inf, before)) & (violation >= np.append(after, -np.inf))
+            entering &= ~self._is_state | peaks
+        chosen = np.flatnonzero(entering & (not worst <= tolerance))
+        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
+
+
+class ActiveSetDuals(NamedTuple):
+    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
+
+    indices: Indices
+    sign: Array
+    weights: Array
+    rounds: int = 0
+    accurate: bool = True
+
+
+class WholeHorizon:
+    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
+
+    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
+    """
+
+    def __init__(self, kkt: BorderedSystem, rows: Indices):
+        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
+        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
+        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
+        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
+        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
+        self._row_index[rows] = np.arange(len(rows))
+        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
+        self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
+        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
+        self.through = kkt.inverse @ self.coupling
+        self._spaces = kkt.kernels.of_rows(rows)
+
+    def flat_indices(self, t: Indices, f: Indices) -> Indices:
+        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
+        T = self.kernels.lti.horizon
+        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
+
+    def duals(self, rows: Rows) -> ActiveSetDuals:
+        """Return the rows by flat indices."""
+        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
+        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
+        return ActiveSetDuals(indices, rows.sign[once], weights)
+
+    def gram(self, index: Indices) -> Array:
+        """Return S of some values."""
+        S = self.coupling[:, index].T @ self.through[:, index]
+        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
+
+    def rows_of(self, duals: ActiveSetDuals) -> Rows:
+        """Return the rows of some values."""
+        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
+
+    def response(self, index: Indices, mu: Array) -> Array:
+        """Return S mu of all values, for multipliers mu of the values ``index``."""
+        pulses = np.zeros(len(self.t))
+        pulses[index] = mu
+        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
+        acting = pulses.any(1)
+        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
+        values = (self.through[:, index] @ mu) @ self.coupling
+        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
+        return values
+
+
+def exchange_values(
+    whole: WholeHorizon,
+    violations: Violations,
+    start: ActiveSetDuals,
+    base: Array,
+    tolerance: float,
+    stop: Callable[[], str | None],
+) -> ActiveSetDuals:
+    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
+
+    ``base`` (values,) are those without multipliers, v_0.
+    """
+    index, sign, weights = start.indices, start.sign, start.weights
+    lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
+    n = lti.state_dim
+    for count in range(1, MODEL_ROUNDS + 1):
+        values, saturated = base, index[:0]
+        if len(index):
+            t, f = whole.t[index], whole.f[index]
+            d = sign * (lti.bounds.at(t, f, sign) - base[index])
+            price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
+            S, response = whole.gram(index) * sign * sign[:, None], whole.kernels.free_response(t, f)
+            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, response, stop)
+            duals = ActiveSetDuals(index, sign, weights, count, accurate)
+            if not accurate:
+                break
+            values = base - whole.response(index, sign * weights)
+            saturated = index[weights >= price]
+        violations.set_saturated(whole.t[saturated], whole.f[saturated])
+        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+            break
+        active = weights > 0
+        index, sign, weights = index[active], sign[active], weights[active]
+        present[:] = False
+        present[index] = True
+        entering, side = violations.entering_values(tolerance)
+        new = ~present[entering]
+        added = np.count_nonzero(new)
+        if not added or len(index) + added > LOCAL_ROWS:
+            break
+        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
+        weights = np.concatenate([weights, np.zeros(added)])
+    return duals
