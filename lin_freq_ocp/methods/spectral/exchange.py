@@ -1,26 +1,31 @@
 """The exchange: a small QP over the working rows, signals by FFT, new rows, until no row is violated.
 
-docs/spectral.md, 7, 8 and 11. Every round corrects the residuals of the true signals (section 6): its fixed point has
-true slacks in spite of errors of the small QP. On short horizons, the first rounds use the couplings of all bounded
-values. On long ones, the first working set is that of a cheaper problem: a shorter horizon, or a coarser control.
+docs/spectral.md, 7 and 8. Every round corrects the residuals of the true signals (section 6): its fixed point has true
+slacks in spite of errors of the small QP.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, bounded_rows
-from lin_freq_ocp.methods.spectral.shortcuts import LOCAL_ROWS, WholeHorizon, exchange_values, neighbourhood_of
+from lin_freq_ocp.methods.spectral.shortcuts import (
+    LOCAL_ROWS,
+    WholeHorizon,
+    cheaper_problem,
+    exchange_values,
+    neighbourhood_of,
+)
 from lin_freq_ocp.methods.spectral.structure import (
     RAY_TOLERANCE,
     Data,
@@ -40,15 +45,7 @@ LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are e
 KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
 STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above FINE_VIOLATION, add a row
 RAY_ROUNDS = 8  # rounds between Farkas rays; one is also computed if the small QP is not accurate
-LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
-GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
-HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
-SPREAD = 2  # further samples on each side of an active coarse control
-DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
-ON_CIRCLE = 1e-6  # |log |lambda|| up to which a mode does not decay: it has no decay time
-LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR if samples may be held instead
-HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
-LARGEST_SHORTENING = 10  # largest ratio of the horizons
+LONGER_STEPS = 0.03  # factor on the proximal weight of compliant unknowns
 LEAST_SIZE = 1e-4  # components that should be zero hold rounding: they are not measured more finely than this
 VIOLATION_TOLERANCE = 1e-12  # relative violation of a bound at which it stops; rounding of the signals is near 1e-15
 FINE_VIOLATION = 1e-9  # ... above which a round that adds a row improves, even if it does not halve the violation
@@ -65,7 +62,6 @@ DECREASE_TOLERANCE = 1e-9  # ... by moves as large as the point: flat directions
 SMALL_COST = 1e-6  # least cost that decreases are relative to, as a part of that of states and controls of order 1
 DIVERGING_WEIGHT = 1e6  # weight of a row from which the rows are tested for infeasibility
 UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lower bound
-SHORT_TOLERANCE, HOLD_TOLERANCE = 1e-6, 1e-4  # violations at which the cheaper problems of the first set stop
 ACCEPTED_RAY = 1e-5  # stationarity of a ray that is accepted if the exchange no longer improves
 
 
@@ -266,21 +262,25 @@ class Exchange:
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
         kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
-        level = worst < NEARLY_FEASIBLE and slope < SLOPE_TOLERANCE
-        if level and kkt.size:  # the cost hardly decreases along the bordering unknowns
+        level = worst < NEARLY_FEASIBLE and slope < SLOPE_TOLERANCE  # the cost hardly decreases along theta
+        if level and kkt.size:
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
             level = gain <= GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
-        far = float(np.abs(self.theta).max(initial=0.0))
-        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if kkt.compliant and worst < NEARLY_FEASIBLE and not level:
+        if kkt.compliant and worst < NEARLY_FEASIBLE and not level:  # longer steps
             self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
+        self._note_progress(added, slope)
+        if self.stalled >= STALLED_ROUNDS:
+            return self._accurate()
+        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
+
+    def _note_progress(self, added: int, slope: float) -> None:
+        """Count the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
+        kkt, worst, far = self.kkt, self.violations.worst, float(np.abs(self.theta).max(initial=0.0))
+        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
         improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
-        if self.stalled >= STALLED_ROUNDS:
-            return self._accurate()
-        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is accepted."""
@@ -323,15 +323,11 @@ class Exchange:
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
-    """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
-    if lti.horizon < GUESSED_HORIZON or lti.response is not None or not lti.has_limits:
+    """Return a guess of the active rows from a cheaper problem, or None; ``structures`` caches theirs by horizon."""
+    cheaper = cheaper_problem(lti)
+    if cheaper is None:
         return None
-    shorter = _shortened_horizon(lti)
-    growth = np.abs(np.linalg.eigvals(lti.A)).max() ** HOLD_FACTOR  # over the samples of a zero-order hold
-    hold = shorter * HOLD_FACTOR > lti.horizon and growth <= HOLD_GROWTH
-    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
-        return None
-    coarse, tolerance = (_hold_samples(lti), HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), SHORT_TOLERANCE)
+    coarse, tolerance, rows_of = cheaper
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
@@ -339,72 +335,4 @@ def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) ->
         outcome = Exchange(Data(structures[coarse.horizon], coarse), guess, tolerance, stop).run()
     except (UnsupportedError, np.linalg.LinAlgError):
         return None
-    if outcome.status != "optimal":
-        return None
-    t, f, sign, _ = outcome.working.rows().active()
-    if hold:
-        return _refine_rows(lti, t, f, sign)
-    return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
-
-
-def _shortened_horizon(lti: Lti) -> int:
-    """Return the horizon at which the ends do not affect each other; the given horizon if there is none."""
-    rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
-    rate = rate[rate > ON_CIRCLE]
-    decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
-    return max(2 * decay_time, lti.horizon // LARGEST_SHORTENING)
-
-
-def _shorten(lti: Lti, T: int) -> Lti:
-    """Return the problem without its middle; bands keep their frequencies."""
-    times = np.append(np.arange(T // 2), np.arange(lti.horizon - (T - T // 2), lti.horizon))
-    bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
-    return _without_equations(lti, T, lti.passed[:, bins], lambda signal: signal[:, times])
-
-
-def _hold_samples(lti: Lti) -> Lti:
-    """Return the problem with a zero-order hold of HOLD_FACTOR samples on the control."""
-    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
-    A, B = np.eye(n), np.zeros_like(lti.B)
-    offset = None if lti.offset is None else np.zeros((n, T))
-    for j in range(HOLD_FACTOR):
-        A, B = lti.A @ A, lti.A @ B + lti.B
-        if offset is not None and lti.offset is not None:
-            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
-    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
-    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    prices = coarse.prices.map(lambda price: HOLD_FACTOR * price)
-    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
-
-
-def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
-    """Return the problem at another horizon, without state bands and without values fixed by bounds."""
-    bounds = lti.bounds.map(sample)
-    fixed = bounds.lower == bounds.upper
-    return replace(
-        lti,
-        horizon=T,
-        passed=passed,
-        state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
-        bounds=replace(
-            bounds, lower=np.where(fixed, -np.inf, bounds.lower), upper=np.where(fixed, np.inf, bounds.upper)
-        ),
-        linear=None if lti.linear is None else sample(lti.linear),
-        offset=None if lti.offset is None else sample(lti.offset),
-        prices=lti.prices.map(sample),
-    )
-
-
-def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
-    """Return rows of the coarse problem as rows of ``lti``: controls with their neighbours, states once, and x_T."""
-    n, T = lti.state_dim, lti.horizon
-    last = t == T // HOLD_FACTOR
-    states = ~last & ~lti.F[f, n:].any(1)
-    controls = ~last & ~states
-    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
-    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
-    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
-    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
-    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
-    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
-    return Rows(times[unique], rows[unique], signs[unique])
+    return rows_of(outcome.working.rows().active()) if outcome.status == "optimal" else None
