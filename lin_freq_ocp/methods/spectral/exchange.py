@@ -126,9 +126,11 @@ class Exchange:
             reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
             if reason is not None:
                 return self._outcome("limit", reason)
+            # the small QP, and the signals of its weights
             self.rounds += 1
             diverging = self.working.weights.max(initial=0.0) > DIVERGING_WEIGHT * self.data.lti.cost_level
             self._step(want_ray=diverging or count % RAY_ROUNDS == 0)
+            # stop?
             if self.ray is not None:
                 return self._outcome("infeasible", INFEASIBLE)
             if self._optimal(added):
@@ -138,6 +140,7 @@ class Exchange:
             reason = self.stop()
             if reason is not None:
                 return self._outcome("limit", reason)
+            # drop rows without multiplier, add violated ones
             entering = self.violations.entering(self.tolerance)
             present = self.working.present.copy()
             if count <= KEEP_ALL_AFTER:
@@ -150,7 +153,11 @@ class Exchange:
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
     def _step(self, want_ray: bool) -> None:
-        """Correct the residuals of the present point, with the best weights of the working rows."""
+        """Correct theta, zeta and weights by the residuals of the signals, in one of three ways; then the signals.
+
+        If the horizon is short, the small QP runs over all bounded values (_whole_step). Else it runs over the working
+        rows, with theta and zeta eliminated (_stiff_step), or kept if compliant (_compliant_step).
+        """
         working, kkt = self.working, self.kkt
         whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
         step, new, ray = whole or (self._compliant_step if kkt.compliant else self._stiff_step)(self.defects, want_ray)
@@ -165,7 +172,7 @@ class Exchange:
             self.ray = equation_ray(self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
-        """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
+        """Return the step of (theta, zeta) and weights from rounds on all values; None if a small QP was inaccurate."""
         working = self.working
         # the values without working rows
         step = self.kkt.inverse @ self.defects
@@ -185,7 +192,7 @@ class Exchange:
         return step - whole.through[:, duals.indices] @ (duals.sign * duals.weights), duals.weights, None
 
     def _stiff_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the bordering step, weights and a ray if one is found, with the bordering unknowns eliminated.
+        """Return the step of (theta, zeta), weights and a ray if one is found, with theta and zeta eliminated.
 
         Rows near the working rows that the step violates enter at once; then the step is computed again.
         """
@@ -205,7 +212,7 @@ class Exchange:
         return step, new, ray
 
     def _eliminated_step(self, right: Array, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for the present working rows; an inaccurate QP also leads to the search for a ray."""
+        """Return the same for the present working rows: docs/spectral.md, (4). An inaccurate QP leads to a ray."""
         working, inverse = self.working, self.kkt.inverse
         step = inverse @ right
         if not len(working):
@@ -240,7 +247,7 @@ class Exchange:
         return ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else RAY_TOLERANCE
 
     def _evaluate(self) -> None:
-        """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""
+        """Set the signals, by FFT, and what follows: violations, slacks, the residual of E, the slope in theta."""
         for name in ("signals", "cost"):  # large: freed before the next are made
             self.__dict__.pop(name, None)
         self.signals = self.data.signals(self.theta, self.zeta, self.working)

@@ -34,9 +34,17 @@ SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, rel
 class BorderedSystem:
     """Bordering unknowns, equations, and the pseudo-inverse of K_b.
 
-    theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
-    (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
-    at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
+    theta, ``size`` numbers:
+        the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They move the
+        jump w = x_0 - x_T by ``ends`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
+        then a coordinate q for each real or imaginary part of a bordering direction, the ``first`` of each direction
+        being real. It moves y_k by amplitude[q] vectors[:, q] at the bin bins[q].
+    equations E theta - (responses to forces) = e, in this order:
+        values F_f y_t at (point_t, point_f): x(0) = x_0, then those that bounds fix;
+        compatibility, scaled by compatibility_scale;
+        rows ``bands`` (count, T+1) of the DFT, of the states ``band_component`` (count,); their spectra are ``band_hat``.
+
+    With periodic ends there are no unknowns of ends and no x(0) = x_0: w = 0.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
@@ -146,7 +154,7 @@ class BorderedSystem:
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b and its inverse; if bordering unknowns are compliant, with the least proximal weight."""
+        """Set K_b, its ``inverse``, and a basis of the ``dependent`` equations; see ``compliant`` below."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
         S = np.zeros((len(self.E), len(self.E)))
         S[:, :points] = self.responses(self.point_t, self.point_f)
@@ -161,7 +169,8 @@ class BorderedSystem:
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_with(0.0)
-        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost
+        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost.
+        # It then stays in the small QP, and the inverse has the least proximal weight.
         response = np.abs(self.inverse.diagonal()[: self.size])
         of_ends = response[: self.ends_count].max(initial=0.0)
         of_directions = response[self.ends_count :].max(initial=0.0)

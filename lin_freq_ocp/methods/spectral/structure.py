@@ -1,7 +1,7 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
-Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, and
-Farkas rays of infeasible data (docs/spectral.md, 1 to 5 and 10).
+Data return the signals that are optimal for given theta, zeta and weights, and their residual in the equations
+(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10).
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ class Signals:
 
 
 class Data:
-    """The quantities that depend on ends, linear terms, offsets and bounds.
+    """One solve's ends, linear terms, offsets and bounds: those of ``lti``, whose structure must be the given one.
 
-    ``base`` (n+m, bins) is the spectrum of y without forces and theta, ``linear`` that of h_t, ``h`` (size,) the
-    gradient in theta at 0, ``e`` (equations,) the right-hand sides. ``lti`` must have the given structure.
+    ``base`` (n+m, bins) are the c_k, the spectrum of y without forces and theta, ``linear`` the spectrum of h_t,
+    ``h`` (size,) the gradient in theta at 0, and ``e`` (equations,) the right-hand sides.
     """
 
     def __init__(self, structure: Structure, lti: Lti):
