@@ -112,7 +112,7 @@ class Exchange:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
                 self.working.weights = np.minimum(self.first.weights, self.working.prices)
-        self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
+        self.proximal = data.lti.curvature_unit if data.lti.has_limits else self.kkt.least_proximal
         self.ray: Ray | None = None
         # progress so far: the least violation and slope, the largest theta, and rounds without progress
         self.best, self.flattest, self.farthest, self.stalled = np.inf, np.inf, 0.0, 0

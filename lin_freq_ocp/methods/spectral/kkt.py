@@ -36,13 +36,13 @@ class BorderedSystem:
 
     theta, ``size`` numbers:
         the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They move the
-        jump w = x_0 - x_T by ``ends`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
+        jump w = x_0 - x_T by ``end_jumps`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
         then a coordinate q for each real or imaginary part of a bordering direction, the ``first`` of each direction
         being real. It moves y_k by amplitude[q] vectors[:, q] at the bin bins[q].
     equations E theta - (responses to forces) = e, in this order:
         values F_f y_t at (point_t, point_f): x(0) = x_0, then those that bounds fix;
         compatibility, scaled by compatibility_scale;
-        rows ``bands`` (count, T+1) of the DFT, of the states ``band_component`` (count,); their spectra are ``band_hat``.
+        rows ``bands`` (count, T+1) of the DFT, of states ``band_component`` (count,); their spectra are ``band_hat``.
 
     With periodic ends there are no unknowns of ends and no x(0) = x_0: w = 0.
     """
@@ -76,11 +76,13 @@ class BorderedSystem:
         self.free_start, self.free_end = map(np.flatnonzero, free)
         ends = len(self.free_start) + len(self.free_end)
         self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
-        self.ends = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
+        self.end_jumps = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
         self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
         self.end_signals = np.zeros((len(lti.M), 0, T))
         if ends:
-            self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
+            self.end_responses = self.spaces.particular(
+                self.spaces.z * self.end_jumps[:, :, None].astype(np.complex128)
+            )
             self.end_signals = np.fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.bordering_bin, self.spaces.bordering_vector
@@ -111,7 +113,7 @@ class BorderedSystem:
         self.compatibility_scale = np.ones(len(spaces.compatibility))
         for j, equation in enumerate(spaces.compatibility):
             row = np.zeros(self.size, dtype=np.complex128)
-            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.ends)
+            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.end_jumps)
             column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.weight[equation.k]
             row[column] = equation.sigma * amplitude
             if spaces.weight[equation.k] == 2:

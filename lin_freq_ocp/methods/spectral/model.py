@@ -137,6 +137,13 @@ class Lti:
         last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper]) & np.isnan(self.end)
         return bool(limited or last.any())
 
+    def is_fixed(self, t: Indices, f: Indices) -> Mask:
+        """Return whether equal bounds or a fixed end determine F_f y_t, (count,); component f of x_T at t = T."""
+        state = f % self.state_dim  # where f is a state
+        at_start = (t == 0) & (f < self.state_dim) & ~np.isnan(self.start[state])
+        at_end = (t == self.horizon) & ~np.isnan(self.end[state])
+        return at_start | at_end | (self.bounds.at(t, f, -1.0) >= self.bounds.at(t, f, 1.0))
+
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
         """(t, f) of the rows F_f y_t with equal bounds, without fixed ends: 0 <= t < T."""

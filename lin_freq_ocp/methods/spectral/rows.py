@@ -44,19 +44,15 @@ class Rows(NamedTuple):
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are not fixed by an equation."""
-    t, f, sign, _ = rows
-    i = f % lti.state_dim
-    fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
-    bounded = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0))
-    return rows.take(bounded & ~fixed)
+    return rows.take(np.isfinite(lti.bounds.at(rows.t, rows.f, rows.sign)) & ~lti.is_fixed(rows.t, rows.f))
 
 
 class Violations:
     """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
     ``rows`` are the rows of F with a limit at some time. ``violation`` (bounded, T) is their violation at t < T,
-    ``last`` (n,) the violation of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations
-    fix. These rows, and saturated rows, whose price is paid, do not count as violated. ``possible``: some row may be.
+    ``last`` (n,) that of x_T, ``worst`` the largest. Rows that equations fix, and saturated rows, whose price is paid,
+    do not count as violated.
     """
 
     def __init__(self, lti: Lti):
@@ -65,23 +61,20 @@ class Violations:
         self.rows = np.flatnonzero(limited.any(1))
         self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
+        self.free_end = np.isnan(lti.end)
+        # violations are relative to the largest bound of the row, that of x_T included
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
-        self.free_end = np.isnan(lti.end)
         ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
-        self.possible = len(self.rows) > 0 or bool(np.isfinite(ends[:, self.free_end]).any())
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
-        t, f = lti.fixed_points
-        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
-        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
-        index = np.full(len(lti.F), -1)
-        index[self.rows] = np.arange(len(self.rows))
-        bounded = index[f] >= 0
-        self.fixed = index[f[bounded]], t[bounded]
-        self.fixed_keys = f * lti.horizon + t
+        self._index = np.full(len(lti.F), -1)  # of each row of F among the bounded ones
+        self._index[self.rows] = np.arange(len(self.rows))
+        (t, f), start = lti.fixed_points, np.flatnonzero(~np.isnan(lti.start))
+        t, index = np.append(t, 0 * start), self._index[np.append(f, start)]
+        self.fixed = index[index >= 0], t[index >= 0]
         self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
-        self._index, none = index, np.zeros(0, dtype=np.intp)
+        none = np.zeros(0, dtype=np.intp)
         self.set_saturated(none, none)
 
     def set_saturated(self, t: Indices, f: Indices) -> None:

@@ -53,7 +53,7 @@ class Neighbourhood:
     def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
         lti = violations.lti
         lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
-        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
+        free = (np.isfinite(lower) | np.isfinite(upper)) & ~lti.is_fixed(t, f)
         t, f = t[free], f[free]
         self._kkt, self.t, self.f = kkt, t, f
         self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
