@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, Stop, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, bounded_rows
 from lin_freq_ocp.methods.spectral.shortcuts import (
     LOCAL_ROWS,
@@ -65,16 +64,8 @@ UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lo
 ACCEPTED_RAY = 1e-5  # stationarity of a ray that is accepted if the exchange no longer improves
 
 
-class Stop(Protocol):
-    """A function that reports the time limit and Ctrl-C."""
-
-    def __call__(self, needed: float = 0.0) -> str | None:
-        """Return the reason to stop if the next step needs so many seconds, or None."""
-        ...
-
-
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
-    """Return a function that returns the reason to stop, or None."""
+    """Return a function that returns the reason to stop if the next step needs so many seconds, or None."""
     end = np.inf if seconds is None else now() + seconds
 
     def stop(needed: float = 0.0) -> str | None:

@@ -55,15 +55,11 @@ ACTIVE_SIGN = 1e-11  # weight of an active row, relative to the largest, that ma
 POLISHED_SLACK = 1e-10  # violation of a row up to which a polished answer counts
 IDLE_WEIGHT = 1e-9  # weight, relative to slacks and weights, that it leaves on inactive rows
 
+Stop = Callable[..., str | None]  # returns the reason to stop, the time limit or Ctrl-C, or None
+
 
 def bounded_qp(
-    S: Array,
-    d: Array,
-    start: Array,
-    upper: Array,
-    diagonal_bound: Array,
-    response: Array,
-    stop: Callable[[], str | None] = lambda: None,
+    S: Array, d: Array, start: Array, upper: Array, diagonal_bound: Array, response: Array, stop: Stop = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
@@ -125,7 +121,7 @@ def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | No
 
 
 def interior_point(
-    A: Array, b: Array, upper: Array, diagonal_bound: Array, start: Array, stop: Callable[[], str | None] = lambda: None
+    A: Array, b: Array, upper: Array, diagonal_bound: Array, start: Array, stop: Stop = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; arguments after b as in ``bounded_qp``.
 
@@ -358,7 +354,7 @@ class BorderedQp:
     weights: Array
     upper: Array
 
-    def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
+    def solve(self, stop: Stop = lambda: None) -> tuple[Array, Array, bool]:
         """Return the step p, the weights l, and whether they are accurate; the best iterate if ``stop`` ends it.
 
         The first attempt has no upper bounds: these are often far above the weights, and cost digits.
@@ -396,7 +392,7 @@ class BorderedQp:
         return p * border * size, weights, accurate
 
 
-def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
+def _bordered_interior_point(qp: BorderedQp, stop: Stop) -> tuple[Array, Array, Array, bool]:
     b, count = qp.C.shape
     caps, p = Caps(qp.upper), np.zeros(b)
     weights = caps.inside(np.ones(count), 1.0)

@@ -16,7 +16,7 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import bounded_qp
+from lin_freq_ocp.methods.spectral.qp import Stop, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, entering_violation
 
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
@@ -145,12 +145,7 @@ class WholeHorizon:
 
 
 def exchange_values(
-    whole: WholeHorizon,
-    violations: Violations,
-    start: ActiveSetDuals,
-    base: Array,
-    tolerance: float,
-    stop: Callable[[], str | None],
+    whole: WholeHorizon, violations: Violations, start: ActiveSetDuals, base: Array, tolerance: float, stop: Stop
 ) -> ActiveSetDuals:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 

@@ -20,11 +20,11 @@ from lin_freq_ocp.methods.spectral.exchange import (
     VIOLATION_TOLERANCE,
     Exchange,
     ExchangeOutcome,
-    Stop,
     deadline,
     first_working_set,
 )
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.qp import Stop
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows

@@ -6,7 +6,6 @@ Data return the signals that are optimal for given theta, zeta and weights, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import bounded_qp
+from lin_freq_ocp.methods.spectral.qp import Stop, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import WorkingSet
 from lin_freq_ocp.methods.spectral.shortcuts import MOST_VALUES, WholeHorizon
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
@@ -194,14 +193,7 @@ def equation_ray(data: Data, residual: Array) -> Ray | None:
 
 
 def row_ray(
-    data: Data,
-    working: WorkingSet,
-    S: Array,
-    d: Array,
-    Z: Array,
-    combine: bool,
-    tolerance: float,
-    stop: Callable[[], str | None],
+    data: Data, working: WorkingSet, S: Array, d: Array, Z: Array, combine: bool, tolerance: float, stop: Stop
 ) -> Ray | None:
     """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
@@ -227,7 +219,7 @@ def row_ray(
     return verified_ray(data, working.weighted(weights), zeta, tolerance)
 
 
-def regularised_ray(data: Data, working: WorkingSet, tolerance: float, stop: Callable[[], str | None]) -> Ray | None:
+def regularised_ray(data: Data, working: WorkingSet, tolerance: float, stop: Stop) -> Ray | None:
     """Return a ray of working rows from a unit Hessian of the bordering unknowns.
 
     Feasibility does not depend on the cost.
