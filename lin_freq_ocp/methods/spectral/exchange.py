@@ -138,7 +138,6 @@ class Exchange:
                 self.working.keep(self.working.weights > 0)
             self.working.add(*entering)
             added = int(np.count_nonzero(self.working.present & ~present))  # rows that return at once are not new
-            self._measure_rows()
         if self._accurate():
             return self._outcome("optimal")
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
@@ -150,12 +149,13 @@ class Exchange:
         rows, with theta and zeta eliminated (_stiff_step), or kept if compliant (_compliant_step).
         """
         working, kkt = self.working, self.kkt
-        whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._compliant_step if kkt.compliant else self._stiff_step)(self.defects, want_ray)
-        self.ray = ray
-        if ray is not None:
+        answer = None if want_ray or self.whole is None else self._whole_step(self.whole)
+        if answer is None:
+            answer = self._compliant_step(want_ray) if kkt.compliant else self._stiff_step(want_ray)
+        step, weights, self.ray = answer
+        if self.ray is not None:
             return
-        working.weights = new
+        working.weights = weights
         self.theta = self.theta + step[: kkt.size]
         self.zeta = self.zeta + step[kkt.size :]
         self._evaluate()
@@ -177,35 +177,33 @@ class Exchange:
         self.rounds += max(0, duals.rounds - 1)
         if not duals.accurate:
             working.add(rows.t, rows.f, rows.sign)
-            self._measure_rows()
             return None
         working.replace(rows, whole.coupling[:, duals.indices] * duals.sign)
         return step - whole.through[:, duals.indices] @ (duals.sign * duals.weights), duals.weights, None
 
-    def _stiff_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+    def _stiff_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the step of (theta, zeta), weights and a ray if one is found, with theta and zeta eliminated.
 
         Rows near the working rows that the step violates enter at once; then the step is computed again.
         """
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
-            step, new, ray = self._eliminated_step(right, guess, want_ray)
+            step, new, ray = self._eliminated_step(guess, want_ray)
             converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
             near = near or neighbourhood_of(self.kkt, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
-            self._measure_rows()
             guess = np.append(new, np.zeros(len(working) - len(new)))
         else:
-            step, new, ray = self._eliminated_step(right, guess, want_ray)
+            step, new, ray = self._eliminated_step(guess, want_ray)
         return step, new, ray
 
-    def _eliminated_step(self, right: Array, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+    def _eliminated_step(self, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the same for the present working rows: docs/spectral.md, (4). An inaccurate QP leads to a ray."""
         working, inverse = self.working, self.kkt.inverse
-        step = inverse @ right
+        step = inverse @ self.defects
         if not len(working):
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
@@ -218,15 +216,15 @@ class Exchange:
             ray = regularised_ray(self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
-    def _compliant_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+    def _compliant_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
         if not len(working):
             inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_with(self.proximal)
-            return inverse @ right, working.weights, None
+            return inverse @ self.defects, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
         at = self.slack, working.weights, working.prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, *at)
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, self.defects, *at)
         step, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
             return step, new, None
@@ -246,16 +244,16 @@ class Exchange:
         saturated = self.working.saturated
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
-        self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
         self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
         largest = max(1.0, float(np.abs(self.signals.y).max()))
         self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
 
-    def _measure_rows(self) -> None:
-        """Set the slacks of the working rows at this point."""
-        self.slack = self.working.slacks(self.signals.y, self.signals.last)
+    @property
+    def slack(self) -> Array:
+        """Slacks of the working rows, limit - G y, (count,)."""
+        return self.working.slacks(self.signals.y, self.signals.last)
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
