@@ -219,10 +219,10 @@ class Exchange:
     def _compliant_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
-        if not len(working):
-            inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_with(self.proximal)
-            return inverse @ self.defects, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
+        if not len(working):
+            inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_of(K)
+            return inverse @ self.defects, working.weights, None
         at = self.slack, working.weights, working.prices
         qp = BorderedQp(kkt.size, K, working.coupling, working.gram, self.defects, *at)
         step, new, accurate = qp.solve(self.stop)

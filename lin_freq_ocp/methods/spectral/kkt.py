@@ -170,7 +170,7 @@ class BorderedSystem:
         self.dependent = _null_space(self.E.T, S)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
-        self.inverse = self.inverse_with(0.0)
+        self.inverse = self.inverse_of(self.matrix)
         # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost.
         # It then stays in the small QP, and the inverse has the least proximal weight.
         response = np.abs(self.inverse.diagonal()[: self.size])
@@ -179,7 +179,7 @@ class BorderedSystem:
         stiff_ends = of_ends <= min(COMPLIANT_END / unit, 0.1 / self.least_proximal)
         self.compliant = not (stiff_ends and of_directions <= COMPLIANT_RESPONSE / unit)
         if self.compliant:
-            self.inverse = self.inverse_with(self.least_proximal)
+            self.inverse = self.inverse_of(self.proximal_matrix(self.least_proximal))
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -187,19 +187,19 @@ class BorderedSystem:
         matrix[diagonal, diagonal] += proximal
         return matrix
 
-    def inverse_with(self, proximal: float) -> Array:
-        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
-        return self._inverse_of(self.proximal_matrix(proximal))
-
     @cached_property
     def regularised(self) -> Array:
         """The inverse of K_b with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
-        return self._inverse_of(matrix)
+        return self.inverse_of(matrix)
 
-    def _inverse_of(self, matrix: Array) -> Array:
-        """Return the inverse of K_b with another Hessian; NaN if it is exactly singular: the exchange fails."""
+    def inverse_of(self, matrix: Array) -> Array:
+        """Return the inverse of K_b, perhaps with another Hessian; dependent equations have no multiplier.
+
+        It is NaN if the matrix is exactly singular: the exchange fails.
+        """
+        matrix = matrix.copy()
         n, onto = self.size, self.dependent @ self.dependent.T
         matrix[n:, n:] -= onto / self.lti.curvature_unit
         scale = equilibration(matrix)

@@ -96,7 +96,8 @@ class ActiveSetDuals(NamedTuple):
 class WholeHorizon:
     """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
 
-    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
+    ``coupling`` (size + equations, values) and ``free_response`` (values,) are as in WorkingSet, ``through`` is
+    K_b^{-1} C.
     """
 
     def __init__(self, kkt: BorderedSystem, rows: Indices):
@@ -110,6 +111,7 @@ class WholeHorizon:
         self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
         self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
         self.through = kkt.inverse @ self.coupling
+        self.free_response = kkt.kernels.free_response(self.t, self.f)
         self._spaces = kkt.kernels.of_rows(rows)
 
     def flat_indices(self, t: Indices, f: Indices) -> Indices:
@@ -160,8 +162,8 @@ def exchange_values(
             t, f = whole.t[index], whole.f[index]
             d = sign * (lti.bounds.at(t, f, sign) - base[index])
             price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
-            S, response = whole.gram(index) * sign * sign[:, None], whole.kernels.free_response(t, f)
-            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, response, stop)
+            S = whole.gram(index) * sign * sign[:, None]
+            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, whole.free_response[index], stop)
             duals = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break

@@ -206,7 +206,7 @@ class SpectralSolver:
             with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
                 answer = outcome, _ = self._set_up.exchange(lti, first, allowed, stop)
-                units = revised_units(self.units, outcome.signals.y) if outcome.status == "optimal" else None
+                units = revised_units(self._set_up.units, outcome.signals.y) if outcome.status == "optimal" else None
                 if units is not None:  # the first units were wrong
                     better = _SetUp(self.problem, units)
                     second = better.exchange(lti_problem(problem, units), None, allowed, stop)
@@ -223,9 +223,9 @@ class SpectralSolver:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
         if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
             raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
-        problem = known or change.apply(self.problem)
+        problem, own, units = known or change.apply(self.problem), self._set_up.lti, self._set_up.units
         if problem is self.problem:
-            return self.problem, self.lti
+            return problem, own
         initial_state, terminal_state = change.initial_state, change.terminal_state
         ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
         new_sets = [entry for sets in (change.bounds or {}).values() for entry in entries_of(sets)]
@@ -234,20 +234,17 @@ class SpectralSolver:
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
         data = change.bounds or change.references or change.disturbance is not None
         all_data = data or (initial_state is None and terminal_state is None)
-        ends_only = not (all_data or (terminal_state is not None and self.lti.soft))
-        lti = self.lti.with_ends(problem.ends, self.units.x) if ends_only else None
-        lti = lti or lti_problem(problem, self.units)
-        if lti.periodic != self.lti.periodic:
+        ends_only = not (all_data or (terminal_state is not None and own.soft))
+        lti = own.with_ends(problem.ends, units.x) if ends_only else None
+        lti = lti or lti_problem(problem, units)
+        if lti.periodic != own.periodic:
             expected = "None: the ends are periodic"
             raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
-        for field, old, new in (
-            ("initial_state", self.lti.start, lti.start),
-            ("terminal_state", self.lti.end, lti.end),
-        ):
+        for field, old, new in (("initial_state", own.start, lti.start), ("terminal_state", own.end, lti.end)):
             if not np.array_equal(np.isnan(old), np.isnan(new)):
                 got = "other fixed components than in the problem"
                 raise ProblemError(field, got, "the same ones", "Make a new SpectralSolver.")
-        points = zip(self.lti.fixed_points, lti.fixed_points, strict=True)
+        points = zip(own.fixed_points, lti.fixed_points, strict=True)
         if not all(old is new or np.array_equal(old, new) for old, new in points):
             got = "other values fixed by lower == upper"
             raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
@@ -270,13 +267,13 @@ class SpectralSolver:
         """Return the solution in the user's units; infinite numbers are a numerical error."""
         status, message = Status(outcome.status), outcome.message
         finite = all(np.isfinite(part).all() for part in (scaled.eta, scaled.band, scaled.rho_x))
-        multipliers = in_units(problem, self.lti, self.units, scaled) if finite else None
+        multipliers = in_units(problem, self._set_up.lti, self._set_up.units, scaled) if finite else None
         if multipliers is None:
             status, message = Status.NUMERICAL_ERROR, f"{message}, with numbers that are not finite"
         infeasible = status == Status.INFEASIBLE
         return SpectralSolution(
             status=status,
-            trajectory=None if infeasible or not finite else trajectory(outcome, self.units),
+            trajectory=None if infeasible or not finite else trajectory(outcome, self._set_up.units),
             multipliers=None if infeasible else multipliers,
             ray=multipliers if infeasible else None,
             message=message,
