@@ -20,7 +20,7 @@ import lin_freq_ocp as lfo
 from benchmark.cases import FAMILIES, moved
 from benchmark.record import Record, build_parser
 from helpers.random.lti import random_lti
-from lin_freq_ocp.methods.spectral import exchange, qp, rows, solver, spaces, structure
+from lin_freq_ocp.methods.spectral import exchange, qp, rows, shortcuts, solver, spaces, structure
 
 Solve = Callable[[], lfo.solvers.SpectralSolution]
 
@@ -31,8 +31,8 @@ def nothing(*_: object) -> None:
 
 LAYERS = {
     "first working set": (solver, "first_working_set", nothing),
-    "its held samples": (exchange, "_grows_slowly", lambda lti: False),
-    "its shorter horizon": (exchange, "_shortened_horizon", lambda lti: lti.horizon),
+    "its held samples": (shortcuts, "HOLD_GROWTH", 0.0),
+    "its shorter horizon": (shortcuts, "_shortened_horizon", lambda lti: lti.horizon),
     "model of the whole horizon": (structure.Structure, "whole_horizon", nothing),
     "rows near the working rows": (exchange, "neighbourhood_of", nothing),
     "nearly active samples": (rows, "NEARLY_ACTIVE", 0.0),

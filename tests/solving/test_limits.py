@@ -100,7 +100,7 @@ def test_small_quadratic_programs_stop_when_told_to() -> None:
         calls.append(1)
         return "time limit"
 
-    _, content = interior_point(A, b, None, stop)
+    _, content = interior_point(A, b, np.full(40, np.inf), *np.zeros((2, 40)), stop)
     assert not content
     assert len(calls) == 1
     K, C = np.eye(3), rng.standard_normal((3, 40))

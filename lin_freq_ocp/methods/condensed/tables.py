@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_are, solve_triangular
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral.model import Bounds, Lti
+from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.structured.kkt.recursions import simulate, simulation_matrix
 from lin_freq_ocp.program.program_rows import real_rows
 
@@ -324,9 +324,7 @@ def _solve_equations(loop: Loop, E: Array) -> tuple[Array, Array]:
 
 def _bounds(lti: Lti) -> tuple[Indices, tuple[Array, Array], tuple[Array, Array]]:
     """Return the rows of F with a bound after x_0, their bounds and limits of multipliers, (families, T+1)."""
-    n, prices = lti.state_dim, lti.prices
-    inner, last = np.full(lti.bounds.lower.shape, np.inf), np.full(n, np.inf)
-    of = Bounds(inner, inner, last, last) if prices is None else prices
+    n, of = lti.state_dim, lti.prices
 
     def over_all_times(inner: Array, last: Array, none: float) -> Array:
         values = np.hstack([inner, np.full((len(inner), 1), none)])

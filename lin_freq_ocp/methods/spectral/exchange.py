@@ -1,79 +1,71 @@
 """The exchange: a small QP over the working rows, signals by FFT, new rows, until no row is violated.
 
-docs/spectral.md, 7, 8 and 11. Every round corrects the residuals of the true signals (section 6): its fixed point has
-true slacks in spite of errors of the small QP. On short horizons, the first rounds use the couplings of all bounded
-values. On long ones, the first working set is that of a cheaper problem: a shorter horizon, or a coarser control.
+docs/spectral.md, 7 and 8. Every round corrects the residuals of the true signals (section 6): its fixed point has true
+slacks in spite of errors of the small QP.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Indices, Mask
+from lin_freq_ocp.base.arrays import Array
 from lin_freq_ocp.base.clock import now
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import BorderedQp, bounded_qp
-from lin_freq_ocp.methods.spectral.rows import (
+from lin_freq_ocp.methods.spectral.qp import BorderedQp, Stop, bounded_qp
+from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, bounded_rows
+from lin_freq_ocp.methods.spectral.shortcuts import (
     LOCAL_ROWS,
-    ActiveSetDuals,
-    Rows,
-    Violations,
     WholeHorizon,
-    WorkingSet,
-    bounded_rows,
+    cheaper_problem,
+    exchange_values,
     neighbourhood_of,
 )
 from lin_freq_ocp.methods.spectral.structure import (
+    RAY_TOLERANCE,
     Data,
     Ray,
     Signals,
     Structure,
-    data_of,
     equation_ray,
-    equation_residual,
     regularised_ray,
     row_ray,
-    signals,
-    unconstrained_point,
 )
 
-MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
 INFEASIBLE = "no trajectory satisfies all constraints"
 MOST_ROUNDS = 60  # of an exchange; 1 to 12 are usual
 QP_SECONDS = 1e-10  # measured time of a small QP over the cube of its rows
 LARGE_QP = 1000  # rows of a small QP that takes 0.1 s: it is not begun if less time is left
 LOCAL_ROUNDS = 6  # small QPs with further rows nearby, before all signals are evaluated
 KEEP_ALL_AFTER = 30  # rounds after which no row is dropped: the exchange is then finite
-STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above tol.FINE_VIOLATION, add a row
+STALLED_ROUNDS = 3  # rounds that neither halve the violation nor, above FINE_VIOLATION, add a row
 RAY_ROUNDS = 8  # rounds between Farkas rays; one is also computed if the small QP is not accurate
-LONGER_STEPS = 0.03  # factor on the proximal weight for longer steps
-GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
-HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
-SPREAD = 2  # further samples on each side of an active coarse control
-DECAY_EXPONENT = 40.0  # the ends do not affect each other where the slowest mode decays by exp(-DECAY_EXPONENT)
-ON_CIRCLE = 1e-6  # |log |lambda|| up to which a mode does not decay: it has no decay time
-LEAST_SHORTENING = 2  # least ratio of the horizons; HOLD_FACTOR if samples may be held instead
-HOLD_GROWTH = 4.0  # largest growth of the fastest mode over held samples
-LARGEST_SHORTENING = 10  # largest ratio of the horizons
-
-
-class Stop(Protocol):
-    """A function that reports the time limit and Ctrl-C."""
-
-    def __call__(self, needed: float = 0.0) -> str | None:
-        """Return the reason to stop if the next step needs so many seconds, or None."""
-        ...
+LONGER_STEPS = 0.03  # factor on the proximal weight of compliant unknowns
+LEAST_SIZE = 1e-4  # components that should be zero hold rounding: they are not measured more finely than this
+VIOLATION_TOLERANCE = 1e-12  # relative violation of a bound at which it stops; rounding of the signals is near 1e-15
+FINE_VIOLATION = 1e-9  # ... above which a round that adds a row improves, even if it does not halve the violation
+ACCEPTED_VIOLATION = 1e-7  # ... that is accepted where it no longer improves
+NEARLY_FEASIBLE = 1e-3  # ... below which longer steps are taken along directions without cost
+EQUATION_TOLERANCE = 1e-9  # residual of the bordered system's equations, relative to the largest signal
+EQUATION_CONFLICT = 1e-7  # ... from which the dependent equations are tested for infeasibility
+SLOPE_TOLERANCE = 1e-10  # slope left in the bordering unknowns, relative to its terms
+ACCEPTED_SLOPE = 1e-7  # ... that is accepted where it no longer improves
+SLACK_TOLERANCE = 1e-9  # <multipliers, slacks> left, relative to the cost
+ACCEPTED_SLACK = 1e-7  # ... that is accepted where it no longer improves
+GAIN_TOLERANCE = 1e-15  # possible decrease of the cost along the bordering unknowns, relative to it
+DECREASE_TOLERANCE = 1e-9  # ... by moves as large as the point: flat directions promise any gain by rounding
+SMALL_COST = 1e-6  # least cost that decreases are relative to, as a part of that of states and controls of order 1
+DIVERGING_WEIGHT = 1e6  # weight of a row from which the rows are tested for infeasibility
+UNBOUNDED_SIZE = 1e10  # size of a bordering unknown at which the cost has no lower bound
+ACCEPTED_RAY = 1e-5  # stationarity of a ray that is accepted if the exchange no longer improves
 
 
 def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
-    """Return a function that returns the reason to stop, or None."""
+    """Return a function that returns the reason to stop if the next step needs so many seconds, or None."""
     end = np.inf if seconds is None else now() + seconds
 
     def stop(needed: float = 0.0) -> str | None:
@@ -86,45 +78,36 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
 
 @dataclass(eq=False)
 class ExchangeOutcome:
-    """The result of an exchange: the last point, and its multipliers of equations and rows."""
+    """The result of an exchange: the last trajectory, and its multipliers of equations and rows."""
 
     status: str  # of a Candidate
     message: str
     signals: Signals
-    multipliers: Array
+    zeta: Array
     working: WorkingSet
     rounds: int  # small QPs that were solved
-    violation: float  # worst, relative
-    cost: float
     ray: Ray | None  # if infeasible
 
 
 class Exchange:
-    """One solve: the point, its working rows, and the rules of a round."""
+    """One solve: theta, zeta and the working rows with their weights, their signals, and the rules of a round."""
 
-    def __init__(self, structure: Structure, data: Data, first: Rows | None, tolerance: float, stop: Stop):
-        self.structure, self.data, self.kkt = structure, data, structure.kkt
-        self.working = WorkingSet(self.kkt)
-        self.violations = Violations(data.lti)
-        self.whole = structure.whole_horizon(self.violations.rows)
-        self.first_point = None
-        if self.whole is not None:
-            self.first_point = unconstrained_point(structure, data, self.violations, self.whole)
+    def __init__(self, data: Data, first: Rows | None, tolerance: float, stop: Stop):
+        self.data, self.kkt = data, data.structure.kkt
+        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
+        self.theta, self.zeta = np.zeros(self.kkt.size), np.zeros(len(data.e))
+        self.working, self.violations = WorkingSet(self.kkt, data.lti), Violations(data.lti)
+        self.whole = data.structure.whole_horizon(self.violations.rows)
         self.first = None if first is None else bounded_rows(first, data.lti)
         if self.first is not None and self.whole is None:
             self.working.add(self.first.t, self.first.f, self.first.sign)
             if self.first.weights is not None:
-                prices = self.working.prices(data.lti)
-                self.working.weights = self.first.weights if prices is None else np.minimum(self.first.weights, prices)
-        self.theta, self.multipliers = np.zeros(self.kkt.size), np.zeros(len(data.e))
-        self.proximal = data.lti.curvature_unit if self.violations.possible else self.kkt.least_proximal
-        self.best, self.stalled = np.inf, 0
-        self.flattest, self.farthest = np.inf, 0.0
-        self.diagonal_bound = structure.diagonal_bound
+                self.working.weights = np.minimum(self.first.weights, self.working.prices)
+        self.proximal = data.lti.curvature_unit if data.lti.has_limits else self.kkt.least_proximal
         self.ray: Ray | None = None
-        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        if self.first_point is None:
-            self._evaluate()
+        # progress so far: the least violation and slope, the largest theta, and rounds without progress
+        self.best, self.flattest, self.farthest, self.stalled = np.inf, np.inf, 0.0, 0
+        self._evaluate()
 
     def run(self) -> ExchangeOutcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
@@ -134,186 +117,188 @@ class Exchange:
             reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
             if reason is not None:
                 return self._outcome("limit", reason)
+            # the small QP, and the signals of its weights
             self.rounds += 1
-            diverging = self.working.weights.max(initial=0.0) > tol.DIVERGING_WEIGHT * self.data.lti.cost_level
+            diverging = self.working.weights.max(initial=0.0) > DIVERGING_WEIGHT * self.data.lti.cost_level
             self._step(want_ray=diverging or count % RAY_ROUNDS == 0)
+            # stop?
             if self.ray is not None:
                 return self._outcome("infeasible", INFEASIBLE)
             if self._optimal(added):
                 return self._outcome("optimal")
-            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > tol.UNBOUNDED_SIZE:
+            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > UNBOUNDED_SIZE:
                 return self._outcome("unbounded", "the cost has no lower bound")
             reason = self.stop()
             if reason is not None:
                 return self._outcome("limit", reason)
+            # drop rows without multiplier, add violated ones
             entering = self.violations.entering(self.tolerance)
             present = self.working.present.copy()
             if count <= KEEP_ALL_AFTER:
                 self.working.keep(self.working.weights > 0)
             self.working.add(*entering)
             added = int(np.count_nonzero(self.working.present & ~present))  # rows that return at once are not new
-            self._measure_rows()
         if self._accurate():
             return self._outcome("optimal")
         return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
     def _step(self, want_ray: bool) -> None:
-        """Correct the residuals of the present point, with the best weights of the working rows."""
+        """Correct theta, zeta and weights by the residuals of the signals, in one of three ways; then the signals.
+
+        If the horizon is short, the small QP runs over all bounded values (_whole_step). Else it runs over the working
+        rows, with theta and zeta eliminated (_stiff_step), or kept if compliant (_compliant_step).
+        """
         working, kkt = self.working, self.kkt
-        whole = None if want_ray or self.whole is None else self._whole_step(self.whole)
-        step, new, ray = whole or (self._compliant_step if kkt.compliant else self._stiff_step)(self.defects, want_ray)
-        self.ray = ray
-        if ray is not None:
+        answer = None if want_ray or self.whole is None else self._whole_step(self.whole)
+        if answer is None:
+            answer = self._compliant_step(want_ray) if kkt.compliant else self._stiff_step(want_ray)
+        step, weights, self.ray = answer
+        if self.ray is not None:
             return
-        working.weights = new
+        working.weights = weights
         self.theta = self.theta + step[: kkt.size]
-        self.multipliers = self.multipliers + step[kkt.size :]
+        self.zeta = self.zeta + step[kkt.size :]
         self._evaluate()
-        if self.relative_residual > tol.EQUATION_CONFLICT:
-            self.ray = equation_ray(self.structure, self.data, self.residual)
+        if self.relative_residual > EQUATION_CONFLICT:
+            self.ray = equation_ray(self.data, self.residual)
 
     def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
-        """Return the bordering step and weights from rounds on all values; None if a small QP was inaccurate."""
-        working, is_first = self.working, self.first_point is not None
-        if self.first_point is None:  # the point without working rows, from the present one
-            step = self.kkt.inverse @ self.defects
+        """Return the step of (theta, zeta) and weights from rounds on all values; None if a small QP was inaccurate."""
+        working = self.working
+        # the values without working rows
+        step = self.kkt.inverse @ self.defects
+        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        if len(working):
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
             step, base = step + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
-        else:
-            (step, base), self.first_point = self.first_point, None
         start, self.first = whole.duals(self.first or working.rows()), None
-        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.diagonal_bound, self.stop)
+        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.stop)
         rows = whole.rows_of(duals)
         self.rounds += max(0, duals.rounds - 1)
         if not duals.accurate:
-            if is_first:
-                self._evaluate()
             working.add(rows.t, rows.f, rows.sign)
-            self._measure_rows()
             return None
         working.replace(rows, whole.coupling[:, duals.indices] * duals.sign)
         return step - whole.through[:, duals.indices] @ (duals.sign * duals.weights), duals.weights, None
 
-    def _stiff_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the bordering step, weights and a ray if one is found, with the bordering unknowns eliminated.
+    def _stiff_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the step of (theta, zeta), weights and a ray if one is found, with theta and zeta eliminated.
 
         Rows near the working rows that the step violates enter at once; then the step is computed again.
         """
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
-            step, new, ray = self._eliminated_step(right, guess, want_ray)
+            step, new, ray = self._eliminated_step(guess, want_ray)
             converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 break
             near = near or neighbourhood_of(self.kkt, self.violations, working)
             if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
                 break
-            self._measure_rows()
             guess = np.append(new, np.zeros(len(working) - len(new)))
         else:
-            step, new, ray = self._eliminated_step(right, guess, want_ray)
+            step, new, ray = self._eliminated_step(guess, want_ray)
         return step, new, ray
 
-    def _eliminated_step(self, right: Array, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for the present working rows; an inaccurate QP also leads to the search for a ray."""
+    def _eliminated_step(self, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+        """Return the same for the present working rows: docs/spectral.md, (4). An inaccurate QP leads to a ray."""
         working, inverse = self.working, self.kkt.inverse
-        step = inverse @ right
+        step = inverse @ self.defects
         if not len(working):
             return step, working.weights, None
         Z, S = working.eliminated(inverse)
         d = self.slack - working.coupling.T @ step - S @ working.weights
-        diagonal_bound = None if self.diagonal_bound is None else self.diagonal_bound[working.f] * working.inner
-        prices = working.prices(self.data.lti)
-        response = None if prices is None else working.free_response()
-        new, accurate = bounded_qp(S, d, guess, diagonal_bound, self.stop, prices, response)
+        diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
+        new, accurate = bounded_qp(S, d, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
         combine = (want_ray or not accurate) and self.stop() is None
-        ray = row_ray(self.structure, self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
+        ray = row_ray(self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
-            ray = regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+            ray = regularised_ray(self.data, working, self._ray_tolerance, self.stop)
         return step - Z @ (new - working.weights), new, ray
 
-    def _compliant_step(self, right: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
+    def _compliant_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt = self.working, self.kkt
-        if not len(working):
-            inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_with(self.proximal)
-            return inverse @ right, working.weights, None
         K = kkt.proximal_matrix(self.proximal)
-        prices = working.prices(self.data.lti)
-        upper = np.full(len(working), np.inf) if prices is None else prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, right, self.slack, working.weights, upper)
+        if not len(working):
+            inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_of(K)
+            return inverse @ self.defects, working.weights, None
+        at = self.slack, working.weights, working.prices
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, self.defects, *at)
         step, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
             return step, new, None
-        return step, new, regularised_ray(self.structure, self.data, working, self._ray_tolerance, self.stop)
+        return step, new, regularised_ray(self.data, working, self._ray_tolerance, self.stop)
 
     @property
     def _ray_tolerance(self) -> float:
         """Return the stationarity of rays: the exchange may stall because the rows conflict."""
-        return tol.ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else tol.RAY_TOLERANCE
+        return ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else RAY_TOLERANCE
 
     def _evaluate(self) -> None:
-        """Compute the signals by FFT, their violations, and the residuals of the equations and the slope in theta."""
-        for name in ("signals", "spectrum", "cost"):  # large: freed before the next are made
+        """Set the signals, by FFT, and what follows: violations, slacks, the residual of E, the slope in theta."""
+        for name in ("signals", "cost"):  # large: freed before the next are made
             self.__dict__.pop(name, None)
-        point = self.theta, self.multipliers, self.working
-        self.signals, self.spectrum = signals(self.structure, self.data, *point)
-        self.residual = equation_residual(self.structure, self.data, self.theta, self.signals)
-        saturated = self.working.saturated(self.data.lti)
+        self.signals = self.data.signals(self.theta, self.zeta, self.working)
+        self.residual = self.data.residual(self.theta, self.signals)
+        saturated = self.working.saturated
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
-        self._measure_rows()
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
-        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.multipliers + on_rows
+        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
         largest = max(1.0, float(np.abs(self.signals.y).max()))
         self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
 
-    def _measure_rows(self) -> None:
-        """Set the slacks of the working rows at this point."""
-        self.slack = self.working.slacks(self.data.lti, self.signals.y, self.signals.last)
+    @property
+    def slack(self) -> Array:
+        """Slacks of the working rows, limit - G y, (count,)."""
+        return self.working.slacks(self.signals.y, self.signals.last)
 
     def _optimal(self, added: int) -> bool:
         """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
         kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
-        level = worst < tol.NEARLY_FEASIBLE and slope < tol.SLOPE_TOLERANCE
-        if level and kkt.size:  # the cost hardly decreases along the bordering unknowns
+        level = worst < NEARLY_FEASIBLE and slope < SLOPE_TOLERANCE  # the cost hardly decreases along theta
+        if level and kkt.size:
             gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
-            level = gain <= tol.GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
-        far = float(np.abs(self.theta).max(initial=0.0))
-        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        if kkt.compliant and worst < tol.NEARLY_FEASIBLE and not level:
+            level = gain <= GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
+        if kkt.compliant and worst < NEARLY_FEASIBLE and not level:  # longer steps
             self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
-        improving = worst < self.best / 2 or (added and worst >= tol.FINE_VIOLATION) or moves
+        self._note_progress(added, slope)
+        if self.stalled >= STALLED_ROUNDS:
+            return self._accurate()
+        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
+
+    def _note_progress(self, added: int, slope: float) -> None:
+        """Count the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
+        kkt, worst, far = self.kkt, self.violations.worst, float(np.abs(self.theta).max(initial=0.0))
+        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
+        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
         self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
         self.farthest = max(self.farthest, far)
-        if self.stalled >= STALLED_ROUNDS:
-            return self._accurate()
-        return worst < self.tolerance and level and self._complementary(tol.SLACK_TOLERANCE)
 
     def _accurate(self) -> bool:
         """Whether a point that no longer improves is accepted."""
-        flat = self._relative_slope() < tol.ACCEPTED_SLOPE or self._cannot_decrease()
-        return self.violations.worst < tol.ACCEPTED_VIOLATION and flat and self._complementary(tol.ACCEPTED_SLACK)
+        flat = self._relative_slope() < ACCEPTED_SLOPE or self._cannot_decrease()
+        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
         slack = float(self.working.weights @ np.maximum(0.0, self.slack))
-        return self.relative_residual < tol.EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
+        return self.relative_residual < EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
 
     def _cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
-        return decrease <= tol.DECREASE_TOLERANCE * max(abs(self.cost), tol.SMALL_COST * self.data.lti.cost_level)
+        return decrease <= DECREASE_TOLERANCE * max(abs(self.cost), SMALL_COST * self.data.lti.cost_level)
 
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
         terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
-        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.multipliers)
-        least = tol.LEAST_SIZE * self.data.lti.curvature_unit
+        terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.zeta)
+        least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
 
     @cached_property
@@ -330,144 +315,20 @@ class Exchange:
 
     def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
         self.violations.violation = np.zeros((0, 0))  # large; it is measured again before the next use
-        point = self.signals, self.multipliers, self.working
-        return ExchangeOutcome(status, message, *point, self.rounds, self.violations.worst, self.cost, self.ray)
-
-
-def exchange_values(
-    whole: WholeHorizon,
-    violations: Violations,
-    start: ActiveSetDuals,
-    base: Array,
-    tolerance: float,
-    diagonal_bound: Array | None,
-    stop: Callable[[], str | None],
-) -> ActiveSetDuals:
-    """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
-
-    ``base`` is v_0, (values,); ``diagonal_bound`` is per row of F, see ``bounded_qp``.
-    """
-    index, sign, weights = start.indices, start.sign, start.weights
-    lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
-    n, prices = lti.state_dim, lti.prices
-    for count in range(1, MODEL_ROUNDS + 1):
-        values, saturated = base, index[:0]
-        if len(index):
-            t, f = whole.t[index], whole.f[index]
-            d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            free = None if diagonal_bound is None else diagonal_bound[f] * (t < lti.horizon)
-            price = None if prices is None else prices.at(t, f, sign)
-            response = None if prices is None else whole.kernels.free_response(t, f)
-            S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, d, weights, free, stop, price, response)
-            duals = ActiveSetDuals(index, sign, weights, count, accurate)
-            if not accurate:
-                break
-            values = base - whole.response(index, sign * weights)
-            saturated = saturated if price is None else index[weights >= price]
-        violations.set_saturated(whole.t[saturated], whole.f[saturated])
-        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
-            break
-        active = weights > 0
-        index, sign, weights = index[active], sign[active], weights[active]
-        present[:] = False
-        present[index] = True
-        entering, side = violations.entering_values(tolerance)
-        new = ~present[entering]
-        added = np.count_nonzero(new)
-        if not added or len(index) + added > LOCAL_ROWS:
-            break
-        index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
-        weights = np.concatenate([weights, np.zeros(added)])
-    return duals
+        return ExchangeOutcome(status, message, self.signals, self.zeta, self.working, self.rounds, self.ray)
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:
-    """Return a guess of the active rows, or None; ``structures`` caches those of the cheaper problems by horizon."""
-    if lti.horizon < GUESSED_HORIZON or lti.response is not None or not lti.has_limits:
+    """Return a guess of the active rows from a cheaper problem, or None; ``structures`` caches theirs by horizon."""
+    cheaper = cheaper_problem(lti)
+    if cheaper is None:
         return None
-    shorter = _shortened_horizon(lti)
-    growth = np.abs(np.linalg.eigvals(lti.A)).max() ** HOLD_FACTOR  # over the samples of a zero-order hold
-    hold = shorter * HOLD_FACTOR > lti.horizon and growth <= HOLD_GROWTH
-    if not hold and shorter * LEAST_SHORTENING > lti.horizon:
-        return None
-    coarse, tolerance = (
-        (_hold_samples(lti), tol.HOLD_TOLERANCE) if hold else (_shorten(lti, shorter), tol.SHORT_TOLERANCE)
-    )
+    coarse, tolerance, rows_of = cheaper
     try:
         if coarse.horizon not in structures:
             structures[coarse.horizon] = Structure(coarse)
-        structure = structures[coarse.horizon]
         guess = first_working_set(coarse, stop, structures)
-        outcome = Exchange(structure, data_of(structure, coarse), guess, tolerance, stop).run()
+        outcome = Exchange(Data(structures[coarse.horizon], coarse), guess, tolerance, stop).run()
     except (UnsupportedError, np.linalg.LinAlgError):
         return None
-    if outcome.status != "optimal":
-        return None
-    t, f, sign, _ = outcome.working.rows().active()
-    if hold:
-        return _refine_rows(lti, t, f, sign)
-    return Rows(np.where(t < shorter // 2, t, t + lti.horizon - shorter), f, sign)
-
-
-def _shortened_horizon(lti: Lti) -> int:
-    """Return the horizon at which the ends do not affect each other; the given horizon if there is none."""
-    rate = np.abs(np.log(np.abs(np.linalg.eigvals(lti.A)) + 1e-300))
-    rate = rate[rate > ON_CIRCLE]
-    decay_time = int(DECAY_EXPONENT / rate.min()) if len(rate) else lti.horizon
-    return max(2 * decay_time, lti.horizon // LARGEST_SHORTENING)
-
-
-def _shorten(lti: Lti, T: int) -> Lti:
-    """Return the problem without its middle; bands keep their frequencies."""
-    times = np.append(np.arange(T // 2), np.arange(lti.horizon - (T - T // 2), lti.horizon))
-    bins = np.round(np.arange(T // 2 + 1) * (lti.horizon / T)).astype(int).clip(0, lti.horizon // 2)
-    return _without_equations(lti, T, lti.passed[:, bins], lambda signal: signal[:, times])
-
-
-def _hold_samples(lti: Lti) -> Lti:
-    """Return the problem with a zero-order hold of HOLD_FACTOR samples on the control."""
-    T, n = lti.horizon // HOLD_FACTOR, lti.state_dim
-    A, B = np.eye(n), np.zeros_like(lti.B)
-    offset = None if lti.offset is None else np.zeros((n, T))
-    for j in range(HOLD_FACTOR):
-        A, B = lti.A @ A, lti.A @ B + lti.B
-        if offset is not None and lti.offset is not None:
-            offset = lti.A @ offset + lti.offset[:, j : HOLD_FACTOR * T : HOLD_FACTOR]
-    coarse = _without_equations(lti, T, lti.passed[:, : T // 2 + 1], lambda v: v[:, : HOLD_FACTOR * T : HOLD_FACTOR])
-    linear = None if lti.linear is None else lti.linear[:, : HOLD_FACTOR * T].reshape(len(lti.M), T, HOLD_FACTOR).sum(2)
-    prices = None if coarse.prices is None else coarse.prices.map(lambda price: HOLD_FACTOR * price)
-    return replace(coarse, A=A, B=B, M=lti.M * HOLD_FACTOR, linear=linear, offset=offset, prices=prices)
-
-
-def _without_equations(lti: Lti, T: int, passed: Mask, sample: Callable[[Array], Array]) -> Lti:
-    """Return the problem at another horizon, without state bands and without values fixed by bounds."""
-    bounds = lti.bounds.map(sample)
-    fixed = bounds.lower == bounds.upper
-    return replace(
-        lti,
-        horizon=T,
-        passed=passed,
-        state_stop=np.zeros(((T + 1) // 2 + 1, lti.state_dim), dtype=bool),
-        bounds=replace(
-            bounds, lower=np.where(fixed, -np.inf, bounds.lower), upper=np.where(fixed, np.inf, bounds.upper)
-        ),
-        linear=None if lti.linear is None else sample(lti.linear),
-        offset=None if lti.offset is None else sample(lti.offset),
-        prices=None if lti.prices is None else lti.prices.map(sample),
-    )
-
-
-def _refine_rows(lti: Lti, t: Indices, f: Indices, sign: Array) -> Rows:
-    """Return rows of the coarse problem as rows of ``lti``: controls with their neighbours, states once, and x_T."""
-    n, T = lti.state_dim, lti.horizon
-    last = t == T // HOLD_FACTOR
-    states = ~last & ~lti.F[f, n:].any(1)
-    controls = ~last & ~states
-    around = np.arange(-SPREAD, HOLD_FACTOR + SPREAD)
-    many = (t[controls, None] * HOLD_FACTOR + around).clip(0, T - 1).ravel()
-    times = np.concatenate([np.full(int(last.sum()), T), t[states] * HOLD_FACTOR, many])
-    rows = np.concatenate([f[last], f[states], np.repeat(f[controls], len(around))])
-    signs = np.concatenate([sign[last], sign[states], np.repeat(sign[controls], len(around))])
-    _, unique = np.unique((times * len(lti.F) + rows) * 2 + (signs > 0), return_index=True)
-    return Rows(times[unique], rows[unique], signs[unique])
+    return rows_of(outcome.working.rows().active()) if outcome.status == "optimal" else None

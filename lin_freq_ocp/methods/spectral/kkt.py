@@ -17,21 +17,34 @@ import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels, times_columns
 from lin_freq_ocp.program.program_rows import real_rows
 
 EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDERED = 3000  # rows of the matrix; with more, its dense decomposition takes longer than the sparse program
+NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
+EQUATION_ROUNDING = 1e-13  # relative eigenvalue of S_E that is rounding of 0
+COMPLIANT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
+COMPLIANT_END = 1e8  # the same for free ends, which move all signals
+HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
+SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control
 
 
 class BorderedSystem:
     """Bordering unknowns, equations, and the pseudo-inverse of K_b.
 
-    theta holds the components free_start of x_0 and free_end of x_T (at at_start and at_end), with ends = dw/dtheta
-    (n, free ends), w = x_0 - x_T, then coordinates of vectors (n+m, q) at bins (q,). The equations' points F_f y_t are
-    at (point_t, point_f); the first n are x(0). With periodic ends there is neither: w = 0.
+    theta, ``size`` numbers:
+        the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They move the
+        jump w = x_0 - x_T by ``end_jumps`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
+        then a coordinate q for each real or imaginary part of a bordering direction, the ``first`` of each direction
+        being real. It moves y_k by amplitude[q] vectors[:, q] at the bin bins[q].
+    equations E theta - (responses to forces) = e, in this order:
+        values F_f y_t at (point_t, point_f): x(0) = x_0, then those that bounds fix;
+        compatibility, scaled by compatibility_scale;
+        rows ``bands`` (count, T+1) of the DFT, of states ``band_component`` (count,); their spectra are ``band_hat``.
+
+    With periodic ends there are no unknowns of ends and no x(0) = x_0: w = 0.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
@@ -49,7 +62,7 @@ class BorderedSystem:
         # x(0) = x_0, with its free components on the left side, and values that bounds fix
         n, (t, f) = lti.start_points, lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
-        point_rows = self.values(self.point_t, self.point_f)
+        point_rows = self.derivatives(self.point_t, self.point_f).T
         point_rows[self.free_start, self.at_start] -= 1.0
         self._set_compatibility_rows()
         self._set_band_rows()
@@ -63,11 +76,13 @@ class BorderedSystem:
         self.free_start, self.free_end = map(np.flatnonzero, free)
         ends = len(self.free_start) + len(self.free_end)
         self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
-        self.ends = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
+        self.end_jumps = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
         self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
         self.end_signals = np.zeros((len(lti.M), 0, T))
         if ends:
-            self.end_responses = self.spaces.particular(self.spaces.z * self.ends[:, :, None].astype(np.complex128))
+            self.end_responses = self.spaces.particular(
+                self.spaces.z * self.end_jumps[:, :, None].astype(np.complex128)
+            )
             self.end_signals = np.fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
         k, v = self.spaces.bordering_bin, self.spaces.bordering_vector
@@ -98,7 +113,7 @@ class BorderedSystem:
         self.compatibility_scale = np.ones(len(spaces.compatibility))
         for j, equation in enumerate(spaces.compatibility):
             row = np.zeros(self.size, dtype=np.complex128)
-            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.ends)
+            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.end_jumps)
             column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.weight[equation.k]
             row[column] = equation.sigma * amplitude
             if spaces.weight[equation.k] == 2:
@@ -141,7 +156,7 @@ class BorderedSystem:
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b and its inverse; if bordering unknowns are compliant, with the least proximal weight."""
+        """Set K_b, its ``inverse``, and a basis of the ``dependent`` equations; see ``compliant`` below."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
         S = np.zeros((len(self.E), len(self.E)))
         S[:, :points] = self.responses(self.point_t, self.point_f)
@@ -154,16 +169,17 @@ class BorderedSystem:
         self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(S + S.T) / 2
         self.dependent = _null_space(self.E.T, S)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
-        self.least_proximal = max(tol.SHORTEST_PROXIMAL * unit, tol.HESSIAN_ROUNDING * stiffest)
-        self.inverse = self.inverse_with(0.0)
-        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost
+        self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
+        self.inverse = self.inverse_of(self.matrix)
+        # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost.
+        # It then stays in the small QP, and the inverse has the least proximal weight.
         response = np.abs(self.inverse.diagonal()[: self.size])
         of_ends = response[: self.ends_count].max(initial=0.0)
         of_directions = response[self.ends_count :].max(initial=0.0)
-        stiff_ends = of_ends <= min(tol.COMPLIANT_END / unit, 0.1 / self.least_proximal)
-        self.compliant = not (stiff_ends and of_directions <= tol.COMPLIANT_RESPONSE / unit)
+        stiff_ends = of_ends <= min(COMPLIANT_END / unit, 0.1 / self.least_proximal)
+        self.compliant = not (stiff_ends and of_directions <= COMPLIANT_RESPONSE / unit)
         if self.compliant:
-            self.inverse = self.inverse_with(self.least_proximal)
+            self.inverse = self.inverse_of(self.proximal_matrix(self.least_proximal))
 
     def proximal_matrix(self, proximal: float) -> Array:
         """Return K_b with a proximal weight on theta."""
@@ -171,19 +187,19 @@ class BorderedSystem:
         matrix[diagonal, diagonal] += proximal
         return matrix
 
-    def inverse_with(self, proximal: float) -> Array:
-        """Return the inverse of K_b with a proximal weight on theta; dependent equations have no multiplier."""
-        return self._inverse_of(self.proximal_matrix(proximal))
-
     @cached_property
     def regularised(self) -> Array:
         """The inverse of K_b with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
-        return self._inverse_of(matrix)
+        return self.inverse_of(matrix)
 
-    def _inverse_of(self, matrix: Array) -> Array:
-        """Return the inverse of K_b with another Hessian; NaN if it is exactly singular: the exchange fails."""
+    def inverse_of(self, matrix: Array) -> Array:
+        """Return the inverse of K_b, perhaps with another Hessian; dependent equations have no multiplier.
+
+        It is NaN if the matrix is exactly singular: the exchange fails.
+        """
+        matrix = matrix.copy()
         n, onto = self.size, self.dependent @ self.dependent.T
         matrix[n:, n:] -= onto / self.lti.curvature_unit
         scale = equilibration(matrix)
@@ -210,15 +226,15 @@ class BorderedSystem:
         ]
         return np.concatenate([*points, *compatibility, -self.bands[:, -1] * end[self.band_component]])
 
-    def values(self, t: Indices, f: Indices) -> Array:
-        """Return d (F_f y_t) / d theta, shape (len(t), size), for t < T."""
+    def derivatives(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (size, len(t)), for t < T."""
         rows, T = self.lti.F[f], self.lti.horizon
         at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
         phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
-        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real])
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real]).T
 
-    def values_at_all_times(self, rows: Indices) -> Array:
-        """Return the responses of F_f y_t at all t < T to unknowns and equations: (size + equations, len(rows), T)."""
+    def coupling_at_all_times(self, rows: Indices) -> Array:
+        """Return the ``coupling`` of F_f y_t at all t < T: (size + equations, len(rows), T)."""
         F = self.lti.F[rows]
         response = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
@@ -230,6 +246,15 @@ class BorderedSystem:
         if len(self.bands):
             response[:, -len(self.bands) :] = -np.tensordot(F, self.band_responses, 1)
         return response.swapaxes(0, 1)
+
+    def coupling(self, t: Indices, f: Indices) -> Array:
+        """Return [d/dtheta; -S_E] of F_f y_t, and of component f of x_T at t = T: (size + equations, len(t))."""
+        inner, last = t < self.lti.horizon, np.flatnonzero(t == self.lti.horizon)
+        columns = np.zeros((len(self.matrix), len(t)))
+        columns[: self.size, inner] = self.derivatives(t[inner], f[inner])
+        columns[self.size :, inner] = -self.responses(t[inner], f[inner])
+        columns[self.at_end[np.searchsorted(self.free_end, f[last])], last] = 1.0
+        return columns
 
     def responses(self, t: Indices, f: Indices) -> Array:
         """Return the decrease of the equations by unit forces on F_f y_t, (equations, len(t)), for t < T."""
@@ -247,11 +272,11 @@ class BorderedSystem:
 
 def _null_space(rows: Array, gram: Array) -> Array:
     """Return an orthonormal basis of the null space of both the rows and the positive semidefinite gram."""
-    rounding = tol.EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
+    rounding = EQUATION_ROUNDING * float(np.abs(gram).max(initial=0.0))
     if not len(gram) or np.linalg.eigvalsh(gram)[0] > rounding:
         return np.zeros((len(gram), 0))
     _, singular, V = np.linalg.svd(rows)
-    rank = int((singular > tol.NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
+    rank = int((singular > NULL_EQUATION * max(1.0, singular.max(initial=0.0))).sum())
     basis = V[rank:].T
     eigenvalues, vectors = np.linalg.eigh(basis.T @ gram @ basis)
     return basis @ vectors[:, eigenvalues <= rounding]

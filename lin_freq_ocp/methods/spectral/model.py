@@ -21,7 +21,6 @@ from scipy.sparse.csgraph import connected_components
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, assign, with_fields
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.reductions import priced_bounds, soft_set
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
@@ -29,6 +28,9 @@ from lin_freq_ocp.problem.terms.term import TermKind
 from lin_freq_ocp.transform.sizes import FAR_BEYOND, natural_sizes
 
 STATE_BAND_ROWS = 2000  # real rows of state bands that may be dense equations of the bordered system
+WRONG_UNIT = 1e-5  # largest value of a component, in its unit, below which that unit was wrong
+ROUNDED_COMPONENT = 1e-13  # largest value below which a component holds rounding only
+MUCH_LARGER = 30.0  # factor between a component's stated size and other evidence of it from which the evidence counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +51,8 @@ class Lti:
     p: Array
     offset: Array | None  # d_t, (n, T)
     bounds: Bounds
+    prices: Bounds  # of a unit of violation, infinite for hard bounds
     constant: float  # cost at x = 0, u = 0
-    prices: Bounds | None = None  # of a unit of violation, infinite for hard bounds; None if all are hard
     response: ComplexArray | None = None  # of x_{t+1} at every bin, (n, m, T//2 + 1), instead of A, B
     periodic: bool = False  # whether x_T = x_0: then the ends are free, and bounds on x_T are on x_0
 
@@ -85,7 +87,7 @@ class Lti:
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         changed = with_fields(self, start=start, end=end)
-        if self.prices is None:  # else, the end is the same
+        if not self.soft:  # else, the end is the same
             last_lower, last_upper = (side / x for side in ends[1].bounds)
             assign(changed, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
         return changed
@@ -93,6 +95,11 @@ class Lti:
     def row_values(self, y: Array, t: Indices, f: Indices) -> Array:
         """Return F_f y_t of some rows at t < T, (count,), for y (n+m, T)."""
         return y[f, t] if len(self.F) == len(y) else np.einsum("ri,ir->r", self.F[f], y[:, t])
+
+    @cached_property
+    def soft(self) -> bool:
+        """Whether some bound has a price."""
+        return not all(np.isinf(prices).all() for prices in vars(self.prices).values())
 
     @cached_property
     def state_cost(self) -> bool:
@@ -106,6 +113,18 @@ class Lti:
         return float(np.trace(self.M[n:, n:])) / self.control_dim or float(np.trace(self.M[:n, :n])) / n
 
     @cached_property
+    def diagonal_bound(self) -> Array:
+        """A diagonal d, (rows of F,), with diag(d) - S >= 0 for small QPs on control rows: 1/R there, else 0.
+
+        It is zero if R is not diagonal, or if the cost has products of states and controls.
+        """
+        n, bound = self.state_dim, np.zeros(len(self.F))
+        R = np.diagonal(self.M)[n:]
+        if not self.M[:n, n:].any() and np.array_equal(self.M[n:, n:], np.diag(R)) and R.all():
+            bound[n : len(self.M)] = 1 / R
+        return bound
+
+    @cached_property
     def cost_level(self) -> float:
         """Cost of a stage or the end where states and controls are of order 1."""
         return max(float(np.abs(self.M).max()), float(np.abs(self.P).max()))
@@ -117,6 +136,13 @@ class Lti:
         limited = (np.isfinite(sides) & (sides[0] < sides[1])).any()
         last = np.isfinite([self.bounds.last_lower, self.bounds.last_upper]) & np.isnan(self.end)
         return bool(limited or last.any())
+
+    def is_fixed(self, t: Indices, f: Indices) -> Mask:
+        """Return whether equal bounds or a fixed end determine F_f y_t, (count,); component f of x_T at t = T."""
+        state = f % self.state_dim  # where f is a state
+        at_start = (t == 0) & (f < self.state_dim) & ~np.isnan(self.start[state])
+        at_end = (t == self.horizon) & ~np.isnan(self.end[state])
+        return at_start | at_end | (self.bounds.at(t, f, -1.0) >= self.bounds.at(t, f, 1.0))
 
     @cached_property
     def fixed_points(self) -> tuple[Indices, Indices]:
@@ -237,7 +263,7 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
         balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
         known, ratio = given[members], sizes[members] / balanced
         level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
-        wrong = np.abs(np.log(ratio / level)) > np.log(tol.MUCH_LARGER)
+        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
         sizes[members] = np.where(wrong & ~known, level * balanced, sizes[members])
     return sizes
 
@@ -245,10 +271,10 @@ def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
 def _control_sizes(tube: Box, stated: Array) -> Array:
     """Return sizes of the controls, (m,): as stated, or their bounds if the stated sizes are much smaller."""
     sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
-    if all((side <= tol.MUCH_LARGER * stated).all() for side in sides):
+    if all((side <= MUCH_LARGER * stated).all() for side in sides):
         return stated
     bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
-    larger = (bounds > tol.MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
+    larger = (bounds > MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
     return np.where(larger, bounds, stated)
 
 
@@ -258,7 +284,7 @@ def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
     If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
     """
     reached = np.abs(y).max(1)
-    wrong = (reached > tol.ROUNDED_COMPONENT) & (reached < tol.WRONG_UNIT)
+    wrong = (reached > ROUNDED_COMPONENT) & (reached < WRONG_UNIT)
     if not wrong.any():
         return None
     factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
@@ -281,7 +307,8 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
-    bounds, prices = _bounds(problem, units), None
+    bounds, hard = _bounds(problem, units), np.broadcast_to(np.inf, (len(y) + len(units.rows), T))
+    prices = Bounds(hard, hard, np.full(n, np.inf), np.full(n, np.inf))
     if not all(term.hard for term in problem.terms):
         bounds, prices = _soft_bounds(problem, units, bounds)
     periodic = closes_on_the_circle(problem)
@@ -308,8 +335,8 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
         p=p * x / units.cost,
         offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
         bounds=bounds,
-        constant=constant / units.cost,
         prices=prices,
+        constant=constant / units.cost,
         periodic=periodic,
         response=None if response is None else response * (u / x[:, None])[:, :, None],
     )

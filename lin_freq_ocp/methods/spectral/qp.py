@@ -18,7 +18,6 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dgetrf, dgetrs, dposv, dpotrf, dpotrs, dpstrf
 
 from lin_freq_ocp.base.arrays import Array, Mask
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt import equilibration
 
 INTERIOR_STEPS = 60  # after which the best iterate is returned; 10 to 25 are usual
@@ -33,92 +32,96 @@ PIVOTING_ROWS = 300  # rows up to which block pivoting is tried first
 PIVOTING_STEPS = 30  # after which it has not converged; 1 to 4 are usual
 STEPS_OF_ALL = 3  # steps that exchange all wrong rows
 WORST_SHARE = 0.5  # part of the worst error from which later steps exchange a row
+TINY = 1e-300  # keeps quotients of exact zeros finite
+QP_RIDGE = 1e-13  # added to the diagonal: dependent rows and equations then share their multipliers
+DECIDED_SOFT = 1e-13  # part of a soft row's own response left by the equations that is rounding of zero
+PIVOTING_PIVOT = 1e-6  # Cholesky pivot below which rows are too dependent for block pivoting
+WRONG_SLOPE = 1e-13  # slope below which a row without multiplier is wrong
+INTERIOR_SOLVED = 1e-13  # defect and complementarity at which the interior point stops
+INTERIOR_ACCURATE = 1e-8  # ... and up to which its answer is accurate
+DIVERGED_ERROR = 1e3  # growth of that error over the best one at which it stops
+INTERIOR_RIDGE = 1e-14  # added to its diagonal, which is near 1; a hundred times as much where a factorisation fails
+LARGEST_RIDGE = 1e-8  # ridge at which it stops
+HOLDING_DIAGONAL = 1e14  # diagonal that holds a row at zero in its polish
+RANK_TOLERANCE = 3e-15  # pivot at which the rank of diag - A is exhausted
+LOW_RANK_ERROR = 1e-10  # diagonal that a thin factor may miss; with more, diag - A has negative eigenvalues
+BORDERED_SOLVED = 1e-12  # defects and complementarity at which the bordered interior point stops ...
+# ... and complementarity alone, as the cost may be small at that scale. Further steps lose digits of the equations: at
+# 1e-16, one of 900 random problems ends with residuals of 1e-6.
+BORDERED_COMPLEMENTARY = 1e-14
+BORDERED_ACCURATE = 1e-7  # error up to which its answer is accurate
+SHORTEST_STEP = 1e-8  # step length at which it stops
+ACTIVE_SIGN = 1e-11  # weight of an active row, relative to the largest, that may be negative by rounding
+POLISHED_SLACK = 1e-10  # violation of a row up to which a polished answer counts
+IDLE_WEIGHT = 1e-9  # weight, relative to slacks and weights, that it leaves on inactive rows
+
+Stop = Callable[..., str | None]  # returns the reason to stop, the time limit or Ctrl-C, or None
 
 
 def bounded_qp(
-    S: Array,
-    d: Array,
-    start: Array,
-    diagonal_bound: Array | None = None,
-    stop: Callable[[], str | None] = lambda: None,
-    upper: Array | None = None,
-    response: Array | None = None,
+    S: Array, d: Array, start: Array, upper: Array, diagonal_bound: Array, response: Array, stop: Stop = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``upper`` is u, None if all prices are infinite. If equations decide a row with a price, it is saturated iff it is
-    violated: its entry of S is a rounding error, relative to its ``response`` without equations.
-
-    ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows and zero for others. None if
-    there is no such diagonal.
+    ``upper`` is u. ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows, else 0. If
+    equations decide a soft row, it is saturated iff it is violated: its entry of S is a rounding error, relative to its
+    ``response`` without equations.
     """
-    if upper is not None and response is not None:
-        decided = np.isfinite(upper) & (np.diagonal(S) < tol.DECIDED_SOFT * response)
-        if decided.any():  # they are at a bound of their multipliers
-            lam, undecided, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
-            if undecided.any():
-                free = None if diagonal_bound is None else diagonal_bound[undecided]
-                target = d[undecided] + S[np.ix_(undecided, decided)] @ lam[decided]
-                S = S[np.ix_(undecided, undecided)]
-                lam[undecided], accurate = bounded_qp(S, target, start[undecided], free, stop, upper[undecided])
-            return lam, accurate
-    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), tol.TINY))
-    size = max(float((np.abs(d) * unit).max()), tol.TINY)
+    decided = np.isfinite(upper) & (np.diagonal(S) < DECIDED_SOFT * response)
+    if decided.any():  # they are at a bound of their multipliers
+        lam, free, accurate = np.where(decided & (d < 0), upper, 0.0), ~decided, True
+        if free.any():
+            d = d[free] + S[np.ix_(free, decided)] @ lam[decided]
+            rows = start[free], upper[free], diagonal_bound[free], response[free]
+            lam[free], accurate = bounded_qp(S[np.ix_(free, free)], d, *rows, stop)
+        return lam, accurate
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
+    size = max(float((np.abs(d) * unit).max()), TINY)
     A, b, warm = S * unit[:, None], d * unit / size, start / unit / size
     A *= unit
-    scaled_upper = None if upper is None else upper / unit / size
+    scaled_upper = upper / unit / size
     lam, accurate = block_pivoting(A, b, warm, scaled_upper) if len(d) <= PIVOTING_ROWS else None, True
     if lam is None:
-        thin = None if diagonal_bound is None else diagonal_bound * unit**2
-        lam, accurate = interior_point(A, b, thin, stop, warm, scaled_upper)
-    if upper is None or scaled_upper is None:
-        return lam * unit * size, accurate
+        lam, accurate = interior_point(A, b, scaled_upper, diagonal_bound * unit**2, warm, stop)
     return np.where(lam >= scaled_upper, upper, lam * unit * size), accurate  # exactly u if saturated
 
 
-def block_pivoting(A: Array, b: Array, start: Array, upper: Array | None = None) -> Array | None:
+def block_pivoting(A: Array, b: Array, start: Array, upper: Array) -> Array | None:
     """Exchange all wrong rows at once, later the worst ones; None if that cycles, or if rows are nearly dependent.
 
     An exchange of all rows is fast, but cycles on some programs. Most cycles end if only rows with at least half of the
     worst error are exchanged. Judice and Pires (1994) exchange a single row instead, which takes longer.
     """
-    slope, none = A @ start + b, np.zeros(len(b), dtype=bool)
-    saturated, above = none if upper is None else start >= upper, none
+    slope, saturated, soft = A @ start + b, start >= upper, np.isfinite(upper).any()
     active = ((start > 0) | (slope < 0)) & ~saturated
     for step in range(PIVOTING_STEPS):
         lam, rows, target = np.zeros(len(b)), active.nonzero()[0], b
-        if upper is not None and saturated.any():
+        if soft and saturated.any():
             lam[saturated] = upper[saturated]
             target = b + A[:, saturated] @ lam[saturated]
         if len(rows):
             factor, solution, failed = dposv(A.take(rows, 0).take(rows, 1), target[rows], lower=1)
-            if failed or factor.diagonal().min() < tol.PIVOTING_PIVOT:
+            if failed or factor.diagonal().min() < PIVOTING_PIVOT:
                 return None
             lam[rows] = -solution
         slope = A @ lam + b
-        error = np.where(active, -lam, -tol.WRONG_SLOPE - slope)
-        if upper is not None:
-            above = active & (lam > upper)
-            error = np.where(above, lam - upper, np.where(saturated, slope - tol.WRONG_SLOPE, error))
+        error = np.where(active, -lam, -WRONG_SLOPE - slope)
+        if soft:
+            error = np.where(active & (lam > upper), lam - upper, np.where(saturated, slope - WRONG_SLOPE, error))
         wrong = error > 0
         if not wrong.any():
             return lam
         if step >= STEPS_OF_ALL:  # multipliers and slopes are compared with their own kind
             worst = [error[kind].max(initial=0.0) for kind in (active, ~active)]
             wrong &= error >= WORST_SHARE * np.where(active, *worst)
-        if upper is not None:
-            saturated = np.where(wrong, above, saturated)
+        if soft:
+            saturated = np.where(wrong, lam > upper, saturated)
         active ^= wrong
     return None
 
 
 def interior_point(
-    A: Array,
-    b: Array,
-    diagonal_bound: Array | None,
-    stop: Callable[[], str | None] = lambda: None,
-    start: Array | None = None,
-    upper: Array | None = None,
+    A: Array, b: Array, upper: Array, diagonal_bound: Array, start: Array, stop: Stop = lambda: None
 ) -> tuple[Array, bool]:
     """Return (lam, whether it is accurate) by Mehrotra's predictor-corrector; arguments after b as in ``bounded_qp``.
 
@@ -131,9 +134,9 @@ def interior_point(
 
     Mehrotra (1992), On the implementation of a primal-dual interior point method.
     """
-    system, ridge, count = _thin_factor(A, diagonal_bound) or _Dense(A), tol.INTERIOR_RIDGE, len(b)
-    lam, least = (np.ones(count), 1.0) if start is None or not start.any() else (start, WARM)
-    caps = Caps(np.full(count, np.inf) if upper is None else upper)
+    system, ridge, count = _thin_factor(A, diagonal_bound) or _Dense(A), INTERIOR_RIDGE, len(b)
+    lam, least = (start, WARM) if start.any() else (np.ones(count), 1.0)
+    caps = Caps(upper)
     weights = caps.inside(lam, least)
     z = caps.slacks(system.times(weights[:count]) + b, weights, least)
     best = np.inf, weights, z
@@ -147,24 +150,24 @@ def interior_point(
         error = max(float(np.abs(defect).max()), mu) / (1 + float(lam.max()))
         if error < best[0]:
             best = error, weights, z
-        if error < tol.INTERIOR_SOLVED or not error <= tol.DIVERGED_ERROR * best[0] or stop():
+        if error < INTERIOR_SOLVED or not error <= DIVERGED_ERROR * best[0] or stop():
             break
         if not system.factor(caps.diagonal(weights, z) + ridge):
             ridge *= 100
-            if ridge > tol.LARGEST_RIDGE:
+            if ridge > LARGEST_RIDGE:
                 break
             continue
         _, weights, z, length = predictor_corrector(newton, weights, z, mu, max(TO_BOUNDARY, 1 - mu))
-        if length < tol.INTERIOR_ACCURATE:
+        if length < INTERIOR_ACCURATE:
             break
     error, weights, z = best
-    return _polish(system, b, caps, weights, z), error < tol.INTERIOR_ACCURATE
+    return _polish(system, b, caps, weights, z), error < INTERIOR_ACCURATE
 
 
 def _polish(system: _Dense | _Thin, b: Array, caps: Caps, weights: Array, z: Array) -> Array:
     """Return lam with zero slope on the active rows and the others at their bounds, if that lowers the slope."""
     active, lam = caps.split(weights, z)
-    if not active.any() or not system.factor(np.where(active, tol.INTERIOR_RIDGE, tol.HOLDING_DIAGONAL)):
+    if not active.any() or not system.factor(np.where(active, INTERIOR_RIDGE, HOLDING_DIAGONAL)):
         return lam
     polished = lam.copy()
     for _ in range(POLISHES):
@@ -239,7 +242,7 @@ def predictor_corrector(
     step length is 0 if the products l z have vanished: no step makes them smaller.
     """
     other, dw = newton(-weights * z)
-    if mu < tol.TINY:
+    if mu < TINY:
         return np.zeros_like(other), weights, z, 0.0
     dz = (-weights * z - z * dw) / weights
     length = min(1.0, _step_to_boundary(weights, dw, z, dz))
@@ -253,15 +256,15 @@ def predictor_corrector(
 
 def _step_to_boundary(weights: Array, dw: Array, z: Array, dz: Array) -> float:
     """Return the step at which the first entry of weights + step dw or z + step dz becomes zero."""
-    return 1 / max(tol.TINY, float((-dw / weights).max()), float((-dz / z).max()))
+    return 1 / max(TINY, float((-dw / weights).max()), float((-dz / z).max()))
 
 
-def _thin_factor(A: Array, diagonal_bound: Array | None) -> _Thin | None:
+def _thin_factor(A: Array, diagonal_bound: Array) -> _Thin | None:
     """Return A by a thin factor of A or of diag(diagonal_bound) - A; None if neither is known to have a low rank.
 
     The eigenvalues of A, relative to diag(diagonal_bound), are near 0 and 1: they add up to its rank.
     """
-    if diagonal_bound is None or len(A) <= LOW_RANK_ROWS or not (diagonal_bound > 0).all():
+    if len(A) <= LOW_RANK_ROWS or not (diagonal_bound > 0).all():
         return None
     share = float((np.diagonal(A) / diagonal_bound).mean())
     if min(share, 1 - share) > LARGEST_SHARE:
@@ -269,11 +272,11 @@ def _thin_factor(A: Array, diagonal_bound: Array | None) -> _Thin | None:
     base, sign = (np.zeros(len(A)), 1.0) if share < 1 - share else (diagonal_bound, -1.0)
     factored = sign * A  # symmetric: its transpose is in the order that LAPACK overwrites
     factored[np.diag_indices_from(A)] += base
-    factor, pivots, rank, _ = dpstrf(factored.T, tol=tol.RANK_TOLERANCE, lower=1, overwrite_a=1)
+    factor, pivots, rank, _ = dpstrf(factored.T, tol=RANK_TOLERANCE, lower=1, overwrite_a=1)
     V = np.empty((len(A), rank), order="F")
     V[pivots - 1] = np.tril(factor[:, :rank])
     missed = base + sign * (V * V).sum(1) - np.diagonal(A)
-    return _Thin(base, sign, V) if rank and np.abs(missed).max() < tol.LOW_RANK_ERROR else None
+    return _Thin(base, sign, V) if rank and np.abs(missed).max() < LOW_RANK_ERROR else None
 
 
 class _Dense:
@@ -351,7 +354,7 @@ class BorderedQp:
     weights: Array
     upper: Array
 
-    def solve(self, stop: Callable[[], str | None] = lambda: None) -> tuple[Array, Array, bool]:
+    def solve(self, stop: Stop = lambda: None) -> tuple[Array, Array, bool]:
         """Return the step p, the weights l, and whether they are accurate; the best iterate if ``stop`` ends it.
 
         The first attempt has no upper bounds: these are often far above the weights, and cost digits.
@@ -365,7 +368,7 @@ class BorderedQp:
         border, rows = np.split(units, [len(self.K)])
         parts = self.r * border, self.slack * rows, self.weights / rows
         size = max(1e-300, *(float(np.abs(part).max(initial=0.0)) for part in parts))
-        regular = np.where(np.arange(len(self.K)) < self.size, tol.QP_RIDGE, -tol.QP_RIDGE)
+        regular = np.where(np.arange(len(self.K)) < self.size, QP_RIDGE, -QP_RIDGE)
         scaled = BorderedQp(
             size=self.size,
             K=self.K * border * border[:, None] + np.diag(regular),
@@ -381,7 +384,7 @@ class BorderedQp:
         polished = None if stop() else _bordered_polish(scaled, active, at_bounds)
         weights, z = weights[: len(at_bounds)], z[: len(at_bounds)]
         if polished is None:
-            idle = tol.IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
+            idle = IDLE_WEIGHT * np.maximum(z, float(weights.max(initial=0.0)))
             weights = np.where(weights < idle, 0.0, weights)
         else:
             p, weights = polished
@@ -389,7 +392,7 @@ class BorderedQp:
         return p * border * size, weights, accurate
 
 
-def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> tuple[Array, Array, Array, bool]:
+def _bordered_interior_point(qp: BorderedQp, stop: Stop) -> tuple[Array, Array, Array, bool]:
     b, count = qp.C.shape
     caps, p = Caps(qp.upper), np.zeros(b)
     weights = caps.inside(np.ones(count), 1.0)
@@ -411,19 +414,19 @@ def _bordered_interior_point(qp: BorderedQp, stop: Callable[[], str | None]) -> 
         error = max(float(np.abs(r1).max()), float(np.abs(r2).max()), mu) / (1 + float(weights[:count].max()))
         if error < best[0]:
             best = error, p, weights, z
-        if (error < tol.BORDERED_SOLVED and mu < tol.BORDERED_COMPLEMENTARY) or not np.isfinite(error) or stop():
+        if (error < BORDERED_SOLVED and mu < BORDERED_COMPLEMENTARY) or not np.isfinite(error) or stop():
             break
         matrix[b:, b:] = -qp.S
-        matrix[diagonal, diagonal] -= caps.diagonal(weights, z) + tol.QP_RIDGE
+        matrix[diagonal, diagonal] -= caps.diagonal(weights, z) + QP_RIDGE
         factor, pivots, failed = dgetrf(matrix)
         if failed:
             break
         dp, weights, z, length = predictor_corrector(newton, weights, z, mu)
         p = p + dp
-        if length < tol.SHORTEST_STEP:
+        if length < SHORTEST_STEP:
             break
     error, p, weights, z = best
-    return p, weights, z, error < tol.BORDERED_ACCURATE
+    return p, weights, z, error < BORDERED_ACCURATE
 
 
 def _bordered_polish(qp: BorderedQp, active: Mask, at_bounds: Array) -> tuple[Array, Array] | None:
@@ -445,11 +448,11 @@ def _bordered_polish(qp: BorderedQp, active: Mask, at_bounds: Array) -> tuple[Ar
         exact[rows] = qp.weights[rows] + step[len(qp.r) :]
         if not np.isfinite(step).all():
             return None
-        sign = tol.ACTIVE_SIGN * max(1.0, float(exact.max(initial=0.0)))
+        sign = ACTIVE_SIGN * max(1.0, float(exact.max(initial=0.0)))
         below, above = exact < -sign, exact > qp.upper + sign
         if not (below | above).any():
             slack = qp.slack - qp.C.T @ p + qp.S @ (exact - qp.weights)
-            wrong = np.where(exact >= qp.upper, slack > tol.POLISHED_SLACK, slack < -tol.POLISHED_SLACK)
+            wrong = np.where(exact >= qp.upper, slack > POLISHED_SLACK, slack < -POLISHED_SLACK)
             return None if wrong.any() else (p, np.clip(exact, 0.0, qp.upper))
         active, at_bounds = active & ~(below | above), np.where(above, qp.upper, at_bounds * ~active)
     return None

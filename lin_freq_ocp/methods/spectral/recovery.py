@@ -16,7 +16,7 @@ from lin_freq_ocp.methods.spectral.exchange import ExchangeOutcome
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.reductions import SoftBounds, soft_sets
 from lin_freq_ocp.methods.spectral.spaces import bin_weights
-from lin_freq_ocp.methods.spectral.structure import Data, Structure, forces
+from lin_freq_ocp.methods.spectral.structure import Data
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.linked_ends import Periodic
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
@@ -24,7 +24,7 @@ from lin_freq_ocp.program.program_rows import bin_multipliers
 
 
 def trajectory(outcome: ExchangeOutcome, units: LtiUnits) -> Trajectory:
-    """Return the point in the user's units."""
+    """Return the trajectory in the user's units."""
     n, at = len(units.x), outcome.signals
     x = np.empty((at.y.shape[1] + 1, n))
     np.multiply(at.y[:n].T, units.x, out=x[:-1])
@@ -43,14 +43,14 @@ class LtiMultipliers:
     rho_x: ComplexArray  # ((T+1)//2 + 1, n)
 
 
-def recover(structure: Structure, data: Data, outcome: ExchangeOutcome, spectrum: ComplexArray) -> LtiMultipliers:
-    """Return the multipliers of an outcome with the spectrum of y; of its ray (eta_C = 0) if it has one."""
-    lti, ray, kkt, spaces, at = data.lti, outcome.ray, structure.kkt, structure.spaces, outcome.signals
-    working, zeta = (outcome.working, outcome.multipliers) if ray is None else (ray.working, ray.multipliers)
+def recover(data: Data, outcome: ExchangeOutcome) -> LtiMultipliers:
+    """Return the multipliers of an outcome; of its ray (eta_C = 0) if it has one."""
+    lti, ray, kkt, spaces, at = data.lti, outcome.ray, data.structure.kkt, data.structure.spaces, outcome.signals
+    working, zeta = (outcome.working, outcome.zeta) if ray is None else (ray.working, ray.zeta)
     n, near, eta_C = lti.state_dim, spaces.near, float(ray is None)
-    gradient, _ = forces(structure, lti, zeta, working)  # of the Lagrangian in (x, u)
+    gradient, _ = data.forces(zeta, working)  # of the Lagrangian in (x, u)
     if ray is None:
-        gradient += lti.M @ spectrum
+        gradient += lti.M @ at.spectrum
         if data.linear is not None:
             gradient += data.linear
     on_rows, fixed = np.zeros((len(lti.F), lti.horizon + 1)), slice(lti.start_points, len(kkt.point_t))

@@ -1,9 +1,7 @@
 """Pointwise rows: their violations, the working set, and their responses to each other's multipliers.
 
-docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations); the few rows that
-are presumed active form the working set (WorkingSet). Two classes save FFTs between rounds: on long horizons, kernels
-give the values of rows near the working rows (Neighbourhood); on short ones, the coupling of all bounded values is
-computed once (WholeHorizon).
+docs/spectral.md, 5 and 7. Row f at time t is F_f y_t. A round measures all rows by FFTs (Violations);
+the few rows that are presumed active form the working set (WorkingSet).
 """
 
 from __future__ import annotations
@@ -23,12 +21,7 @@ NEARLY_ACTIVE = 0.05  # relative distance inside a control's bound up to which s
 SMALL_VIOLATION = 0.3  # largest relative violation with which nearly active samples are significant
 LARGEST_SCALE = 1e3  # largest bound that violations are relative to; larger bounds count as this one
 ABSENT = -1.0  # violation of a row that cannot be violated
-LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 COPIES = 6  # dense matrices of the size of the working set that a small QP has at the same time
-NEIGHBOURHOOD_HORIZON = 10_000  # horizon from which kernels cost less than FFTs
-NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
-MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
-MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
 
 
 class Rows(NamedTuple):
@@ -51,19 +44,15 @@ class Rows(NamedTuple):
 
 def bounded_rows(rows: Rows, lti: Lti) -> Rows:
     """Return the rows that have a bound and are not fixed by an equation."""
-    t, f, sign, _ = rows
-    i = f % lti.state_dim
-    fixed = (t == 0) & (f < lti.state_dim) & ~np.isnan(lti.start[i]) | (t == lti.horizon) & ~np.isnan(lti.end[i])
-    bounded = np.isfinite(lti.bounds.at(t, f, sign)) & (lti.bounds.at(t, f, -1.0) < lti.bounds.at(t, f, 1.0))
-    return rows.take(bounded & ~fixed)
+    return rows.take(np.isfinite(lti.bounds.at(rows.t, rows.f, rows.sign)) & ~lti.is_fixed(rows.t, rows.f))
 
 
 class Violations:
     """Violation of the bounds, relative to them, of every bounded row of F at every time; negative inside.
 
     ``rows`` are the rows of F with a limit at some time. ``violation`` (bounded, T) is their violation at t < T,
-    ``last`` (n,) the violation of x_T, ``worst`` the largest. ``fixed_keys`` are f T + t of the rows that equations
-    fix. These rows, and saturated rows, whose price is paid, do not count as violated. ``possible``: some row may be.
+    ``last`` (n,) that of x_T, ``worst`` the largest. Rows that equations fix, and saturated rows, whose price is paid,
+    do not count as violated.
     """
 
     def __init__(self, lti: Lti):
@@ -72,23 +61,20 @@ class Violations:
         self.rows = np.flatnonzero(limited.any(1))
         self.lower, self.upper = _select_bounds(bounds.lower, self.rows), _select_bounds(bounds.upper, self.rows)
         self.state_rows: Mask = np.asarray(~lti.F[self.rows, n:].any(1))
+        self.free_end = np.isnan(lti.end)
+        # violations are relative to the largest bound of the row, that of x_T included
         largest = np.zeros(len(lti.F))
         largest[self.rows] = np.maximum(_largest_finite(self.lower), _largest_finite(self.upper))
-        self.free_end = np.isnan(lti.end)
         ends = np.where(self.free_end, [bounds.last_lower, bounds.last_upper], 0.0)
-        self.possible = len(self.rows) > 0 or bool(np.isfinite(ends[:, self.free_end]).any())
         largest[:n] = np.maximum(largest[:n], np.where(np.isfinite(ends), np.abs(ends), 0.0).max(0))
         self.scale = np.where(largest > 0, np.minimum(largest, LARGEST_SCALE), 1.0)
-        t, f = lti.fixed_points
-        f = np.concatenate([f, np.flatnonzero(~np.isnan(lti.start))])
-        t = np.concatenate([t, np.zeros(len(f) - len(t), dtype=np.intp)])
-        index = np.full(len(lti.F), -1)
-        index[self.rows] = np.arange(len(self.rows))
-        bounded = index[f] >= 0
-        self.fixed = index[f[bounded]], t[bounded]
-        self.fixed_keys = f * lti.horizon + t
+        self._index = np.full(len(lti.F), -1)  # of each row of F among the bounded ones
+        self._index[self.rows] = np.arange(len(self.rows))
+        (t, f), start = lti.fixed_points, np.flatnonzero(~np.isnan(lti.start))
+        t, index = np.append(t, 0 * start), self._index[np.append(f, start)]
+        self.fixed = index[index >= 0], t[index >= 0]
         self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
-        self._index, none = index, np.zeros(0, dtype=np.intp)
+        none = np.zeros(0, dtype=np.intp)
         self.set_saturated(none, none)
 
     def set_saturated(self, t: Indices, f: Indices) -> None:
@@ -170,21 +156,16 @@ def _largest_finite(bounds: Array) -> Array:
 class WorkingSet:
     """Rows G y <= limit, each sign F_f y_t, with multipliers ``weights`` l >= 0; at t = T, on free components of x_T.
 
-    Multipliers of soft rows are at most their ``prices``; a saturated row, whose multiplier is its price, is violated.
-
+    ``limits`` and ``prices`` (count,) are their right-hand sides and largest multipliers, infinite for hard rows.
     ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count), S_EW the decrease of the equations by unit
     forces on the rows. ``present`` (2, rows of F, T+1) is the mask of the rows, lower bounds first.
     """
 
-    def __init__(self, kkt: BorderedSystem):
-        self._kkt = kkt
-        self.t: Indices = np.zeros(0, dtype=np.intp)
-        self.f: Indices = np.zeros(0, dtype=np.intp)
-        self.sign: Array = np.zeros(0)
-        self.weights: Array = np.zeros(0)
-        self.coupling: Array = np.zeros((len(kkt.matrix), 0))
-        self._cached_gram: Array | None = None
-        self.present = np.zeros((2, len(kkt.lti.F), kkt.lti.horizon + 1), dtype=bool)
+    def __init__(self, kkt: BorderedSystem, lti: Lti):
+        self._kkt, self._lti, none = kkt, lti, np.zeros(0, dtype=np.intp)
+        self.t, self.f, self.sign = none, none, np.zeros(0)
+        self.present = np.zeros((2, len(lti.F), lti.horizon + 1), dtype=bool)
+        self.replace(Rows(none, none, np.zeros(0)), np.zeros((len(kkt.matrix), 0)))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -192,7 +173,7 @@ class WorkingSet:
     @property
     def inner(self) -> Mask:
         """Which rows act at t < T."""
-        return self.t < self._kkt.lti.horizon
+        return self.t < self._lti.horizon
 
     def rows(self) -> Rows:
         """Return the rows with their weights."""
@@ -210,15 +191,9 @@ class WorkingSet:
         t, f, sign = t[new], f[new], sign[new]
         if not len(t):
             return 0
-        kkt, inner = self._kkt, t < self._kkt.lti.horizon
-        columns = np.zeros((len(self.coupling), len(t)))
-        columns[: kkt.size, inner] = kkt.values(t[inner], f[inner]).T
-        columns[kkt.size :, inner] = -kkt.responses(t[inner], f[inner])
-        free = np.flatnonzero(~inner)
-        columns[kkt.at_end[np.searchsorted(kkt.free_end, f[free])], free] = 1.0
         indices, signs = (np.append(self.t, t), np.append(self.f, f)), np.append(self.sign, sign)
         rows = Rows(*indices, signs, np.append(self.weights, np.zeros(len(t))))
-        self.replace(rows, np.hstack([self.coupling, columns * sign]))
+        self.replace(rows, np.hstack([self.coupling, self._kkt.coupling(t, f) * sign]))
         return len(t)
 
     def keep(self, chosen: Mask) -> None:
@@ -234,7 +209,10 @@ class WorkingSet:
         self.t, self.f, self.sign = rows.t, rows.f, rows.sign
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
         self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
-        self.coupling, self._cached_gram = coupling, None
+        self.coupling = coupling
+        self.limits = self.sign * self._lti.bounds.at(self.t, self.f, self.sign)
+        self.prices = self._lti.prices.at(self.t, self.f, self.sign)
+        self._cached_gram: Array | None = None
 
     @property
     def gram(self) -> Array:
@@ -258,134 +236,18 @@ class WorkingSet:
         S += gram
         return Z, S
 
-    def limits(self, lti: Lti) -> Array:
-        """Return the right-hand sides of the rows, shape (count,)."""
-        return self.sign * lti.bounds.at(self.t, self.f, self.sign)
+    @property
+    def saturated(self) -> Mask:
+        """Which multipliers are the price of their row: these rows are violated."""
+        return self.weights >= self.prices
 
-    def prices(self, lti: Lti) -> Array | None:
-        """Return the largest multipliers of the rows, (count,), infinite for hard rows; None if all are hard."""
-        return None if lti.prices is None else lti.prices.at(self.t, self.f, self.sign)
-
-    def saturated(self, lti: Lti) -> Mask:
-        """Return the rows whose multiplier is their price, (count,)."""
-        prices = self.prices(lti)
-        return np.zeros(len(self), dtype=bool) if prices is None else self.weights >= prices
-
-    def slacks(self, lti: Lti, y: Array, last: Array) -> Array:
+    def slacks(self, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
         at_end = np.flatnonzero(~self.inner)
-        values = lti.row_values(y, np.minimum(self.t, lti.horizon - 1), self.f)
+        values = self._lti.row_values(y, np.minimum(self.t, self._lti.horizon - 1), self.f)
         values[at_end] = last[self.f[at_end]]
-        return self.limits(lti) - self.sign * values
+        return self.limits - self.sign * values
 
     def free_response(self) -> Array:
         """Return the response of each row to a unit force on it, without equations, (count,)."""
         return self._kkt.kernels.free_response(self.t, self.f)
-
-
-def neighbourhood_of(kkt: BorderedSystem, violations: Violations, working: WorkingSet) -> Neighbourhood | None:
-    """Return the samples around the working rows; None if these are absent, many or soft, or the horizon is short."""
-    T, inner = violations.lti.horizon, working.inner
-    if T < NEIGHBOURHOOD_HORIZON or violations.lti.prices is not None:
-        return None
-    window = np.arange(-NEIGHBOURHOOD_WINDOW, NEIGHBOURHOOD_WINDOW + 1)
-    times = (working.t[inner, None] + window).clip(0, T - 1)
-    keys = np.unique((working.f[inner, None] * T + times).ravel())
-    return Neighbourhood(kkt, violations, keys % T, keys // T) if 0 < len(keys) <= MOST_NEIGHBOURS else None
-
-
-class Neighbourhood:
-    """Rows F_f y_t, t < T, with both their bounds, in the order of f, then t."""
-
-    def __init__(self, kkt: BorderedSystem, violations: Violations, t: Indices, f: Indices):
-        lti = violations.lti
-        lower, upper = lti.bounds.at(t, f, -1.0), lti.bounds.at(t, f, 1.0)
-        free = (np.isfinite(lower) | np.isfinite(upper)) & ~np.isin(f * lti.horizon + t, violations.fixed_keys)
-        t, f = t[free], f[free]
-        self._kkt, self.t, self.f = kkt, t, f
-        self._lower, self._upper, self._scale = lower[free], upper[free], violations.scale[f]
-        self._is_state = ~lti.F[f, lti.state_dim :].any(1)
-        self._coupling = np.hstack([kkt.values(t, f), -kkt.responses(t, f).T])
-
-    def entering(
-        self, y: Array, working: WorkingSet, step: Array, weights: Array, tolerance: float
-    ) -> tuple[Indices, Indices, Array]:
-        """Return (t, f, sign) of the rows to add: a bordering step with new weights violates these."""
-        kkt, inner = self._kkt, working.inner
-        values = kkt.lti.row_values(y, self.t, self.f) + self._coupling @ step
-        change = working.sign * (weights - working.weights)
-        acting = np.flatnonzero(inner & (change != 0))
-        values -= kkt.kernels.gram(self.t, self.f, working.t[acting], working.f[acting]) @ change[acting]
-        above, below = values - self._upper, self._lower - values
-        violation = np.maximum(above, below) / self._scale
-        # violated peaks of states, and violated or nearly active samples of the others
-        worst = float(violation.max(initial=0.0))
-        entering = violation > np.where(self._is_state, tolerance, entering_violation(worst, tolerance))
-        if self._is_state.any():
-            follows = (np.diff(self.t) == 1) & (np.diff(self.f) == 0)
-            before, after = (np.where(follows, side, -np.inf) for side in (violation[:-1], violation[1:]))
-            peaks = (violation >= np.append(-np.inf, before)) & (violation >= np.append(after, -np.inf))
-            entering &= ~self._is_state | peaks
-        chosen = np.flatnonzero(entering & (not worst <= tolerance))
-        return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
-
-
-class ActiveSetDuals(NamedTuple):
-    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
-
-    indices: Indices
-    sign: Array
-    weights: Array
-    rounds: int = 0
-    accurate: bool = True
-
-
-class WholeHorizon:
-    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
-
-    ``coupling`` (size + equations, values) is as in WorkingSet, ``through`` is K_b^{-1} times that.
-    """
-
-    def __init__(self, kkt: BorderedSystem, rows: Indices):
-        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
-        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
-        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
-        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
-        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
-        self._row_index[rows] = np.arange(len(rows))
-        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
-        self.coupling[:, : self._inner] = kkt.values_at_all_times(rows).reshape(-1, self._inner)
-        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
-        self.through = kkt.inverse @ self.coupling
-        self._spaces = kkt.kernels.of_rows(rows)
-
-    def flat_indices(self, t: Indices, f: Indices) -> Indices:
-        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self.kernels.lti.horizon
-        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
-
-    def duals(self, rows: Rows) -> ActiveSetDuals:
-        """Return the rows by flat indices."""
-        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
-        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
-        return ActiveSetDuals(indices, rows.sign[once], weights)
-
-    def gram(self, index: Indices) -> Array:
-        """Return S of some values."""
-        S = self.coupling[:, index].T @ self.through[:, index]
-        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
-
-    def rows_of(self, duals: ActiveSetDuals) -> Rows:
-        """Return the rows of some values."""
-        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
-
-    def response(self, index: Indices, mu: Array) -> Array:
-        """Return S mu of all values, for multipliers mu of the values ``index``."""
-        pulses = np.zeros(len(self.t))
-        pulses[index] = mu
-        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
-        acting = pulses.any(1)
-        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
-        values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
-        return values

@@ -16,13 +16,19 @@ from lin_freq_ocp.base.interrupts import interrupts_noted
 from lin_freq_ocp.base.resources import one_blas_thread
 from lin_freq_ocp.base.status import Status
 from lin_freq_ocp.methods.candidate import Candidate, contradiction_at_ends, require_convex
-from lin_freq_ocp.methods.spectral import tolerances as tol
-from lin_freq_ocp.methods.spectral.exchange import Exchange, ExchangeOutcome, Stop, deadline, first_working_set
+from lin_freq_ocp.methods.spectral.exchange import (
+    VIOLATION_TOLERANCE,
+    Exchange,
+    ExchangeOutcome,
+    deadline,
+    first_working_set,
+)
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits, lti_problem, natural_units, refusal, revised_units
+from lin_freq_ocp.methods.spectral.qp import Stop
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units, recover, trajectory
 from lin_freq_ocp.methods.spectral.reductions import row_form
 from lin_freq_ocp.methods.spectral.rows import Rows
-from lin_freq_ocp.methods.spectral.structure import Structure, data_of
+from lin_freq_ocp.methods.spectral.structure import Data, Structure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.base import ConvexSet
 from lin_freq_ocp.problem.sets.box import SetOrSets
@@ -56,6 +62,32 @@ class SpectralSolution(Candidate):
     problem: OptimalControlProblem | None = None
     active: Rows | None = None
     rounds: int = 0
+
+
+class _SetUp:
+    """All that does not depend on data, in the given units."""
+
+    def __init__(self, problem: OptimalControlProblem, units: LtiUnits):
+        started = now()
+        with one_blas_thread:
+            self.units, self.lti = units, lti_problem(problem, units)
+            try:
+                self.structure = Structure(self.lti)
+            except np.linalg.LinAlgError as error:
+                text = f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
+                raise UnsupportedError(text) from None
+        self.coarser: dict[int, Structure] = {}
+        self.seconds = now() - started
+
+    def exchange(
+        self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop
+    ) -> tuple[ExchangeOutcome, LtiMultipliers]:
+        """Exchange from the first working rows; without any, from a guess. Recover the multipliers."""
+        if first is None:
+            first = first_working_set(lti, stop, self.coarser)
+        data = Data(self.structure, lti)
+        outcome = Exchange(data, first, tolerance, stop).run()
+        return outcome, recover(data, outcome)
 
 
 class SpectralSolver:
@@ -98,7 +130,7 @@ class SpectralSolver:
             raise UnsupportedError(f"method 'spectral': {reason}. Use method 'convex'.")
         self.problem = problem
         self._lock = threading.RLock()
-        self._set_up(natural_units(problem))
+        self._set_up = _SetUp(problem, natural_units(problem))
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state without the lock, for another process."""
@@ -107,27 +139,6 @@ class SpectralSolver:
     def __setstate__(self, state: dict[str, object]) -> None:
         """Restore the state, with a new lock."""
         self.__dict__.update(state, _lock=threading.RLock())
-
-    def _set_up(self, units: LtiUnits) -> None:
-        """Compute everything that does not depend on data, in the given units."""
-        started = now()
-        with one_blas_thread:
-            self._units, self._lti = units, lti_problem(self.problem, units)
-            try:
-                self._structure = Structure(self._lti)
-            except np.linalg.LinAlgError as error:
-                text = f"method 'spectral': the data are too badly scaled ({error}). Use method 'convex'."
-                raise UnsupportedError(text) from None
-        self._coarser: dict[int, Structure] = {}
-        self.setup_seconds = now() - started
-
-    @classmethod
-    def _in_units(cls, problem: OptimalControlProblem, units: LtiUnits) -> SpectralSolver:
-        """Return a solver for the same problem, set up in other units."""
-        solver = cls.__new__(cls)
-        solver.problem = problem
-        solver._set_up(units)
-        return solver
 
     def solve(
         self,
@@ -188,20 +199,19 @@ class SpectralSolver:
             if ray is not None:
                 message, seconds = "an end lies outside the state set", {"setup": 0.0, "solve": now() - started}
                 return SpectralSolution(Status.INFEASIBLE, ray=ray, message=message, seconds=seconds, problem=problem)
-            first, allowed = None, tolerance or tol.VIOLATION_TOLERANCE
+            first, allowed = None, tolerance or VIOLATION_TOLERANCE
             if warm_start is not None:
                 self._require_same_shape(warm_start)
                 first = warm_start.active
             with one_blas_thread, interrupts_noted() as interrupt, np.errstate(all="ignore"):
                 stop = deadline(time_limit, interrupt.is_set)
-                answer = outcome, _ = self._exchange(lti, first, allowed, stop)
-                units = revised_units(self._units, outcome.signals.y) if outcome.status == "optimal" else None
+                answer = outcome, _ = self._set_up.exchange(lti, first, allowed, stop)
+                units = revised_units(self._set_up.units, outcome.signals.y) if outcome.status == "optimal" else None
                 if units is not None:  # the first units were wrong
-                    better = SpectralSolver._in_units(self.problem, units)
-                    second = better._exchange(lti_problem(problem, units), None, allowed, stop)
+                    better = _SetUp(self.problem, units)
+                    second = better.exchange(lti_problem(problem, units), None, allowed, stop)
                     if second[0].status == "optimal":
-                        self.__dict__.update(better.__dict__)
-                        answer = second
+                        self._set_up, answer = better, second
                 return replace(self._solution(problem, *answer, started), interrupted=interrupt.is_set())
 
     def solve_similar(self, problem: OptimalControlProblem, time_limit: float | None = None) -> SpectralSolution:
@@ -213,9 +223,9 @@ class SpectralSolver:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
         if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
             raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
-        problem = known or change.apply(self.problem)
+        problem, own, units = known or change.apply(self.problem), self._set_up.lti, self._set_up.units
         if problem is self.problem:
-            return self.problem, self._lti
+            return problem, own
         initial_state, terminal_state = change.initial_state, change.terminal_state
         ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
         new_sets = [entry for sets in (change.bounds or {}).values() for entry in entries_of(sets)]
@@ -224,20 +234,17 @@ class SpectralSolver:
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
         data = change.bounds or change.references or change.disturbance is not None
         all_data = data or (initial_state is None and terminal_state is None)
-        ends_only = not (all_data or (terminal_state is not None and self._lti.prices is not None))
-        lti = self._lti.with_ends(problem.ends, self._units.x) if ends_only else None
-        lti = lti or lti_problem(problem, self._units)
-        if lti.periodic != self._lti.periodic:
+        ends_only = not (all_data or (terminal_state is not None and own.soft))
+        lti = own.with_ends(problem.ends, units.x) if ends_only else None
+        lti = lti or lti_problem(problem, units)
+        if lti.periodic != own.periodic:
             expected = "None: the ends are periodic"
             raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
-        for field, old, new in (
-            ("initial_state", self._lti.start, lti.start),
-            ("terminal_state", self._lti.end, lti.end),
-        ):
+        for field, old, new in (("initial_state", own.start, lti.start), ("terminal_state", own.end, lti.end)):
             if not np.array_equal(np.isnan(old), np.isnan(new)):
                 got = "other fixed components than in the problem"
                 raise ProblemError(field, got, "the same ones", "Make a new SpectralSolver.")
-        points = zip(self._lti.fixed_points, lti.fixed_points, strict=True)
+        points = zip(own.fixed_points, lti.fixed_points, strict=True)
         if not all(old is new or np.array_equal(old, new) for old, new in points):
             got = "other values fixed by lower == upper"
             raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
@@ -254,33 +261,23 @@ class SpectralSolver:
             expected = f"{shape}, a solution of this problem"
             raise ProblemError("warm_start", f"(horizon, states, controls, joint rows) = {got}", expected)
 
-    def _exchange(
-        self, lti: Lti, first: Rows | None, tolerance: float, stop: Stop
-    ) -> tuple[ExchangeOutcome, LtiMultipliers]:
-        """Exchange from the first working rows; without any, from a guess. Recover the multipliers."""
-        if first is None:
-            first = first_working_set(lti, stop, self._coarser)
-        exchange = Exchange(self._structure, data_of(self._structure, lti), first, tolerance, stop)
-        outcome = exchange.run()
-        return outcome, recover(self._structure, exchange.data, outcome, exchange.spectrum)
-
     def _solution(
         self, problem: OptimalControlProblem, outcome: ExchangeOutcome, scaled: LtiMultipliers, started: float
     ) -> SpectralSolution:
         """Return the solution in the user's units; infinite numbers are a numerical error."""
         status, message = Status(outcome.status), outcome.message
         finite = all(np.isfinite(part).all() for part in (scaled.eta, scaled.band, scaled.rho_x))
-        multipliers = in_units(problem, self._lti, self._units, scaled) if finite else None
+        multipliers = in_units(problem, self._set_up.lti, self._set_up.units, scaled) if finite else None
         if multipliers is None:
             status, message = Status.NUMERICAL_ERROR, f"{message}, with numbers that are not finite"
         infeasible = status == Status.INFEASIBLE
         return SpectralSolution(
             status=status,
-            trajectory=None if infeasible or not finite else trajectory(outcome, self._units),
+            trajectory=None if infeasible or not finite else trajectory(outcome, self._set_up.units),
             multipliers=None if infeasible else multipliers,
             ray=multipliers if infeasible else None,
             message=message,
-            seconds={"setup": self.setup_seconds, "solve": now() - started},
+            seconds={"setup": self._set_up.seconds, "solve": now() - started},
             problem=problem,
             active=None if infeasible else outcome.working.rows().active(),
             rounds=outcome.rounds,
@@ -289,9 +286,9 @@ class SpectralSolver:
     @property
     def units(self) -> LtiUnits:
         """Return the units of the method: revised ones after a solve that showed others to be wrong."""
-        return self._units
+        return self._set_up.units
 
     @property
     def lti(self) -> Lti:
         """Return the problem in these units."""
-        return self._lti
+        return self._set_up.lti

@@ -22,12 +22,22 @@ from scipy.linalg import schur
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.errors import UnsupportedError
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.model import Lti
 
 MOST_BORDERING = 128  # directions of small cost; of more, only the smallest become bordering unknowns, which are dense
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
-
+NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
+NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent
+# Relative singular value of F_k below which its direction may become a bordering unknown ...
+SMALL_SINGULAR_VALUE = 1e-5
+LEAST_DIVISOR = 1e-11  # ... and below which it always does: fewer than five digits of it are known
+# ... unless the distance to every eigenvalue, times T, is above this: |1 - (lambda / z)^T| is then of order 1, or
+# |lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Few bins per eigenvalue are nearer.
+RESOLVED_PHASE = 10.0
+ZERO_SINGULAR_VALUE = 1e-13  # relative singular value that is rounding; as a number it would decide the answer
+SMALL_HESSIAN = 1e-4  # cost of a null direction, relative to a control's, below which it may be a bordering unknown ...
+LEAST_HESSIAN = 1e-10  # ... and below which it always does
+SINGULAR_HESSIAN = 1e-13  # relative eigenvalue of N^*MN at which the cost does not see a direction: refused
 
 FLAT_COST = (
     "method 'spectral': some direction that the bands allow costs nothing (R singular); "
@@ -111,9 +121,9 @@ class NearBins:
                 h, vectors = np.linalg.eigh(cost)
                 self.null[members, :, :columns], self.cost[members, :columns] = null @ vectors, h
         largest = np.maximum(1.0, self.sigma[:, :1])
-        self.sigma[self.sigma < tol.ZERO_SINGULAR_VALUE * largest] = 0.0
-        resolved = lti.horizon * distance[k, None] > tol.RESOLVED_PHASE
-        self.good = self.sigma > np.where(resolved, tol.LEAST_DIVISOR, tol.SMALL_SINGULAR_VALUE) * largest
+        self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
+        resolved = lti.horizon * distance[k, None] > RESOLVED_PHASE
+        self.good = self.sigma > np.where(resolved, LEAST_DIVISOR, SMALL_SINGULAR_VALUE) * largest
         self._inverse = np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.good)
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
@@ -153,10 +163,10 @@ class BinSpaces:
         distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
         for eigenvalue in self.resolvent.eigenvalues:
             np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
-        close = np.flatnonzero(distance < tol.NEAR_RADIUS)
+        close = np.flatnonzero(distance < NEAR_RADIUS)
         with np.errstate(all="ignore"):
             size = self.resolvent.size(self.z[close])
-        self.near = NearBins(lti, close[~(size < tol.NEAR_RESOLVENT)], self.z, distance)
+        self.near = NearBins(lti, close[~(size < NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.compatibility: list[CompatibilityEquation] = []
         self._choose_bordering_directions()
@@ -176,7 +186,7 @@ class BinSpaces:
         V, M = N[weighted], lti.M[weighted, weighted]
         H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), times_columns(M, V)), dtype=np.complex128)
         if m == 1:  # several are checked below
-            rounding = tol.SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
+            rounding = SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
             if (H[:, 0, 0].real <= rounding)[passed[0]].any():
                 raise UnsupportedError(FLAT_COST)
         H[:, np.arange(m), np.arange(m)] += ~passed.T
@@ -190,7 +200,7 @@ class BinSpaces:
             factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
             raise UnsupportedError(FLAT_COST) from None
-        if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= tol.SINGULAR_HESSIAN:
+        if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= SINGULAR_HESSIAN:
             raise UnsupportedError(FLAT_COST)
         return np.einsum("iak,kba->ibk", N, (np.linalg.inv(factor) / sizes[:, None]).conj())
 
@@ -199,7 +209,7 @@ class BinSpaces:
         near, unit = self.near, self.lti.curvature_unit
         costs = near.cost[np.isfinite(near.cost)]
         smallest = np.sort(costs)[MOST_BORDERING] if len(costs) > MOST_BORDERING else np.inf
-        regular = near.cost > unit * max(tol.LEAST_HESSIAN, min(tol.SMALL_HESSIAN, smallest / unit))
+        regular = near.cost > unit * max(LEAST_HESSIAN, min(SMALL_HESSIAN, smallest / unit))
         scaled = near.null / np.sqrt(np.where(regular, near.cost, np.inf))[:, None, :]
         self.N[:, :, near.k] = scaled.transpose(1, 2, 0)
         small, column = np.nonzero(~regular)

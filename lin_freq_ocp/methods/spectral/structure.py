@@ -1,35 +1,37 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
-Together they determine the optimal point for given bordering unknowns and forces, its residual in the equations, and
-Farkas rays of infeasible data (docs/spectral.md, 1 to 5 and 10).
+Data return the signals that are optimal for given theta, zeta and weights, and their residual in the equations
+(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
-from lin_freq_ocp.methods.spectral import tolerances as tol
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import bounded_qp
-from lin_freq_ocp.methods.spectral.rows import MOST_VALUES, Violations, WholeHorizon, WorkingSet
+from lin_freq_ocp.methods.spectral.qp import Stop, bounded_qp
+from lin_freq_ocp.methods.spectral.rows import WorkingSet
+from lin_freq_ocp.methods.spectral.shortcuts import MOST_VALUES, WholeHorizon
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
+RAY_TOLERANCE = 1e-6  # stationarity of a ray, relative to its multipliers
+RAY_VALUE = 100.0  # times that, its least value: less may be rounding
+DECIDED_RESPONSE = 1e-11  # part of a row's own response left by the equations below which they alone decide the row
+DECIDED_VIOLATION = 1e-8  # violation, relative to the bound, of a row that the equations decide
+CONFLICT_TAU = 1e-4  # tau of the homogeneous dual (1: rows are consistent, 0: they conflict) below which they conflict
+TINY_SQUARED = 1e-150  # keeps the scale of a violation of exactly zero finite when squared
 
 
 class Structure:
     """Null spaces, kernels and bordered KKT system of a problem.
 
     They depend on A, B, M, F, the bands, and the choice of free components at the ends.
-
-    ``diagonal_bound`` (rows of F,) is 1/R for control rows and 0 for others if diag(1/R) - S >= 0: R is diagonal, and
-    the cost has no products of states and controls.
     """
 
     def __init__(self, lti: Lti):
@@ -52,11 +54,6 @@ class Structure:
         self.spaces = BinSpaces(lti)
         self.kernels = CirculantKernels(lti, self.spaces)
         self.kkt = BorderedSystem(lti, self.spaces, self.kernels)
-        R = lti.M[n:, n:]
-        self.diagonal_bound: Array | None = None
-        if not lti.M[:n, n:].any() and np.array_equal(R, np.diag(np.diagonal(R))) and np.diagonal(R).all():
-            self.diagonal_bound = np.zeros(len(lti.F))
-            self.diagonal_bound[n:dimension] = 1 / np.diagonal(R)
         self._whole: WholeHorizon | None = None
 
     def whole_horizon(self, rows: Indices) -> WholeHorizon | None:
@@ -73,108 +70,89 @@ class Structure:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
-    """The quantities that depend on ends, linear terms, offsets and bounds."""
-
-    lti: Lti
-    base: ComplexArray  # spectrum of y without forces and bordering unknowns, (n+m, bins)
-    linear: ComplexArray | None  # spectrum of h, (n+m, bins)
-    h: Array  # gradient in theta at 0, (size,)
-    e: Array  # right-hand sides of the equations, (equations,)
-
-
-def data_of(structure: Structure, lti: Lti) -> Data:
-    """Return the data of ``lti``, whose structure must be the given one."""
-    spaces, kkt = structure.spaces, structure.kkt
-    start, end = lti.ends
-    jump: ComplexArray = spaces.z * (start - end)[:, None]
-    if lti.offset is not None:
-        jump += np.fft.rfft(lti.offset)
-    linear = None if lti.linear is None else np.fft.rfft(lti.linear)
-    base = spaces.particular(jump[:, None])[:, 0]
-    h = kkt.gradient(lti.M @ base + (0 if linear is None else linear))
-    h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
-    if linear is not None:
-        base -= spaces.project(linear[:, None])[:, 0]
-    return Data(lti, base, linear, h, kkt.right_hand_side(lti, jump))
-
-
-@dataclass(frozen=True, eq=False)
 class Signals:
-    """A point: it satisfies the dynamics and the control bands to rounding."""
+    """A trajectory that satisfies the dynamics and the control bands to rounding."""
 
     y: Array  # (x_t, u_t), (n+m, T)
     last: Array  # x_T
+    spectrum: ComplexArray  # of y, (n+m, bins)
 
 
-def signals(
-    structure: Structure, data: Data, theta: Array, multipliers: Array, working: WorkingSet
-) -> tuple[Signals, ComplexArray]:
-    """Return the optimum over all bins for given bordering unknowns and forces, and the spectrum of y, (n+m, bins).
+class Data:
+    """One solve's ends, linear terms, offsets and bounds: those of ``lti``, whose structure must be the given one.
 
-    y_k = base_k - N_k N_k^* (G'l + E'zeta)_k + (responses to theta): docs/spectral.md, (3).
+    ``base`` (n+m, bins) are the c_k, the spectrum of y without forces and theta, ``linear`` the spectrum of h_t,
+    ``h`` (size,) the gradient in theta at 0, and ``e`` (equations,) the right-hand sides.
     """
-    lti, spaces, kkt = data.lti, structure.spaces, structure.kkt
-    spectrum = data.base.copy()
-    if len(working) or multipliers.any():
-        spaces.respond(*forces(structure, lti, multipliers, working), spectrum)
-    kkt.add(theta[:, None], spectrum[:, None])
-    y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
-    if lti.periodic:
-        last[:] = y[: lti.state_dim, 0]
-    last[kkt.free_end] = theta[kkt.at_end]
-    return Signals(y, last), spectrum
 
+    def __init__(self, structure: Structure, lti: Lti):
+        self.structure, self.lti = structure, lti
+        spaces, kkt = structure.spaces, structure.kkt
+        start, end = lti.ends
+        jump: ComplexArray = spaces.z * (start - end)[:, None]
+        if lti.offset is not None:
+            jump += np.fft.rfft(lti.offset)
+        self.linear = None if lti.linear is None else np.fft.rfft(lti.linear)
+        self.base = spaces.particular(jump[:, None])[:, 0]
+        self.h = kkt.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
+        self.h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
+        if self.linear is not None:
+            self.base -= spaces.project(self.linear[:, None])[:, 0]
+        self.e = kkt.right_hand_side(lti, jump)
 
-def forces(structure: Structure, lti: Lti, multipliers: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
-    """Return the spectrum of G'l + E'zeta, zeta the ``multipliers`` of the equations, and the mask of components."""
-    kkt, dimension = structure.kkt, len(lti.M)
-    pulses = np.zeros((len(lti.F), lti.horizon))
-    inner = working.inner
-    np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
-    np.add.at(pulses, (kkt.point_f, kkt.point_t), multipliers[: len(kkt.point_t)])
-    force, joint = np.split(pulses, [dimension])
-    if joint.any():
-        force += lti.F[dimension:].T @ joint
-    used: Mask = np.asarray(force.any(1))
-    spectrum = np.zeros((dimension, len(structure.spaces.z)), dtype=np.complex128)
-    if used.any():
-        spectrum[used] = np.fft.rfft(force if used.all() else force[used])
-    if len(kkt.bands):
-        on_bands = multipliers[-len(kkt.bands) :]
-        for i in kkt.band_components:
-            of_component = kkt.band_component == i
-            spectrum[i] += on_bands[of_component] @ kkt.band_hat[of_component]
-            used[i] = True
-    return spectrum, used
+    def signals(self, theta: Array, zeta: Array, working: WorkingSet) -> Signals:
+        """Return the optimum over all bins for given theta, and forces of equations and working rows.
 
+        y_k = base_k - N_k N_k^* (G'l + E'zeta)_k + (responses to theta): docs/spectral.md, (3).
+        """
+        lti, kkt, spectrum = self.lti, self.structure.kkt, self.base.copy()
+        if len(working) or zeta.any():
+            self.structure.spaces.respond(*self.forces(zeta, working), spectrum)
+        kkt.add(theta[:, None], spectrum[:, None])
+        y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
+        if lti.periodic:
+            last[:] = y[: lti.state_dim, 0]
+        last[kkt.free_end] = theta[kkt.at_end]
+        return Signals(y, last, spectrum)
 
-def equation_residual(structure: Structure, data: Data, theta: Array, at: Signals) -> Array:
-    """Return e - E(x, theta), measured on the signals where possible."""
-    kkt, points = structure.kkt, len(structure.kkt.point_t)
-    residual = data.e - kkt.E @ theta
-    residual[:points] = data.e[:points] - at.y[kkt.point_f, kkt.point_t]
-    residual[kkt.free_start] += theta[kkt.at_start]
-    if len(kkt.bands):
-        before_end = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
-        residual[-len(kkt.bands) :] = -before_end - kkt.bands[:, -1] * at.last[kkt.band_component]
-    return residual
+    def forces(self, zeta: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
+        """Return the spectrum of G'l + E'zeta, (n+m, bins), and the mask of its components that are not zero."""
+        lti, kkt, dimension = self.lti, self.structure.kkt, len(self.lti.M)
+        pulses = np.zeros((len(lti.F), lti.horizon))
+        inner = working.inner
+        np.add.at(pulses, (working.f[inner], working.t[inner]), (working.sign * working.weights)[inner])
+        np.add.at(pulses, (kkt.point_f, kkt.point_t), zeta[: len(kkt.point_t)])
+        force, joint = np.split(pulses, [dimension])
+        if joint.any():
+            force += lti.F[dimension:].T @ joint
+        used: Mask = np.asarray(force.any(1))
+        spectrum = np.zeros((dimension, len(self.structure.spaces.z)), dtype=np.complex128)
+        if used.any():
+            spectrum[used] = np.fft.rfft(force if used.all() else force[used])
+        if len(kkt.bands):
+            on_bands = zeta[-len(kkt.bands) :]
+            for i in kkt.band_components:
+                of_component = kkt.band_component == i
+                spectrum[i] += on_bands[of_component] @ kkt.band_hat[of_component]
+                used[i] = True
+        return spectrum, used
 
+    def residual(self, theta: Array, at: Signals) -> Array:
+        """Return e - E(x, theta), measured on the signals where possible."""
+        kkt, points = self.structure.kkt, len(self.structure.kkt.point_t)
+        residual = self.e - kkt.E @ theta
+        residual[:points] = self.e[:points] - at.y[kkt.point_f, kkt.point_t]
+        residual[kkt.free_start] += theta[kkt.at_start]
+        if len(kkt.bands):
+            before_end = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
+            residual[-len(kkt.bands) :] = -before_end - kkt.bands[:, -1] * at.last[kkt.band_component]
+        return residual
 
-def _point_without_forces(structure: Structure, data: Data) -> tuple[Signals, Array]:
-    """Return the point c without forces, and the residual of the equations there."""
-    theta = np.zeros(structure.kkt.size)
-    c, _ = signals(structure, data, theta, np.zeros(len(data.e)), WorkingSet(structure.kkt))
-    return c, equation_residual(structure, data, theta, c)
-
-
-def unconstrained_point(
-    structure: Structure, data: Data, violations: Violations, whole: WholeHorizon
-) -> tuple[Array, Array]:
-    """Return the point without working rows: the step of (theta, zeta), to the accuracy of K_b, and bounded values."""
-    at, residual = _point_without_forces(structure, data)
-    step = structure.kkt.inverse @ np.concatenate([-data.h, residual])
-    return step, np.append(violations.values(at.y), at.last) + step @ whole.coupling
+    def without_forces(self) -> tuple[Signals, Array]:
+        """Return the trajectory c with theta = 0 and without forces, and its residual."""
+        kkt, theta = self.structure.kkt, np.zeros(self.structure.kkt.size)
+        c = self.signals(theta, np.zeros(len(self.e)), WorkingSet(kkt, self.lti))
+        return c, self.residual(theta, c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,82 +165,67 @@ class Ray:
     """
 
     working: WorkingSet
-    multipliers: Array
+    zeta: Array
 
 
-def verified_ray(
-    structure: Structure, data: Data, working: WorkingSet, zeta: Array, tolerance: float = tol.RAY_TOLERANCE
-) -> Ray | None:
+def verified_ray(data: Data, working: WorkingSet, zeta: Array, tolerance: float = RAY_TOLERANCE) -> Ray | None:
     """Return the ray if it is stationary to a tolerance and proves that these data are infeasible, else None."""
-    kkt, lti = structure.kkt, data.lti
-    force, _ = forces(structure, lti, zeta, working)
-    size = float(working.weights @ np.abs(lti.F[working.f]).sum(1) + np.abs(zeta).sum()) + 1e-300
-    response = sum(np.conj(structure.spaces.N[i]) * force[i] for i in range(len(lti.M)))
-    stationarity = float(np.abs(response).max()) / (
-        max(float(np.abs(structure.spaces.N).max()), tol.TINY_SQUARED) * size
-    )
+    kkt, F, N = data.structure.kkt, data.lti.F, data.structure.spaces.N
+    force, _ = data.forces(zeta, working)
+    size = float(working.weights @ np.abs(F[working.f]).sum(1) + np.abs(zeta).sum()) + 1e-300
+    response = sum(np.conj(N[i]) * force[i] for i in range(len(N)))
+    stationarity = float(np.abs(response).max()) / (max(float(np.abs(N).max()), TINY_SQUARED) * size)
     slope = np.abs(kkt.E.T @ zeta + working.coupling[: kkt.size] @ working.weights).max(initial=0.0)
     stationarity = max(stationarity, float(slope) / size)
-    c, residual = _point_without_forces(structure, data)
-    value = float(working.weights @ working.slacks(lti, c.y, c.last) + zeta @ residual)
-    terms = float(working.weights @ np.abs(working.limits(lti)) + np.abs(zeta) @ np.abs(data.e)) + 1e-300
-    proven = stationarity < tolerance * min(1.0, -tol.RAY_VALUE * value / terms)
+    c, residual = data.without_forces()
+    value = float(working.weights @ working.slacks(c.y, c.last) + zeta @ residual)
+    terms = float(working.weights @ np.abs(working.limits) + np.abs(zeta) @ np.abs(data.e)) + 1e-300
+    proven = stationarity < tolerance * min(1.0, -RAY_VALUE * value / terms)
     return Ray(working, zeta) if proven else None
 
 
-def equation_ray(structure: Structure, data: Data, residual: Array) -> Ray | None:
+def equation_ray(data: Data, residual: Array) -> Ray | None:
     """Return a ray of the dependent equations."""
-    dependent = structure.kkt.dependent
-    zeta = -dependent @ (dependent.T @ residual)
+    kkt = data.structure.kkt
+    zeta = -kkt.dependent @ (kkt.dependent.T @ residual)
     largest = float(np.abs(zeta).max(initial=0.0))
-    return None if largest == 0 else verified_ray(structure, data, WorkingSet(structure.kkt), zeta / largest)
+    return None if largest == 0 else verified_ray(data, WorkingSet(kkt, data.lti), zeta / largest)
 
 
 def row_ray(
-    structure: Structure,
-    data: Data,
-    working: WorkingSet,
-    S: Array,
-    d: Array,
-    Z: Array,
-    combine: bool,
-    tolerance: float,
-    stop: Callable[[], str | None],
+    data: Data, working: WorkingSet, S: Array, d: Array, Z: Array, combine: bool, tolerance: float, stop: Stop
 ) -> Ray | None:
     """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
     The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
     """
-    prices, free = working.prices(data.lti), working.free_response()
-    hard = np.ones(len(working), dtype=bool) if prices is None else np.isinf(prices)
-    violated = d < -tol.DECIDED_VIOLATION * (1 + np.abs(working.limits(data.lti)))
-    decided = hard & violated & (np.diagonal(S) < tol.DECIDED_RESPONSE * free)
+    hard, violated = np.isinf(working.prices), d < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
+    decided = hard & violated & (np.diagonal(S) < DECIDED_RESPONSE * working.free_response())
     weights = np.zeros(len(d))
     if decided.any():
         weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
     elif combine and hard.any():
         S, b = S[np.ix_(hard, hard)], d[hard]
-        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), tol.TINY_SQUARED))
-        rho = max(float(size.max()), tol.TINY_SQUARED) ** -2
-        weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, np.zeros(len(b)), stop=stop)
-        if not weights.any() or 1 + rho * float(d @ weights) >= tol.CONFLICT_TAU:
+        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), TINY_SQUARED))
+        rho = max(float(size.max()), TINY_SQUARED) ** -2
+        none, free = np.zeros(len(b)), np.full(len(b), np.inf)
+        weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, none, free, none, none, stop)
+        if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT_TAU:
             return None
     else:
         return None
     weights /= weights.max()
-    zeta = -(Z @ weights)[structure.kkt.size :]
-    return verified_ray(structure, data, working.weighted(weights), zeta, tolerance)
+    zeta = -(Z @ weights)[data.structure.kkt.size :]
+    return verified_ray(data, working.weighted(weights), zeta, tolerance)
 
 
-def regularised_ray(
-    structure: Structure, data: Data, working: WorkingSet, tolerance: float, stop: Callable[[], str | None]
-) -> Ray | None:
+def regularised_ray(data: Data, working: WorkingSet, tolerance: float, stop: Stop) -> Ray | None:
     """Return a ray of working rows from a unit Hessian of the bordering unknowns.
 
     Feasibility does not depend on the cost.
     """
-    kkt, (c, residual) = structure.kkt, _point_without_forces(structure, data)
+    kkt, (c, residual) = data.structure.kkt, data.without_forces()
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
     Z, S = working.eliminated(kkt.regularised)
-    d = working.slacks(data.lti, c.y, c.last) - working.coupling.T @ step
-    return row_ray(structure, data, working, S, d, Z, True, tolerance, stop)
+    d = working.slacks(c.y, c.last) - working.coupling.T @ step
+    return row_ray(data, working, S, d, Z, True, tolerance, stop)

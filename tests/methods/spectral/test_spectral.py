@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import lin_freq_ocp as lfo
 from helpers.seeds import expensive
 from helpers.spectral_plants import TIGHT, T, problem_of, residuals, wave
-from lin_freq_ocp.methods.spectral import Exchange, Structure, WorkingSet, data_of, verified_ray
+from lin_freq_ocp.methods.spectral import Data, Exchange, Structure, WorkingSet, verified_ray
 from lin_freq_ocp.problem import time_signal
 from lin_freq_ocp.testing import INSTANCES, PENDULUM, STATED, reference_problem
 
@@ -333,12 +333,12 @@ def test_a_bound_that_a_free_end_can_move_away_from_is_no_ray():
         terminal_state=lfo.Box(-3, -1),
     )
     solver = lfo.SpectralSolver(problem)
-    built = Structure(solver.lti)
-    data, working = data_of(built, solver.lti), WorkingSet(built.kkt)
+    data = Data(Structure(solver.lti), solver.lti)
+    working = WorkingSet(data.structure.kkt, solver.lti)
     working.add(np.array([8]), np.array([0]), np.ones(1))
     row = working.weighted(np.ones(1))
-    assert (row.slacks(solver.lti, np.zeros((2, 8)), np.zeros(1)) < 0).all()
-    assert verified_ray(built, data, row, np.zeros(len(data.e))) is None
+    assert (row.slacks(np.zeros((2, 8)), np.zeros(1)) < 0).all()
+    assert verified_ray(data, row, np.zeros(len(data.e))) is None
 
 
 def test_a_solver_takes_problems_of_the_same_structure():

@@ -112,7 +112,13 @@ def test_equations_alone_need_no_guess():
     assert lti_problem(bounded, natural_units(bounded)).has_limits
     ends = lfo.Box([-9.0, None, None], [9.0, None, None])
     bounded = problem_of(dynamics=SLOW, horizon=LONG, cost=problem.cost, control_set=fixed, terminal_state=ends)
-    assert lti_problem(bounded, natural_units(bounded)).has_limits
+    units = natural_units(bounded)
+    assert lti_problem(bounded, units).has_limits
+    free = lti_problem(
+        problem_of(dynamics=SLOW, horizon=LONG, cost=problem.cost, control_set=None, terminal_state=None), units
+    )
+    assert not free.has_limits
+    assert free.with_ends(bounded.ends, units.x).has_limits  # other ends may bring limits
 
 
 @expensive

@@ -99,11 +99,19 @@ def independent_value(qp: Qp) -> float:
     return value(qp, lam)
 
 
+def solved(
+    S: np.ndarray, d: np.ndarray, start: np.ndarray, upper: float | np.ndarray = np.inf, diagonal_bound: float = 0.0
+) -> tuple[np.ndarray, bool]:
+    """Solve a QP whose rows no equations decide."""
+    upper, diagonal_bound = np.broadcast_to(upper, len(d)), np.full(len(d), diagonal_bound)
+    return bounded_qp(S, d, start, upper, diagonal_bound, np.zeros(len(d)))
+
+
 @pytest.mark.parametrize("count", [5, 70, 130, 320])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_answer_is_optimal(family, count):
     qp = FAMILIES[family](count)
-    lam, accurate = bounded_qp(*qp, np.zeros(len(qp[1])))
+    lam, accurate = solved(*qp, np.zeros(len(qp[1])))
     violation, complementarity = errors(qp, lam)
     assert accurate
     assert violation < 2e-9
@@ -112,7 +120,7 @@ def test_an_answer_is_optimal(family, count):
 
 
 def test_a_textbook_answer():
-    lam, accurate = bounded_qp(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
+    lam, accurate = solved(np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.zeros(3))
     np.testing.assert_allclose(lam, [1, 0, 5], rtol=1e-14)
     assert accurate
 
@@ -121,7 +129,7 @@ def test_an_answer_is_that_of_nonnegative_least_squares():
     rng = np.random.default_rng(3)
     for _ in range(10):
         G, target = rng.standard_normal((40, 25)), rng.standard_normal(40)
-        lam, _ = bounded_qp(G.T @ G, -G.T @ target, np.zeros(25))
+        lam, _ = solved(G.T @ G, -G.T @ target, np.zeros(25))
         np.testing.assert_allclose(lam, nnls(G, target)[0], atol=1e-12)
 
 
@@ -129,8 +137,8 @@ def test_an_answer_is_that_of_nonnegative_least_squares():
 def test_units_of_rows_do_not_matter(family):
     S, d = FAMILIES[family](40)
     units = 10.0 ** np.random.default_rng(2).uniform(-6, 6, 40)
-    plain, _ = bounded_qp(S, d, np.zeros(40))
-    scaled, accurate = bounded_qp(1e3 * S * units * units[:, None], d * units, np.zeros(40))
+    plain, _ = solved(S, d, np.zeros(40))
+    scaled, accurate = solved(1e3 * S * units * units[:, None], d * units, np.zeros(40))
     assert accurate
     assert value((S, d), 1e3 * scaled * units) == pytest.approx(value((S, d), plain), rel=1e-8)
 
@@ -138,37 +146,37 @@ def test_units_of_rows_do_not_matter(family):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_warm_start_does_not_change_the_answer(family):
     qp = FAMILIES[family](120)
-    optimum = value(qp, bounded_qp(*qp, np.zeros(120))[0])
+    optimum = value(qp, solved(*qp, np.zeros(120))[0])
     wrong = np.where(np.arange(120) % 3 == 0, 5.0, 0.0)
-    assert value(qp, bounded_qp(*qp, wrong)[0]) == pytest.approx(optimum, rel=1e-8)
+    assert value(qp, solved(*qp, wrong)[0]) == pytest.approx(optimum, rel=1e-8)
 
 
 def test_rows_that_nothing_restricts_get_exact_zeros():
     S, d = well_conditioned(30)
-    lam, _ = bounded_qp(S, np.abs(d), np.zeros(30))
+    lam, _ = solved(S, np.abs(d), np.zeros(30))
     assert not lam.any()
 
 
 def test_block_pivoting_settles_or_gives_up():
     qp = well_conditioned(60)
-    lam = block_pivoting(*qp, np.zeros(60))
+    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
     assert max(errors(qp, lam)) < 1e-12
-    assert block_pivoting(*nearly_parallel(60), np.ones(60)) is None
+    assert block_pivoting(*nearly_parallel(60), np.ones(60), np.full(60, np.inf)) is None
 
 
 @pytest.mark.parametrize("seed", [6, 21, 40])
 def test_block_pivoting_leaves_a_cycle_by_the_worst_rows(seed, monkeypatch):
     qp = smooth(60, seed)
-    lam = block_pivoting(*qp, np.zeros(60))
+    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
     assert max(errors(qp, lam)) < 1e-11
     assert block_pivoting(*qp, np.zeros(60), np.full(60, 1e9)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
     substitute(monkeypatch, "methods.spectral.STEPS_OF_ALL", PIVOTING_STEPS)
-    assert block_pivoting(*qp, np.zeros(60)) is None
+    assert block_pivoting(*qp, np.zeros(60), np.full(60, np.inf)) is None
 
 
 def test_a_conflict_is_no_answer():
     """Two opposite rows with a gap between them: the QP has no lower bound, and its weights say so."""
-    lam, accurate = bounded_qp(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
+    lam, accurate = solved(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([-1.0, -1.0]), np.zeros(2))
     assert np.isfinite(lam).all()
     assert not accurate or lam.min() > 1e9
 
@@ -176,7 +184,7 @@ def test_a_conflict_is_no_answer():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_interior_point_is_polished_to_rounding(family):
     qp = FAMILIES[family](150)
-    lam, accurate = interior_point(*qp, None)
+    lam, accurate = interior_point(*qp, np.full(150, np.inf), *np.zeros((2, 150)))
     assert accurate
     assert max(errors(qp, lam)) < 1e-7
 
@@ -197,10 +205,11 @@ def test_the_factor_of_low_rank_gives_the_same_answer(share):
     S = low_passed(600, share)[np.ix_(arcs(300), arcs(300))]
     qp = S, -S @ (np.random.default_rng(0).standard_normal(300) + 0.5)
     assert np.linalg.matrix_rank(np.eye(300) - S if share > 0.5 else S, tol=1e-12) < 150
-    for lam, accurate in (interior_point(*qp, np.ones(300)), interior_point(*qp, None)):
+    for diagonal_bound in (np.ones(300), np.zeros(300)):
+        lam, accurate = interior_point(*qp, np.full(300, np.inf), diagonal_bound, np.zeros(300))
         assert accurate
         assert max(errors(qp, lam)) < 1e-9
-    cheap, _ = bounded_qp(*qp, np.zeros(300), np.ones(300))
+    cheap, _ = solved(*qp, np.zeros(300), diagonal_bound=1.0)
     assert value(qp, cheap) == pytest.approx(independent_value(qp), rel=1e-9)
 
 
@@ -209,11 +218,11 @@ def test_the_factor_of_low_rank_gives_the_same_answer(share):
 @pytest.mark.parametrize("most", ["low", "some infinite"])
 def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
     S, d = FAMILIES[family](count)
-    free = bounded_qp(S, d, np.zeros(count))[0]
+    free = solved(S, d, np.zeros(count))[0]
     upper = np.full(count, 0.3 * float(np.median(free[free > 0])))
     upper[:: 2 if most == "some infinite" else count + 1] = np.inf
     for start in (np.zeros(count), np.minimum(free, upper)):
-        lam, accurate = bounded_qp(S, d, start, upper=upper)
+        lam, accurate = solved(S, d, start, upper=upper)
         slope = S @ lam + d
         assert accurate
         assert lam.min() >= 0
@@ -228,7 +237,7 @@ def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
 def test_a_textbook_answer_with_upper_bounds(method):
     S, d, upper = np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.array([np.inf, 1.0, 2.0])
     if method is None:
-        lam = interior_point(S, d, None, upper=upper)[0]
+        lam = interior_point(S, d, upper, *np.zeros((2, 3)))[0]
     else:
         lam = method(S, d, np.zeros(3), upper)
     np.testing.assert_allclose(lam, [1, 0, 2], rtol=1e-12)

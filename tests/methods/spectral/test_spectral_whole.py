@@ -45,7 +45,7 @@ def model(request) -> tuple[Structure, WholeHorizon, WorkingSet]:
     assert not structure.kkt.compliant
     whole = structure.whole_horizon(Violations(lti).rows)
     assert whole is not None
-    working = WorkingSet(structure.kkt)
+    working = WorkingSet(structure.kkt, lti)
     acting = np.flatnonzero((whole.t < T) | np.isnan(lti.end[np.where(whole.t < T, 0, whole.f)]))
     working.add(whole.t[acting], whole.f[acting], np.ones(len(acting)))
     np.testing.assert_array_equal(whole.flat_indices(working.t, working.f), acting)
