@@ -107,10 +107,11 @@ class LongKKT:
         curvatures = cost_curvatures(problem.quadratic, problem.horizon)
         assert curvatures is not None  # the cost is convex
         self._drawn: Sides = drawn[0] * curvatures * units, drawn[1] * units, np.zeros((problem.horizon, self.n))
-        self._base, self._solver = self._with_sides(self._drawn), None
+        zero = 0 * drawn[0], 0 * drawn[1], self._drawn[2]
+        self._plain, base, self._solver = self._with_sides(zero), self._with_sides(self._drawn), None
         with suppress(UnsupportedError):
-            self._solver = SpectralSolver(self._base)
-        found = answer_of(solve_long(self._base, solver=self._solver))
+            self._solver = SpectralSolver(base)
+        found = answer_of(solve_long(base, solver=self._solver))
         exact = found is not None and self._amount(self._residual(self._drawn, found), rows=True) <= MOST_SOLVE_ERROR
         self.random, self._noise = found if exact else None, np.full(2, np.inf)
 
@@ -142,14 +143,19 @@ class LongKKT:
                 self._noise = np.fmax(correction / first, np.where(self._noise < np.inf, self._noise, 0.0))
             else:
                 error, first = SAFETY * amount * self._noise, amount
-            point, before = point.plus(step, amount), float(correction.max())
+            point, before = self._without_bins(point.plus(step, amount)), float(correction.max())
             sizes = np.array(self.sizes(point))
             error = np.maximum(error, EPSILON * sizes)
             point = replace(point, error=(float(error[0]), float(error[1])))
-            if error.max() <= FORWARD * sizes.max():
+            if (error <= np.maximum(FORWARD * sizes, EPSILON * sizes.max())).all():
                 break
             left = self._residual(right, point)
         return point if before < np.inf else None
+
+    def _without_bins(self, point: LongSolution) -> LongSolution:
+        """Return a point without what rounding leaves in removed bins: what this changes is seen by its residual."""
+        bins = (np.fft.rfft(signal, axis=0) for signal in split_signals(point.z, self.n)[::-1])
+        return replace(point, z=point.z - level_signal(self.problem, *bins))
 
     def _step(self, left: Sides, amount: float) -> LongSolution | None:
         """Return the solution for a right-hand side of this size, over its size; None if no method finds any."""
@@ -164,8 +170,8 @@ class LongKKT:
 
     def _residual(self, right: Sides, point: LongSolution) -> Sides:
         """Return what a point leaves of a right-hand side."""
-        at = extremal_within(self._base, point.trajectory, point.multipliers, self._base.signal_bounds)
-        of_z = right[0] - self._drawn[0] - at.slopes - point.normals
+        at = extremal_within(self._plain, point.trajectory, point.multipliers, self._plain.signal_bounds)
+        of_z = right[0] - at.slopes - point.normals
         values = np.where(self.held, right[1] - point.z, 0.0)
         return of_z.astype(np.float64), values, (right[2] - at.residual).astype(np.float64)
 
@@ -308,6 +314,8 @@ class AdjointDerivatives(SolutionDerivatives):
         size = max(*self._kkt.sizes(found), float(np.abs(violation).max()))
         meets = np.abs(violation) > SEEN * size
         side, existence = found.side, self._existence_of(found, np.argwhere(meets))
+        if self.reason:
+            return Derivative(*existence, cost, None, None)
         if self._weak.any() or not changed.affine:
             below, above = (
                 self._one_sided(sign * size, right, changed.levels) if (sign * violation > SEEN * size).any() else side
@@ -360,8 +368,8 @@ class AdjointDerivatives(SolutionDerivatives):
 
     def _existence_of(self, found: LongSolution, seen: Indices) -> ExistenceFields:
         """Return whether a derivative exists where a solution of K moves these weak rows, (rows, 2)."""
-        size = max(self._kkt.sizes(found))
-        error = max(found.error) / size if size > 0 else 0.0
+        sizes = np.array(self._kkt.sizes(found))
+        error = float((found.error / np.maximum(sizes, SEEN * sizes.max())).max()) if sizes.any() else 0.0
         rows, reason = tuple(self._name_bound(t, i, bool(self._above[t, i])) for t, i in seen.tolist()), self.reason
         if not reason and error > MOST_SOLVE_ERROR:
             reason = f"the active rows are nearly dependent: the relative error of the solve is {error:.0e}"

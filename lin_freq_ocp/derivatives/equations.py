@@ -60,22 +60,23 @@ def changed_equations(point: ExactPoint, change: Values) -> ChangedEquations:
     linear, scaling = point.deviations.linear, point.deviations.scaling
     program, known = linear.sparse, data_of(linear.problem)
     z, y = scaling.primal(point.kkt.z), scaling.dual(point.kkt.y)
+    slacks = [one.origin for one in linear.of_terms]
     of_z, values, limits = np.zeros(linear.variables), np.zeros(len(y)), np.zeros((2, len(y)))
     for name, d in change.items():
         if name in SLOPES:
             of_z += _slope_change(linear, name, d)
         elif not is_matrix(name):
             limits += _limit_changes(point, name, d)
+        elif name in WEIGHTS:  # the cost is linear in them, and no difference of costs is formed
+            parts = {one: d if one == name else 0.0 * known[one] for one in (*WEIGHTS, "q", "r", "p")}
+            alone = LinearProgram(with_data(linear.problem, parts), linear.origin, slacks)
+            of_z[: linear.signals] += (alone.hessian @ z + alone.gradient)[: linear.signals]
         elif d.any():  # any step is exact; a large one leaves no rounding
-            largest = max(float(np.abs(known[one]).max()) for one in (WEIGHTS if name in WEIGHTS else (name,)))
-            step = (largest or 1.0) / float(np.abs(d).max())
-            moved, slacks = (
-                with_data(linear.problem, {name: known[name] + step * d}),
-                [one.origin for one in linear.of_terms],
-            )
+            step = (float(np.abs(known[name]).max()) or 1.0) / float(np.abs(d).max())
+            moved = with_data(linear.problem, {name: known[name] + step * d})
             other = LinearProgram(moved, linear.origin, slacks).sparse
             rows = (other.A - program.A) / step
-            of_z += ((other.P - program.P) @ z + other.q - program.q) / step + rows.T @ y
+            of_z += rows.T @ y
             values += rows @ z
             limits += _difference(other, program) / step
     lower, upper = scaling.rows * limits

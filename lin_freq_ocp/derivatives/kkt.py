@@ -62,15 +62,21 @@ class ActiveKKT:
         """A factor of K, or of one nearby, and whether K is singular, by solves with a random right-hand side."""
         M, H = self._rows[:2]
         right = np.random.default_rng(0).standard_normal(self._matrix.shape[0])
-        if self.near is not None and self._solve_refined(self.near, right)[1] < np.sqrt(EPSILON):
+        if self.near is not None and self._is_regular(self.near, right, np.sqrt(EPSILON)):
             return self.near, False
         try:
             factor = splu(sp.csc_array(self._matrix))
-            if self._solve_refined(factor, right)[1] < MOST_SOLVE_ERROR:
+            if self._is_regular(factor, right, MOST_SOLVE_ERROR):
                 return factor, False
         except RuntimeError:  # a pivot is zero
             pass
         return splu(regularised_kkt(H, sp.csc_array(M), PROXIMAL, PROXIMAL)), True
+
+    def _is_regular(self, factor: SuperLU, right: Array, most_error: float) -> bool:
+        """Whether a solve converges and gives rows their values: those that depend on each other have no solution."""
+        solution, error = self._solve_refined(factor, right)
+        missed = (self._matrix @ solution - right)[len(self.z) :]
+        return error < most_error and float(np.abs(missed).max(initial=0.0)) <= MOST_SOLVE_ERROR * np.abs(right).max()
 
     @property
     def singular(self) -> bool:

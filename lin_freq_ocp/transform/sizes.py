@@ -131,6 +131,8 @@ def _sizes_of_bounds(problem: OptimalControlProblem, influence: Influence, state
     """Return the sizes of components, (n+m,), by their bounds; 0 without a bound."""
     tubes = problem.state_boxes, problem.control_tube
     bounds = np.concatenate([_median_size(np.stack(tube.bounds, 1)).max(axis=0) for tube in tubes])
+    reach = reach_of_bounds(problem).max(axis=0)
+    bounds = np.where((reach > 0) & (bounds > FAR_BEYOND * reach), reach, bounds)
     implied = partial(influence.implied, chosen=np.max)
     implied = _complete_sizes(stated, implied) if stated.any() else implied(bounds)
     # nor does a bound on one side say how far the other side reaches

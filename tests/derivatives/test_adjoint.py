@@ -147,6 +147,10 @@ def test_active_bounds_that_depend_on_each_other_have_no_derivative():
         gradient = found.vjp(u=np.ones((40, 1)))
         assert not gradient.exists
         assert "depend on" in gradient.reason
+    step = adjoint.jvp(r=[1.0])
+    assert (step.exists, step.left, step.right) == (False, None, None)
+    with pytest.raises(lfo.errors.UnsupportedError, match="depend on each other"):
+        _ = step.u
 
 
 def test_bounds_that_no_trajectory_meets_do_not_settle():
@@ -164,6 +168,41 @@ def test_a_solution_whose_error_is_not_known_calls_no_bound_weak(monkeypatch):
     change = found.jvp(initial_state=[1.0, 0.0])
     assert (change.exists, change.reason) == (False, "the active rows did not settle")
     assert change.holds is None
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-6, 1.0, 1e6])
+def test_a_derivative_is_linear_in_the_change_to_all_its_digits(size):
+    _, adjoint, factored = both(regulator(terminal_state=[0.0, 0.1]))
+    change = {"q": size * np.array([1.0, -2.0]), "r": [3.0 * size]}
+    one, other = adjoint.jvp(**change), factored.jvp(**change)
+    np.testing.assert_allclose(one.u, other.u, rtol=0, atol=1e-11 * np.abs(other.u).max())
+    np.testing.assert_allclose(one.x, other.x, rtol=0, atol=1e-11 * np.abs(other.x).max())
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_a_change_of_large_multipliers_leaves_digits_of_small_controls(unit):
+    """What changes multipliers of active bounds by 1e7 moves no control, and q moves them by numbers of order 1."""
+    problem = regulator(unit=unit, terminal_state=[0.0, 0.1])
+    problem = replace(problem, cost=replace(problem.cost, r=np.zeros((40, 1))))
+    result, adjoint, factored = both(problem)
+    at_bounds = np.where(result.multipliers.nu != 0, 1e7 / unit, 0.0)
+    at_bounds[np.abs(np.abs(result.control) - unit) > 1e-6 * unit] = 0.0
+    assert at_bounds.any()
+    one, other = (found.jvp(q=[1.0, 0.0], r=at_bounds) for found in (adjoint, factored))
+    assert one.exists
+    assert one.error < 1e-11
+    np.testing.assert_allclose(one.u, other.u, rtol=0, atol=1e-13 * np.abs(other.u).max())
+    np.testing.assert_allclose(one.x, other.x, rtol=0, atol=1e-13 * np.abs(other.x).max())
+    np.testing.assert_allclose(np.fft.rfft(one.u, axis=0)[problem.control_stop], 0.0, atol=1e-12 * np.abs(one.u).max())
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_small_weights_beside_large_linear_costs_are_no_differences(unit):
+    problem = regulator(unit=unit, terminal_state=[0.0, 0.1])
+    cost = lfo.QuadraticCost(R=1e-7 / unit**2, q=[1.0, 0.0], p=[1e3, 0.0])
+    _, adjoint, factored = both(replace(problem, cost=cost))
+    one, other = (found.jvp(Q=np.eye(2)).multipliers.eta for found in (adjoint, factored))
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
 
 
 def apart(found: lfo.results.Multipliers, known: lfo.results.Multipliers) -> float:

@@ -361,6 +361,26 @@ def test_the_same_bound_twice_has_no_derivative():
     assert {row.split(",")[0] for row in gradient.rows} == {"one", "two"}
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_more_active_bounds_than_bins_that_are_left_have_no_derivative(unit):
+    """Six bounds fix one number: rounding of the rows of the DFT made K a matrix with an inverse of 1e16."""
+    slopes = np.where(np.arange(12) % 2, 0.0, 3.0 / unit)[:, None]
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[0.9]], [[1 / unit]]),
+        12,
+        lfo.QuadraticCost(Q=0.1, R=1 / unit**2, r=slopes, x_ref=[0.5]),
+        lfo.Box(-unit, unit),
+        initial_state=[-4.0],
+        control_spectrum=lfo.spectrum.stop_band(bins=range(1, 6)),
+    )
+    result = lfo.solve(problem)
+    np.testing.assert_allclose(result.control[::2], -unit)
+    assert np.abs(result.control[1::2]).max() < 0.99 * unit
+    found = SolutionDerivatives(problem, result.trajectory, result.multipliers).vjp(u=np.ones((12, 1)))
+    assert not found.exists
+    assert "depend on each other" in found.reason
+
+
 def test_an_optimum_that_is_not_unique_has_no_derivative():
     problem = tracking(cost=lfo.QuadraticCost(Q=np.diag([1.0, 0.0]), x_ref=WISH))
     gradient = exact(problem).vjp(u=np.ones((T, 2)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lin_freq_ocp as lfo
 from helpers.seeds import seeds
+from lin_freq_ocp.transform import stated_sizes
 
 STEPS = 14
 COSTS = {
@@ -95,3 +98,27 @@ def test_modes_are_searched_from_as_near_as_a_state_can_be(name, far, bound):
     assert result.status == "optimal"
     assert result.certificate.pmp == "satisfied"
     np.testing.assert_allclose(result.control[:5], np.sign(far), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("bound", [1e7, 1e9])
+@pytest.mark.parametrize("name", ["L1", "Linf"])
+def test_a_state_bound_that_stands_for_none_is_no_unit_of_modes(name, bound):
+    """A norm far from zero says nothing of the states, and the bounds, which no mode reaches, do not either."""
+    modes = [
+        lfo.AffineMode([[0.5, 0.4], [-0.3, 0.6]], [[1.0], [0.5]], G=[[1.0, 0.5]], h=[0.1]),
+        lfo.AffineMode([[-0.4, 0.2], [0.5, 0.3]], [[1.0], [0.5]], G=[[-1.0, -0.5]], h=[-0.1]),
+    ]
+    cost = {"L1": lfo.costs.L1Cost, "Linf": lfo.costs.LInfCost}[name](x=1.0, u=0.1, x_ref=1e3)
+    problem = lfo.OptimalControlProblem(
+        lfo.PiecewiseAffineDynamics(modes),
+        4,
+        cost,
+        lfo.Box(-1.0, 1.0),
+        state_set=lfo.Box(-bound, bound),
+        initial_state=[0.2, -2.2],
+    )
+    result = lfo.solve(problem)
+    assert result.status == "optimal"
+    assert max(stated_sizes(problem)[0]) < 100
+    unbounded = lfo.solve(replace(problem, state_set=None))
+    assert result.cost == pytest.approx(unbounded.cost, rel=1e-9)
