@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lin_freq_ocp.base.arrays import Array, Mask, brief, one_component, real_array, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, brief, one_component, real_array, seal, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, ProblemError
 from lin_freq_ocp.problem.dynamics.linear import LinearDynamics
 from lin_freq_ocp.problem.ocp import OptimalControlProblem, require_problem
@@ -80,6 +80,7 @@ def simulate(problem: OptimalControlProblem, u: ArrayLike, initial_state: ArrayL
     return Trajectory(x, u)
 
 
+@lru_cache(maxsize=2)  # sizes, scales and origins of one problem ask for it
 def reach_of_bounds(problem: OptimalControlProblem) -> Array:
     """Return how far apart bounds and dynamics let x_t and u_t of two trajectories lie, (T+1, n + m).
 
@@ -91,7 +92,7 @@ def reach_of_bounds(problem: OptimalControlProblem) -> Array:
         of_x = np.fmin(of_x, _reach_of_states(problem.linear, of_x[0].tobytes(), controls))
     elif problem.response is None and problem.form.affine:
         of_x = np.minimum(of_x, 2 * _largest_states(problem))
-    return np.minimum(stack_signals(of_x, of_u), INFINITE)
+    return seal(np.minimum(stack_signals(of_x, of_u), INFINITE))
 
 
 def within_reach(problem: OptimalControlProblem, x: Array) -> Array:
