@@ -1,13 +1,21 @@
 """The Fourier-domain method for linear time-invariant problems, as docs/spectral.md derives it.
 
-With y_t = (x_t, u_t) and one system of equations F_k y_k = z w + d_k at each bin k, w = x_0 - x_T, a round of the
-exchange solves the small QP, transforms, and adds the rows that the signals violate:
+With y_t = (x_t, u_t), t < T, as one period of a signal with the bins y_k, the dynamics are F_k y_k = z w + d_k at
+each bin: z = exp(2 pi i k / T), F_k = [z I - A, -B] with the columns of those controls that may use the bin, the jump
+w = x_0 - x_T that closes the period, and the bins d_k of the offset. A round of the exchange solves the small QP,
+transforms, and adds the rows that the signals violate:
 
     min 1/2 l'S l + delta'l over l >= 0      multipliers l of the working rows G y <= limit
     K_b (theta, zeta) = (-h, e) - C l        unknowns theta and multipliers zeta of equations, which couple bins
     y_k = c_k - N_k N_k^* g_k + Y_k theta    each bin responds to the forces g = G'l + E'zeta, in its null space N_k
 
-Each file uses those above it:
+K_b = [[H, E'], [E, -S_E]] has the curvature H and the equations E of theta, whose right-hand sides are -h and e; Y_k is
+the response of a bin to theta, and S = S_W + C' K_b^-1 C that of the working rows to l. E acts on signals, too: E'zeta
+are forces, and S_E is what they do to the equations.
+
+Each file uses those above it, but for shortcuts and reductions, which are called here and there and may be left aside
+at first: ``shortcuts`` saves time in the exchange, and ``reductions`` makes polyhedral sets and soft constraints such
+as the method takes. Of ``model``, ``Lti``, ``Bounds`` and ``lti_problem`` are enough; units and changes of data follow.
 
 ``model``       the problem in units of order 1 (Lti), with time as the last axis
 ``spaces``      at every bin: N_k, and the responses to z w + d_k. Their kernels: how a force moves a row
@@ -18,9 +26,6 @@ Each file uses those above it:
 ``exchange``    the rounds: small QP, signals, new rows
 ``recovery``    multipliers of the maximum principle
 ``solver``      SpectralSolver
-
-Two files may be left aside at first: ``shortcuts`` saves time in the exchange, and ``reductions`` makes polyhedral sets
-and soft constraints such as the method takes.
 
 In the code, l is ``weights`` (``lam`` in ``qp``), delta ``d``, c_k ``Data.base``, and S_W and C are ``gram`` and
 ``coupling`` of the working set. A row is (t, f, sign): sign F_f y_t <= limit, and at t = T the component f of x_T. A
