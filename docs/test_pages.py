@@ -24,13 +24,18 @@ AS_TEXT = re.compile(r"\b(?:eta|mu|nu|rho|lambda|theta|xi|alpha|phi|psi)(?:_|\b)
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_what_a_page_shows_runs(page, tmp_path):
-    blocks = re.findall(r"^```(python|console)\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    assert "python" in [kind for kind, _ in blocks]
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(python|console)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    included = re.findall(r"^```{literalinclude} (\S+\.py)$", text, re.MULTILINE)
+    assert included or "python" in [kind for kind, _ in blocks]
     for kind, text in blocks:
         if kind == "python":
             (tmp_path / "page.py").write_text(text)
         arguments = ["page.py"] if kind == "python" else ["-m", "lin_freq_ocp", *shlex.split(text)[2:]]
         subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+    for name in included:  # it needs PyTorch; scripts/verify.py --part layers runs it, too
+        pytest.importorskip("torch")
+        subprocess.run([sys.executable, page.parent / name], cwd=tmp_path, check=True, capture_output=True)
 
 
 def test_every_example_has_the_sketch_of_one_plant():
