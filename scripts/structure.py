@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_761,
-    "code lines": 48_039,
-    "code lines, linear part": 22_641,
+    "shipped lines": 51_760,
+    "code lines": 48_038,
+    "code lines, linear part": 22_640,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -36,7 +36,7 @@ from lin_freq_ocp.problem.terms.maps import sparse_rows
 from lin_freq_ocp.problem.terms.term import Term
 from lin_freq_ocp.problem.trajectory import Multipliers, Trajectory
 from lin_freq_ocp.program.program import Block, Program
-from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, change_of_slacks, map_rows, stop_band_rows
+from lin_freq_ocp.program.program_rows import ProgramRows, box_rows, map_rows, stop_band_rows
 from lin_freq_ocp.transform.simulation import nearest_in_reach, reach_of_bounds, within_reach
 
 BYTES_PER_ENTRY = 100.0  # of a dense row at the peak, with indices during assembly and the scaled copies for solvers
@@ -104,7 +104,7 @@ class LinearProgram:
             return least
         nearest = term.map.values(nearest_in_reach(problem, x), problem.control_tube.project(u))
         apart, paid = split_signals(reach_of_bounds(problem), problem.state_dim), term.penalty.conic(*term.shape).paid
-        moved = change_of_slacks(term.map, paid, apart)
+        moved = term.map.largest_changes(*apart).ravel()[paid].max(axis=1, initial=0.0)
         return np.maximum(term.penalty.least_slacks(nearest) - moved, 0.0)
 
     @property

@@ -145,7 +145,7 @@ def passed_bins_of(linear: LinearProgram, response: Response, units: Array) -> P
     )
     start, N = response_basis(linear, units[:signals])
     bins = PassedBins(linear, response, units, np.append(start, np.zeros(len(linear.prices))), N)
-    # spectra of signals of order 1 sum up many samples; a slack beside none of them keeps its unit, and its rows theirs
+    # a spectrum of signals of order 1 sums up many samples: its slacks have that size, and others keep their units
     A, moved = bins.rows[0], np.zeros(len(bins.single))
     moved[~bins.single] = np.abs(A[~bins.single][:, :signals] @ N).max(axis=1, initial=0.0)
     for cone in bins.cones:

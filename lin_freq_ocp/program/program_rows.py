@@ -117,13 +117,7 @@ class ProgramRows:
         """
         if self.map is None or not len(self.prices):
             return np.zeros(0)
-        return change_of_slacks(self.map, self.paid, (x, u))
-
-
-def change_of_slacks(map: AffineMap, paid: Indices, apart: tuple[Array, Array]) -> Array:
-    """Return how far slacks that measure the values ``paid`` of a map move with states and controls so far apart."""
-    moved = map.sizes(*apart) - map.sizes(*(np.zeros_like(part) for part in apart))
-    return moved.ravel()[paid].max(axis=1, initial=0.0)
+        return self.map.largest_changes(x, u).ravel()[self.paid].max(axis=1, initial=0.0)
 
 
 def cone_members(cones: Indices) -> tuple[Indices, Indices]:

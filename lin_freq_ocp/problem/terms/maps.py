@@ -88,6 +88,10 @@ class AffineMap(ABC):
     def sizes(self, x: Array, u: Array) -> Array:
         """Return the magnitudes of the terms of v, (groups, dim)."""
 
+    def largest_changes(self, x: Array, u: Array) -> Array:
+        """Return how much v changes at most, (groups, dim), with changes of states and controls up to x and u."""
+        return self.sizes(x, u) - self.sizes(np.zeros_like(x), np.zeros_like(u))
+
     @abstractmethod
     def pulled_sizes(self, weights: Array, shapes: Shapes) -> tuple[Array, Array]:
         """Return the sums of the absolute values of the terms of ``pull_back``."""

@@ -115,7 +115,7 @@ class Term:
         """Return the sizes of what groups pay, (..., groups): at most what states and controls so far apart change."""
         if self.semi_infinite is not None:  # its price is that of a peak
             return np.abs(paid)
-        change = self.map.sizes(*apart) - self.map.sizes(*(np.zeros_like(part) for part in apart))
+        change = self.map.largest_changes(*apart)
         with np.errstate(over="ignore", invalid="ignore"):
             others = [np.abs(self.penalty.cost(values + sign * change) - paid) for sign in (-1, 1)]
         return np.fmin(np.abs(paid), np.fmax(*others))
