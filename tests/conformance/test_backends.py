@@ -21,7 +21,7 @@ from lin_freq_ocp import Box, LinearDynamics, OptimalControlProblem, QuadraticCo
 from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.errors import MissingExtraError, UnsupportedError
 from lin_freq_ocp.methods import SOLVED_TOLERANCE, solve_convex
-from lin_freq_ocp.program import REGISTER, SETTINGS, Claim, Program, Solution, SolverEntry, backend
+from lin_freq_ocp.program import ITERATION_LIMITS, REGISTER, SETTINGS, Claim, Program, Solution, SolverEntry, backend
 
 ALL = OWN + [f"qpsolvers:{name}" for name in sorted(qpsolvers.available_solvers)]
 EXACT = {"clarabel", "osqp", "qpsolvers:clarabel", "qpsolvers:piqp", "qpsolvers:highs"}
@@ -276,6 +276,12 @@ def test_a_time_limit_is_a_limit_and_no_failure(name):
         solution = ask(name, asked, 1e-9, 1e-6)
     assert solution.claim is Claim.TIME_LIMIT
     assert not is_accepted(asked, solution)
+
+
+def test_a_solver_without_a_limit_of_its_own_has_one(monkeypatch):
+    """HiGHS 1.11 cycles for ever on one of the programs of a pendulum that its bounds keep from its end."""
+    monkeypatch.setitem(ITERATION_LIMITS, "highs", dict.fromkeys(ITERATION_LIMITS["highs"], 3))
+    assert ask("qpsolvers:highs", long_program(150)).claim is Claim.FAILED
 
 
 @pytest.mark.parametrize("name", OWN)

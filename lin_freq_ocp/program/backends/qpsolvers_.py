@@ -27,6 +27,8 @@ SETTINGS: dict[str, Callable[[float], dict[str, object]]] = {
     "scs": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": 200_000},
     "osqp": lambda tolerance: {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": 200_000, "polishing": True},
 }
+# HiGHS's active set may cycle, and no limit ends it by default
+ITERATION_LIMITS: dict[str, dict[str, object]] = {"highs": {"qp_iteration_limit": 50_000}}
 # the option for the time limit of each solver; others have none
 TIME_LIMITS = {
     "clarabel": "time_limit",
@@ -58,7 +60,7 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
     inequalities = (typed(form.A[count:]), form.b[count:]) if form.inequalities else (None, None)
     equations = (typed(form.A[:count]), form.b[:count]) if count else (None, None)
     problem = qpsolvers.Problem(typed(program.P), program.q, *inequalities, *equations)
-    settings = SETTINGS[member](tolerance) if member in SETTINGS else {}
+    settings = {**(SETTINGS[member](tolerance) if member in SETTINGS else {}), **ITERATION_LIMITS.get(member, {})}
     if time_limit is not None:
         if member not in TIME_LIMITS:
             raise UnsupportedError(f"time_limit: backend 'qpsolvers:{member}' cannot stop at one; leave it out.")
@@ -70,8 +72,7 @@ def _solve(member: str, program: Program, tolerance: float, time_limit: float | 
             answer = qpsolvers.solve_problem(problem, member, None, False, **settings)
         except qpsolvers.exceptions.QPError as error:
             return Solution(Claim.FAILED, None, None, str(error))
-    late = time_limit is not None and now() - start >= time_limit
-    missed = Claim.TIME_LIMIT if late else Claim.FAILED
+    missed = Claim.FAILED if time_limit is None or now() - start < time_limit else Claim.TIME_LIMIT
     parts = [answer.x, answer.y if count else np.zeros(0), answer.z if form.inequalities else np.zeros(0)]
     x, y, z = (np.full(1, np.nan) if part is None else np.asarray(part) for part in parts)
     if not all(np.isfinite(part).all() for part in (x, y, z)):
