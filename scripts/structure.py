@@ -51,7 +51,7 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_760,
+    "shipped lines": 51_757,
     "code lines": 48_038,
     "code lines, linear part": 22_640,
     "code lines, hybrid": 8_775,

@@ -363,17 +363,14 @@ static void gradient(const lfo_model *p, lfo_memory *s, int row) {
 }
 
 /* Split a gradient: z is its part outside of the span of the active ones, d its coefficients in Q. Return |z|^2.
-   Gram-Schmidt twice is orthogonal to rounding. */
+   One pass of modified Gram-Schmidt is enough: a row that depends on others is never appended. */
 static lfo_real split(const lfo_model *p, lfo_memory *s) {
   int r = p->r, k = s->active;
   memcpy(s->z, s->row, BYTES(r));
-  memset(s->d, 0, BYTES(k));
-  for (int pass = 0; pass < 2; pass++)
-    for (int i = 0; i < k; i++) {
-      lfo_real part = dot(s->Q + i * r, s->z, r);
-      s->d[i] += part;
-      add(s->z, -part, s->Q + i * r, r);
-    }
+  for (int i = 0; i < k; i++) {
+    s->d[i] = dot(s->Q + i * r, s->z, r);
+    add(s->z, -s->d[i], s->Q + i * r, r);
+  }
   return dot(s->z, s->z, r);
 }
 
