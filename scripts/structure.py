@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_757,
-    "code lines": 48_038,
-    "code lines, linear part": 22_640,
+    "shipped lines": 51_769,
+    "code lines": 48_050,
+    "code lines, linear part": 22_652,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -240,10 +240,14 @@ class LinearProgram:
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:
         """Return the theorem's multipliers from the duals of all rows of ``sparse``; eta_C = 0 for a Farkas ray."""
-        eta, duals = np.split(y, [self.problem.horizon * self.problem.state_dim])
+        eta, *parts = np.split(
+            y, np.cumsum([self.problem.horizon * self.problem.state_dim, *(len(rows.lower) for rows in self.rows)])[:-1]
+        )
+        if eta_C:
+            parts = [rows.priced_duals(part) for rows, part in zip(self.rows, parts, strict=True)]
         targets = np.concatenate([rows.targets for rows in self.rows])
         weights = [np.ones(len(rows.lower)) if rows.weights is None else rows.weights for rows in self.rows]
-        return self.layout.multipliers(eta, targets, np.concatenate(weights) * duals, eta_C)
+        return self.layout.multipliers(eta, targets, np.concatenate(weights) * np.concatenate(parts), eta_C)
 
     def duals(self, multipliers: Multipliers) -> Array:
         """Return duals of all rows of ``sparse`` that have these multipliers.

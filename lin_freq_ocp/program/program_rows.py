@@ -110,6 +110,19 @@ class ProgramRows:
         parts = {name: getattr(self, name)[chosen] for name in ("entries", "targets", "lower", "upper")}
         return replace(self, **parts, slacks=sp.csr_array(self.slacks[chosen]))
 
+    def priced_duals(self, duals: Array) -> Array:
+        """Return the duals of the rows, scaled so that they pay the price of each slack exactly, as at an optimum.
+
+        A solver misses the price by its tolerance, relative to multipliers that may be far larger.
+        """
+        if not self.prices.all():  # norms within norms: rows have several slacks
+            return duals
+        paid, factors, slacks = -(self.slacks.T @ duals), np.ones(len(duals)), sp.coo_array(self.slacks)
+        factors[slacks.row] = np.divide(self.prices, paid, out=np.ones(len(paid)), where=paid > 0)[slacks.col]
+        rows, cones = cone_members(self.cones)
+        factors[rows] = factors[self.cones[:, 0]][cones]
+        return factors * duals
+
     def slack_sizes(self, x: Array, u: Array) -> Array:
         """Return the size of each slack for states and controls of the sizes x (T+1, n) and u (T, m).
 

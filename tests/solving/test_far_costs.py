@@ -80,18 +80,18 @@ def test_a_loop_from_afar_does_what_single_solves_do(name):
 
 @pytest.mark.parametrize("bound", [50.0, None])
 @pytest.mark.parametrize("far", [1e4, 1e8, -1e6])
-@pytest.mark.parametrize("name", ["squares", "L1"])
+@pytest.mark.parametrize("name", COSTS)
 def test_modes_are_searched_from_as_near_as_a_state_can_be(name, far, bound):
+    linear, within = problem_of(name, far), lfo.Box(-(bound or np.inf), bound or np.inf)
     modes = [
         lfo.AffineMode([[1.0]], [[1.0]], G=[[-1.0]], h=[0.0]),
         lfo.AffineMode([[-0.5]], [[1.0]], G=[[1.0]], h=[0.0]),
     ]
-    problem = lfo.OptimalControlProblem(
-        lfo.PiecewiseAffineDynamics(modes),
-        6,
-        COSTS[name](far, 1.0),
-        lfo.Box(-1.0, 1.0),
-        state_set=None if bound is None else lfo.Box(-bound, bound),
+    problem = replace(
+        linear,
+        dynamics=lfo.PiecewiseAffineDynamics(modes),
+        horizon=6,
+        state_set=within if linear.state_set is None else within & linear.state_set,
         initial_state=[0.3],
     )
     result = lfo.solve(problem)

@@ -207,7 +207,7 @@ class _FitPoint:
             z=z,
             rounding=rounding,
             signals=signal_columns(problem.horizon, problem.state_dim, problem.control_dim),
-            rows=linear.multipliers(numbers, 1.0),
+            rows=linear.multipliers(numbers, 0.0),  # as they are: those of an optimum pay for slacks
             stages=[(int(t), int(j)) for t, j in np.argwhere(active) if j != sequence[t]],
         )
 
