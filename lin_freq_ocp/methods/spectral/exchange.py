@@ -206,15 +206,15 @@ class Exchange:
         step = inverse @ self.defects
         if not len(working):
             return step, working.weights, None
-        Z, S = working.eliminated(inverse)
-        d = self.slack - working.coupling.T @ step - S @ working.weights
+        through, S = working.eliminated(inverse)
+        delta = self.slack - working.coupling.T @ step - S @ working.weights
         diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
-        new, accurate = bounded_qp(S, d, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
+        new, accurate = bounded_qp(S, delta, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
         combine = (want_ray or not accurate) and self.stop() is None
-        ray = row_ray(self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
+        ray = row_ray(self.data, working, S, delta, through, combine, self._ray_tolerance, self.stop)
         if ray is None and combine:
             ray = regularised_ray(self.data, working, self._ray_tolerance, self.stop)
-        return step - Z @ (new - working.weights), new, ray
+        return step - through @ (new - working.weights), new, ray
 
     def _compliant_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
         """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
@@ -245,7 +245,7 @@ class Exchange:
         self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
         self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
         on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
-        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
+        self.slope = self.data.h_theta + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
         largest = max(1.0, float(np.abs(self.signals.y).max()))
         self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
@@ -296,7 +296,7 @@ class Exchange:
     def _relative_slope(self) -> float:
         """Return the largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
-        terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
+        terms = np.abs(self.data.h_theta) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.zeta)
         least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)

@@ -375,9 +375,10 @@ class BorderedQp:
     prices: Array
 
     def solve(self, stop: Stop = lambda: None) -> tuple[Array, Array, bool]:
-        """Return the step of (theta, zeta), the weights l, and whether they are accurate; the best iterate if ``stop`` ends it.
+        """Return the step of (theta, zeta), the weights l, and whether they are accurate.
 
-        The first attempt has no prices: these are often far above the weights, and cost digits.
+        They are the best iterate if ``stop`` ends it. The first attempt has no prices: these are often far above the
+        weights, and cost digits.
         """
         if np.isfinite(self.prices).any():
             step, weights, accurate = replace(self, prices=np.full(len(self.prices), np.inf)).solve(stop)

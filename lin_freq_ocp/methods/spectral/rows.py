@@ -157,8 +157,9 @@ class WorkingSet:
     """Rows G y <= limit, each sign F_f y_t, with multipliers ``weights`` l >= 0; at t = T, on free components of x_T.
 
     ``limits`` and ``prices`` (count,) are their right-hand sides and largest multipliers, infinite for hard rows.
-    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count), S_EW the decrease of the equations by unit
-    forces on the rows. ``present`` (2, rows of F, T+1) is the mask of the rows, lower bounds first.
+    ``coupling`` is C = [(G Y)'; -S_EW], (size + equations, count): the effect of theta on the rows, and the decrease of
+    the equations by unit forces on the rows, S_EW = E_y N N^* G'. ``present`` (2, rows of F, T+1) is the mask of the
+    rows, lower bounds first.
     """
 
     def __init__(self, kkt: BorderedSystem, lti: Lti):
@@ -216,7 +217,7 @@ class WorkingSet:
 
     @property
     def gram(self) -> Array:
-        """S_W, the responses of the rows to forces on each other at fixed theta and multipliers of the equations."""
+        """S_W = G N N^* G', the decrease of the rows by unit forces on each other, at fixed theta and zeta."""
         if self._cached_gram is None:
             require_memory(
                 f"method 'spectral' with {len(self)} working rows (samples at a bound)",
@@ -229,12 +230,12 @@ class WorkingSet:
         return self._cached_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
-        """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
-        gram, Z = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
-        half = self.coupling.T @ (Z / 2)
+        """Return K^{-1} C and S for an inverse of K; S is exactly symmetric: else the QP stalls at rounding."""
+        gram, through = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
+        half = self.coupling.T @ (through / 2)
         S = half + half.T
         S += gram
-        return Z, S
+        return through, S
 
     @property
     def saturated(self) -> Mask:
@@ -249,5 +250,5 @@ class WorkingSet:
         return self.limits - self.sign * values
 
     def free_response(self) -> Array:
-        """Return the response of each row to a unit force on it, without equations, (count,)."""
+        """Return the decrease of each row by a unit force on it, without equations, (count,)."""
         return self._kkt.kernels.free_response(self.t, self.f)

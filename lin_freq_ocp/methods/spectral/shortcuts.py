@@ -97,7 +97,7 @@ class WholeHorizon:
     """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
 
     ``coupling`` (size + equations, values) and ``free_response`` (values,) are as in WorkingSet, ``through`` is
-    K_b^{-1} C.
+    K^{-1} C.
     """
 
     def __init__(self, kkt: BorderedSystem, rows: Indices):
@@ -160,10 +160,10 @@ def exchange_values(
         values, saturated = base, index[:0]
         if len(index):
             t, f = whole.t[index], whole.f[index]
-            d = sign * (lti.bounds.at(t, f, sign) - base[index])
+            delta = sign * (lti.bounds.at(t, f, sign) - base[index])
             price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
             S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, whole.free_response[index], stop)
+            weights, accurate = bounded_qp(S, delta, weights, price, diagonal_bound, whole.free_response[index], stop)
             duals = ActiveSetDuals(index, sign, weights, count, accurate)
             if not accurate:
                 break
