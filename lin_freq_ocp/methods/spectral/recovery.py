@@ -7,8 +7,8 @@ r_k its DFT. The Lagrangian has the term <eta_t, x_{t+1} - A x_t - B u_t - d_t>.
     in u:   -B'eta_t + (r_t)_u + (R'rho)_t = 0     <=>   (R'rho)_k = B'eta_k - (r_k)_u, zero at passed bins
 
 A recursion for eta would multiply rounding errors by the growth of the dynamics, 3e46 for the pendulum sampled at
-0.1 s. Near eigenvalues, D_k = U diag(sigma) V^* replaces zI - A: eta_k = -U diag(1/sigma) V^* r_k along large singular values;
-along small ones, it is the multiplier of the compatibility equation of that bin.
+0.1 s. Near eigenvalues, D_k = U diag(sigma) V^* replaces zI - A: eta_k = -U diag(1/sigma) V^* r_k along large singular
+values; along small ones, it is the multiplier of the compatibility equation of that bin.
 
 The equation x(0) = x_0 is a force that closes the period. In its place, fixed ends have the forces of transversality:
 
