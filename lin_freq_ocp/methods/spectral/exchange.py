@@ -273,9 +273,8 @@ class Point:
         self.data, self.kkt, self.theta, self.zeta, self.working = data, kkt, theta, zeta, working
         self.signals = data.signals(theta, zeta, working)
         self.residual = data.residual(theta, self.signals)
-        saturated = working.saturated
-        violations.set_saturated(working.t[saturated], working.f[saturated])
-        self.worst = violations.measure_values(violations.values(self.signals.y), self.signals.last)
+        values, paid = violations.values(self.signals.y), working.saturated
+        self.worst = violations.measure_values(values, self.signals.last, working.t[paid], working.f[paid])
         on_rows = working.coupling[: kkt.size] @ working.weights
         self.slope = data.h_theta + kkt.H @ theta + kkt.E.T @ zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])

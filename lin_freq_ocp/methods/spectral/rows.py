@@ -74,22 +74,18 @@ class Violations:
         t, index = np.append(t, 0 * start), self._index[np.append(f, start)]
         self.fixed = index[index >= 0], t[index >= 0]
         self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
-        none = np.zeros(0, dtype=np.intp)
-        self.set_saturated(none, none)
-
-    def set_saturated(self, t: Indices, f: Indices) -> None:
-        """Set the saturated rows: f of F at times t; at t = T, f is a component of x_T."""
-        inner = t < self.lti.horizon
-        self._saturated = self._index[f[inner]], t[inner]
-        self._saturated_last = f[~inner]
 
     def values(self, y: Array) -> Array:
         """Return F y of the bounded rows, shape (bounded, T)."""
         return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
 
-    def measure_values(self, values: Array, last: Array) -> float:
-        """Measure values (bounded, T) of the bounded rows, and last = x_T; return the worst violation."""
-        bounds, n = self.lti.bounds, self.lti.state_dim
+    def measure_values(self, values: Array, last: Array, t: Indices, f: Indices) -> float:
+        """Measure values (bounded, T) of the bounded rows, and last = x_T; return the worst violation.
+
+        The rows f of F at times t are saturated; at t = T, f is a component of x_T.
+        """
+        bounds, n, inner = self.lti.bounds, self.lti.state_dim, t < self.lti.horizon
+        self._saturated = self._index[f[inner]], t[inner]
         below = self.lower - values
         self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
         self.above = self.violation >= below
@@ -100,7 +96,7 @@ class Violations:
         self.worst = float(self.violation.max(initial=ABSENT))
         if self.free_end.any():
             at_end = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
-            at_end[self._saturated_last] = ABSENT
+            at_end[f[~inner]] = ABSENT
             self.last, self.last_above = np.where(self.free_end, at_end, ABSENT), last > bounds.last_upper
             self.worst = max(self.worst, float(self.last.max()))
         return self.worst
@@ -212,7 +208,7 @@ class WorkingSet:
         self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling = coupling
         self.limits = self.sign * self._lti.bounds.at(self.t, self.f, self.sign)
-        self.prices = self._lti.prices.at(self.t, self.f, self.sign)
+        self.prices = self._lti.price_of(self.t, self.f, self.sign)
         self._cached_gram: Array | None = None
 
     @property

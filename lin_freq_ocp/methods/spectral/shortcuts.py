@@ -161,7 +161,7 @@ def exchange_values(
         if len(index):
             t, f = whole.t[index], whole.f[index]
             delta = sign * (lti.bounds.at(t, f, sign) - base[index])
-            price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
+            price, diagonal_bound = lti.price_of(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
             S = whole.gram(index) * sign * sign[:, None]
             weights, accurate = bounded_qp(S, delta, weights, price, diagonal_bound, whole.free_response[index], stop)
             duals = ActiveSetDuals(index, sign, weights, count, accurate)
@@ -169,8 +169,8 @@ def exchange_values(
                 break
             values = base - whole.response(index, sign * weights)
             saturated = index[weights >= price]
-        violations.set_saturated(whole.t[saturated], whole.f[saturated])
-        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+        parts = values[:-n].reshape(len(whole.rows), -1), values[-n:]
+        if violations.measure_values(*parts, whole.t[saturated], whole.f[saturated]) < tolerance or stop():
             break
         active = weights > 0
         index, sign, weights = index[active], sign[active], weights[active]

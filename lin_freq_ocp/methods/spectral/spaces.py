@@ -273,7 +273,7 @@ class CirculantKernels:
 
     def __init__(self, lti: Lti, spaces: BinSpaces):
         self.lti, self.spaces, rows = lti, spaces, len(lti.F)
-        self.known = np.zeros((rows, rows), dtype=bool)
+        self._computed = np.zeros((rows, rows), dtype=bool)
         self.complete = rows * rows * lti.horizon <= SMALL_TABLE
         if self.complete:
             NF = self.of_rows(np.arange(rows))
@@ -312,13 +312,13 @@ class CirculantKernels:
 
     def _compute(self, pairs: Iterable[tuple[int, int]]) -> None:
         for f, g in map(sorted, pairs):
-            if not self.known[f, g]:
+            if not self._computed[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
                 self.table[f, g] = np.fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
                 if f == g:
                     self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
                     self.table[f, f] /= 2
-                self.known[f, g] = True
+                self._computed[f, g] = True
 
     def of_rows(self, rows: Indices) -> ComplexArray:
         """Return F_f N of some rows, shape (rows, m, bins)."""
