@@ -218,15 +218,14 @@ class Exchange:
         if len(working):
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
             change, base = change + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
-        duals = exchange_values(whole, self.violations, whole.duals(start), base, self.tolerance, self.stop)
-        self.rounds += max(0, duals.rounds - 1)
-        rows = whole.rows_of(duals)
-        if not duals.accurate:
+        rows, count, accurate = exchange_values(whole, self.violations, start, base, self.tolerance, self.stop)
+        self.rounds += max(0, count - 1)
+        if not accurate:
             working.add(rows.t, rows.f, rows.sign)
             return None
-        working.replace(rows, whole.coupling[:, duals.indices] * duals.sign)
-        change = change - whole.through[:, duals.indices] @ (duals.sign * duals.weights)
-        return Step(change, duals.weights)
+        indices = whole.flat_indices(rows.t, rows.f)
+        working.replace(rows, whole.coupling[:, indices] * rows.sign)
+        return Step(change - whole.through[:, indices] @ (rows.sign * working.weights), working.weights)
 
     def _stiff_step(self, want_ray: bool) -> Step:
         """Return the eliminated step; on long horizons, rows near the working rows that it violates enter before."""
@@ -237,10 +236,8 @@ class Exchange:
             if converged or not 0 < len(working) <= LOCAL_ROWS:
                 return step
             near = near or neighbourhood_of(self.kkt, self.violations, working)
-            if near is None:
-                return step
-            entering = near.entering(self.at.signals.y, working, step.change, step.weights, self.tolerance)
-            if not working.add(*entering):
+            at = self.at.signals.y, working, step.change, step.weights
+            if near is None or not working.add(*near.entering(*at, self.tolerance)):
                 return step
             guess = np.append(step.weights, np.zeros(len(working) - len(step.weights)))
         return self._eliminated_step(guess, want_ray)
@@ -273,8 +270,9 @@ class Point:
         self.data, self.kkt, self.theta, self.zeta, self.working = data, kkt, theta, zeta, working
         self.signals = data.signals(theta, zeta, working)
         self.residual = data.residual(theta, self.signals)
-        values, paid = violations.values(self.signals.y), working.saturated
-        self.worst = violations.measure_values(values, self.signals.last, working.t[paid], working.f[paid])
+        values, saturated = violations.values(self.signals.y), working.weights >= working.prices
+        rows = working.t[saturated], working.f[saturated]
+        self.worst = violations.measure_values(values, self.signals.last, *rows)
         on_rows = working.coupling[: kkt.size] @ working.weights
         self.slope = data.h_theta + kkt.H @ theta + kkt.E.T @ zeta + on_rows
         self.defects = np.concatenate([-self.slope, self.residual])
@@ -338,22 +336,24 @@ class Point:
         return max(self.data.lti.cost_level, abs(self.cost))
 
 
+@dataclass(eq=False)
 class Progress:
     """Counts the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
 
-    def __init__(self):
-        self.stalled = 0
-        self._violation, self._slope, self._theta = np.inf, np.inf, 0.0  # the least two, and the largest theta
+    stalled: int = 0
+    violation: float = np.inf  # the least so far
+    slope: float = np.inf  # the least relative one
+    theta: float = 0.0  # the largest
 
     def note(self, at: Point, added: int) -> None:
         """Note a point, and the number of rows that were added before it."""
         far = float(np.abs(at.theta).max(initial=0.0))
-        nearer = at.relative_slope < self._slope / 2 or far > 2 * self._theta
+        nearer = at.relative_slope < self.slope / 2 or far > 2 * self.theta
         moves = at.kkt.compliant and not at.cannot_decrease and nearer
-        improving = at.worst < self._violation / 2 or (added and at.worst >= FINE_VIOLATION) or moves
+        improving = at.worst < self.violation / 2 or (added and at.worst >= FINE_VIOLATION) or moves
         self.stalled = 0 if improving else self.stalled + 1
-        self._violation, self._slope = min(self._violation, at.worst), min(self._slope, at.relative_slope)
-        self._theta = max(self._theta, far)
+        self.violation, self.slope = min(self.violation, at.worst), min(self.slope, at.relative_slope)
+        self.theta = max(self.theta, far)
 
     @property
     def ray_tolerance(self) -> float:

@@ -268,11 +268,11 @@ class BorderedSystem:
         return np.vstack([at_points, np.zeros((len(self.compatibility_rows), len(t))), at_bands])
 
     def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add the responses to theta (size, N) to the spectra (n+m, N, bins), in place."""
+        """Add Y_k theta to the spectrum (n+m, bins), in place."""
         for a in range(self.ends_count):
-            spectrum += theta[a, :, None] * self.end_responses[:, a, None]
-        along = self.amplitude[:, None] * theta[self.ends_count :]
-        np.add.at(spectrum.T, self.bins, along[:, :, None] * self.vectors.T[:, None])
+            spectrum += theta[a] * self.end_responses[:, a]
+        along = self.amplitude * theta[self.ends_count :]
+        np.add.at(spectrum.T, self.bins, along[:, None] * self.vectors.T)
 
 
 def _null_space(rows: Array, gram: Array) -> Array:

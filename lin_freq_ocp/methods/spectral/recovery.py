@@ -82,16 +82,14 @@ def recover(data: Data, outcome: ExchangeOutcome) -> LtiMultipliers:
     joint = slice(n + lti.control_dim, None)
     at_start = lti.F[joint, :n].T @ on_rows[joint, 0] - lti.A.T @ eta[:, 0]
     at_end = np.array(eta[:, -1])
-    for component, row, multiplier in zip(kkt.band_component, kkt.bands, on_bands, strict=True):
-        at_start[component] += multiplier * row[0]
-        at_end[component] += multiplier * row[-1]
+    np.add.at(at_start, kkt.band_component, on_bands * kkt.bands[:, 0])
+    np.add.at(at_end, kkt.band_component, on_bands * kkt.bands[:, -1])
     if ray is None:
         y, last = outcome.signals.y, outcome.signals.last
         at_start += lti.M[:n] @ y[:, 0] + (0.0 if lti.linear is None else lti.linear[:n, 0])
         at_end += lti.P @ last + lti.p
-    fixed_start, fixed_end = np.flatnonzero(~np.isnan(lti.start)), np.flatnonzero(~np.isnan(lti.end))
-    on_rows[fixed_start, 0] = -at_start[fixed_start]
-    on_rows[fixed_end, -1] = -at_end[fixed_end]
+    on_rows[:n, 0] = np.where(np.isnan(lti.start), on_rows[:n, 0], -at_start)
+    on_rows[:n, -1] = np.where(np.isnan(lti.end), on_rows[:n, -1], -at_end)
     rho_x = np.zeros(lti.state_stop.shape, dtype=np.complex128)
     for i in kkt.band_components:
         rho_x[:, i] = bin_multipliers(lti.state_samples, lti.state_stop[:, i], on_bands[kkt.band_component == i])
@@ -103,7 +101,7 @@ def _adjoint(structure: Structure, gradient: ComplexArray, zeta: Array) -> Compl
     spaces, kkt, T = structure.spaces, structure.kkt, structure.kkt.lti.horizon
     near, n = spaces.near, kkt.lti.state_dim
     with np.errstate(all="ignore"):
-        eta_k = -spaces.resolvent.apply_adjoint(spaces.z, gradient[:n, None])[:, 0]
+        eta_k = -spaces.resolvent.apply(spaces.z, gradient[:n, None], adjoint=True)[:, 0]
     eta_k[:, near.k] = -near.adjoint(gradient[:, None, near.k])[:, 0]
     row = len(kkt.point_t)  # of zeta: a compatibility equation has a real and, but for real bins, an imaginary part
     for scale, equation in zip(kkt.compatibility_scale, spaces.compatibility, strict=True):

@@ -32,7 +32,7 @@ class Rows(NamedTuple):
     sign: Array
     weights: Array | None = None
 
-    def take(self, chosen: Mask) -> Rows:
+    def take(self, chosen: Mask | Indices) -> Rows:
         """Return some of the rows."""
         weights = None if self.weights is None else self.weights[chosen]
         return Rows(self.t[chosen], self.f[chosen], self.sign[chosen], weights)
@@ -232,11 +232,6 @@ class WorkingSet:
         S = half + half.T
         S += gram
         return through, S
-
-    @property
-    def saturated(self) -> Mask:
-        """Which multipliers are the price of their row: these rows are violated."""
-        return self.weights >= self.prices
 
     def slacks(self, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""

@@ -58,27 +58,21 @@ class Resolvent:
     def __init__(self, A: Array):
         self.triangle, self.unitary = schur(A.astype(np.complex128), output="complex")
         self.eigenvalues: ComplexArray = np.diagonal(self.triangle)
-        self._adjoint = self.unitary.conj().T
 
-    def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
-        Y = times_columns(self._adjoint, rhs)
-        for i in range(len(Y) - 1, -1, -1):
-            for j in range(i + 1, len(Y)):
-                if self.triangle[i, j]:
-                    Y[i] += self.triangle[i, j] * Y[j]
-            Y[i] /= z - self.triangle[i, i]
-        return times_columns(self.unitary, Y)
+    def apply(self, z: ComplexArray, rhs: ComplexArray, adjoint: bool = False) -> ComplexArray:
+        """Return (z_k I - A)^{-1} rhs_k, or (z_k I - A)^{-*} rhs_k; inf or NaN at eigenvalues.
 
-    def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, columns, bins)."""
-        Y = times_columns(self._adjoint, rhs)
-        for i in range(len(Y)):
-            for j in range(i):
-                if self.triangle[j, i]:
-                    Y[i] += self.triangle[j, i].conj() * Y[j]
-            Y[i] /= (z - self.triangle[i, i]).conj()
-        return times_columns(self.unitary, Y)
+        z is (bins,), and rhs (n, columns, bins).
+        """
+        solution, triangle, order = times_columns(self.unitary.conj().T, rhs), self.triangle, range(len(rhs))[::-1]
+        if adjoint:  # of a lower triangle, the first unknown follows first
+            z, triangle, order = z.conj(), triangle.conj().T, order[::-1]
+        for i in order:
+            for j in np.flatnonzero(triangle[i]):
+                if j != i:
+                    solution[i] += triangle[i, j] * solution[j]
+            solution[i] /= z - triangle[i, i]
+        return times_columns(self.unitary, solution)
 
     def size(self, z: ComplexArray) -> Array:
         """Return the sums of the absolute values of the entries of (z_k I - A)^{-1}, (bins,)."""

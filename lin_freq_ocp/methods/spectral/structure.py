@@ -109,7 +109,7 @@ class Data:
         lti, kkt, spectrum = self.lti, self.structure.kkt, self.base.copy()
         if len(working) or zeta.any():
             self.structure.spaces.respond(*self.forces(zeta, working), spectrum)
-        kkt.add(theta[:, None], spectrum[:, None])
+        kkt.add(theta, spectrum)
         y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
         if lti.periodic:
             last[:] = y[: lti.state_dim, 0]
