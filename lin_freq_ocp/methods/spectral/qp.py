@@ -65,21 +65,21 @@ def bounded_qp(
     start: Array,
     prices: Array,
     diagonal_bound: Array,
-    free_response: Array,
+    response: Array,
     stop: Stop = lambda: None,
 ) -> tuple[Array, bool]:
     """Return (l, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
     ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows, else 0. If equations decide a
-    soft row, it is saturated iff it is violated: its entry of S is a rounding error, relative to its ``free_response``,
-    the one without equations.
+    soft row, it is saturated iff it is violated: its entry of S is a rounding error, relative to its ``response``
+    without equations.
     """
-    decided = np.isfinite(prices) & (np.diagonal(S) < DECIDED_SOFT * free_response)
+    decided = np.isfinite(prices) & (np.diagonal(S) < DECIDED_SOFT * response)
     if decided.any():  # they are at a bound of their multipliers
         weights, free, accurate = np.where(decided & (delta < 0), prices, 0.0), ~decided, True
         if free.any():
             delta = delta[free] + S[np.ix_(free, decided)] @ weights[decided]
-            rows = start[free], prices[free], diagonal_bound[free], free_response[free]
+            rows = start[free], prices[free], diagonal_bound[free], response[free]
             weights[free], accurate = bounded_qp(S[np.ix_(free, free)], delta, *rows, stop)
         return weights, accurate
     # units in which S has a diagonal of 1 and delta a largest entry of 1: all tolerances below are relative to these
@@ -188,12 +188,8 @@ def _polish(system: _Dense | _Thin, delta: Array, pairs: Pairs, margins: Array, 
     for _ in range(POLISHES):
         slope = np.where(active, system.times(polished) + delta, 0.0)
         polished = polished - np.where(active, system.solve(slope), 0.0)
-
-    def slope_left(l_active: Array) -> float:
-        return float(np.abs((system.times(l_active) + delta)[active]).max())
-
-    polished = np.clip(polished, 0.0, pairs.prices)
-    return polished if slope_left(polished) < slope_left(weights) else weights
+    candidates = weights, np.clip(polished, 0.0, pairs.prices)
+    return min(candidates, key=lambda l_active: float(np.abs((system.times(l_active) + delta)[active]).max()))
 
 
 class Pairs:
