@@ -5,8 +5,8 @@ docs/spectral.md, 7 and 8. A round is a Newton step from the true signals of (th
 
     K change + C (l - l_0) = defects = (-slope, residual),      slack_0 - C'change + S_W (l - l_0) >= 0,  l >= 0
 
-So its fixed point has true slacks, whatever errors S, K and the small QP have. Exchange.run is the loop, Point measures
-the signals and tests for optimality, Progress decides when rounding ends it.
+So its fixed point has true slacks, whatever errors S, K and the small QP have. Exchange.run is the loop, Iterate
+measures the signals and tests for optimality, Stalling decides when rounding ends it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -82,6 +81,10 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
     return stop
 
 
+ExchangeStep = tuple[Array, Array, Ray | None]
+"""The answer of a small QP: the change of (theta, zeta), the new weights of the working rows, and perhaps a ray."""
+
+
 @dataclass(eq=False)
 class ExchangeOutcome:
     """The result of an exchange: the last trajectory, and its multipliers of equations and rows."""
@@ -95,19 +98,11 @@ class ExchangeOutcome:
     ray: Ray | None  # if infeasible
 
 
-class Step(NamedTuple):
-    """The answer of a small QP: the change of (theta, zeta), the new weights of the working rows, perhaps a ray."""
-
-    change: Array
-    weights: Array
-    ray: Ray | None = None
-
-
 class Exchange:
-    """One solve. Its state is theta, zeta and the working rows with their weights; ``at`` is measured there.
+    """One solve. Its state is the iterate ``at``, and the working rows with their weights.
 
-    A round replaces ``at``, changes ``working``, ``violations`` (those of ``at``), ``proximal`` and ``progress``, and
-    counts in ``rounds`` the small QPs.
+    A round replaces ``at``, and changes ``working``, ``violations`` (those of ``at``), ``proximal`` and ``stalling``;
+    ``rounds`` counts the small QPs.
     """
 
     def __init__(self, data: Data, first: Rows | None, tolerance: float, stop: Stop):
@@ -120,12 +115,12 @@ class Exchange:
             if self.first.weights is not None:
                 self.working.weights = np.minimum(self.first.weights, self.working.prices)
         self.proximal = data.lti.curvature_unit if data.lti.has_limits else self.kkt.least_proximal
-        self.progress, self.rounds = Progress(), 0
-        self.at = Point(data, np.zeros(self.kkt.size), np.zeros(len(data.e)), self.working, self.violations)
+        self.stalling, self.rounds = Stalling(), 0
+        self.at = Iterate(data, np.zeros(self.kkt.size), np.zeros(len(data.e)), self.working, self.violations)
 
     def run(self) -> ExchangeOutcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
-        working, kkt, progress, added = self.working, self.kkt, self.progress, len(self.working)
+        working, kkt, stalling, added = self.working, self.kkt, self.stalling, len(self.working)
 
         def outcome(status: str, message: str = "", ray: Ray | None = None) -> ExchangeOutcome:
             return ExchangeOutcome(status, message, self.at.signals, self.at.zeta, working, self.rounds, ray)
@@ -136,13 +131,19 @@ class Exchange:
                 return outcome("limit", reason)
             # the small QP, and the signals of its weights
             self.rounds += 1
-            step = self._step(count)
-            ray = step.ray or self._move(step)
+            change, weights, ray = self._step(count)
+            if ray is None:
+                working.weights = weights
+                theta, zeta = self.at.theta + change[: kkt.size], self.at.zeta + change[kkt.size :]
+                del self.at  # its signals are large: freed before the next are made
+                self.at = Iterate(self.data, theta, zeta, working, self.violations)
+                if self.at.relative_residual > EQUATION_CONFLICT:
+                    ray = equation_ray(self.data, self.at.residual)
             # stop?
             if ray is not None:
                 return outcome("infeasible", INFEASIBLE, ray)
-            progress.note(self.at, added)
-            if self.at.accurate() if progress.stalled >= STALLED_ROUNDS else self.at.optimal(self.tolerance):
+            stalling.note(self.at, added)
+            if self.at.accurate() if stalling.rounds >= STALLED_ROUNDS else self.at.optimal(self.tolerance):
                 return outcome("optimal")
             if self.at.worst < self.tolerance and np.abs(self.at.theta).max(initial=0.0) > UNBOUNDED_SIZE:
                 return outcome("unbounded", "the cost has no lower bound")
@@ -162,7 +163,7 @@ class Exchange:
             return outcome("optimal")
         return outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
-    def _step(self, count: int) -> Step:
+    def _step(self, count: int) -> ExchangeStep:
         """Return the step of round ``count``, from the residuals of the signals: docs/spectral.md, 6.
 
         A first reader may take it for ``_eliminated_step``. If the horizon is short, the small QP runs over all bounded
@@ -178,7 +179,7 @@ class Exchange:
                 return step
         return self._compliant_step(want_ray) if self.kkt.compliant else self._stiff_step(want_ray)
 
-    def _eliminated_step(self, guess: Array, want_ray: bool) -> Step:
+    def _eliminated_step(self, guess: Array, want_ray: bool) -> ExchangeStep:
         """Return the step for the present working rows, with theta and zeta eliminated: docs/spectral.md, (4).
 
         In theta and zeta it is K^{-1} (defects - C (l - l_0)), for weights l_0 before it. The slacks then change to
@@ -187,29 +188,21 @@ class Exchange:
         working, inverse = self.working, self.kkt.inverse
         change = inverse @ self.at.defects
         if not len(working):
-            return Step(change, working.weights)
+            return change, working.weights, None
         through, S = working.eliminated(inverse)
         delta = self.at.slack - working.coupling.T @ change - S @ working.weights
         diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
         new, accurate = bounded_qp(S, delta, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
         combine = (want_ray or not accurate) and self.stop() is None
-        tolerance = self.progress.ray_tolerance
+        tolerance = self.stalling.ray_tolerance
         ray = row_ray(self.data, working, S, delta, through, combine, tolerance, self.stop)
         if ray is None and combine:
             ray = regularised_ray(self.data, working, tolerance, self.stop)
-        return Step(change - through @ (new - working.weights), new, ray)
+        return change - through @ (new - working.weights), new, ray
 
-    def _move(self, step: Step) -> Ray | None:
-        """Take the step, and measure the new point; return a ray if the equations contradict each other."""
-        theta, zeta = self.at.theta + step.change[: self.kkt.size], self.at.zeta + step.change[self.kkt.size :]
-        self.working.weights = step.weights
-        del self.at  # its signals are large: freed before the next are made
-        self.at = Point(self.data, theta, zeta, self.working, self.violations)
-        return equation_ray(self.data, self.at.residual) if self.at.relative_residual > EQUATION_CONFLICT else None
+    # A first reader may go on with Iterate. These steps save time, or digits of compliant unknowns.
 
-    # A first reader may go on with Point. What follows saves time, or digits of compliant unknowns.
-
-    def _whole_step(self, whole: WholeHorizon, start: Rows) -> Step | None:
+    def _whole_step(self, whole: WholeHorizon, start: Rows) -> ExchangeStep | None:
         """Return the step of rounds on all values, whose rows become the working rows; None if a QP was inaccurate."""
         working, at = self.working, self.at
         # the values without working rows
@@ -225,39 +218,38 @@ class Exchange:
             return None
         indices = whole.flat_indices(rows.t, rows.f)
         working.replace(rows, whole.coupling[:, indices] * rows.sign)
-        return Step(change - whole.through[:, indices] @ (rows.sign * working.weights), working.weights)
+        return change - whole.through[:, indices] @ (rows.sign * working.weights), working.weights, None
 
-    def _stiff_step(self, want_ray: bool) -> Step:
+    def _stiff_step(self, want_ray: bool) -> ExchangeStep:
         """Return the eliminated step; on long horizons, rows near the working rows that it violates enter before."""
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
-            step = self._eliminated_step(guess, want_ray)
-            converged = step.ray is not None or self.at.worst < self.tolerance or self.stop() is not None
+            change, new, ray = self._eliminated_step(guess, want_ray)
+            converged = ray is not None or self.at.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
-                return step
+                return change, new, ray
             near = near or neighbourhood_of(self.kkt, self.violations, working)
-            at = self.at.signals.y, working, step.change, step.weights
-            if near is None or not working.add(*near.entering(*at, self.tolerance)):
-                return step
-            guess = np.append(step.weights, np.zeros(len(working) - len(step.weights)))
+            if near is None or not working.add(*near.entering(self.at.signals.y, working, change, new, self.tolerance)):
+                return change, new, ray
+            guess = np.append(new, np.zeros(len(working) - len(new)))
         return self._eliminated_step(guess, want_ray)
 
-    def _compliant_step(self, want_ray: bool) -> Step:
+    def _compliant_step(self, want_ray: bool) -> ExchangeStep:
         """Return the step for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
         working, kkt, at = self.working, self.kkt, self.at
         K = kkt.proximal_matrix(self.proximal)
         if not len(working):
             inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_of(K)
-            return Step(inverse @ at.defects, working.weights)
+            return inverse @ at.defects, working.weights, None
         before = at.slack, working.weights, working.prices
         qp = BorderedQp(kkt.size, K, working.coupling, working.gram, at.defects, *before)
         change, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
-            return Step(change, new)
-        return Step(change, new, regularised_ray(self.data, working, self.progress.ray_tolerance, self.stop))
+            return change, new, None
+        return change, new, regularised_ray(self.data, working, self.stalling.ray_tolerance, self.stop)
 
 
-class Point:
+class Iterate:
     """The signals of theta, zeta and the weights of the working rows, by FFT, and what they leave to be done.
 
     ``worst`` is the largest violation, ``residual`` that of the equations, ``slope`` (size,) the gradient of the
@@ -337,28 +329,28 @@ class Point:
 
 
 @dataclass(eq=False)
-class Progress:
+class Stalling:
     """Counts the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
 
-    stalled: int = 0
+    rounds: int = 0
     violation: float = np.inf  # the least so far
     slope: float = np.inf  # the least relative one
     theta: float = 0.0  # the largest
 
-    def note(self, at: Point, added: int) -> None:
+    def note(self, at: Iterate, added: int) -> None:
         """Note a point, and the number of rows that were added before it."""
         far = float(np.abs(at.theta).max(initial=0.0))
         nearer = at.relative_slope < self.slope / 2 or far > 2 * self.theta
         moves = at.kkt.compliant and not at.cannot_decrease and nearer
         improving = at.worst < self.violation / 2 or (added and at.worst >= FINE_VIOLATION) or moves
-        self.stalled = 0 if improving else self.stalled + 1
+        self.rounds = 0 if improving else self.rounds + 1
         self.violation, self.slope = min(self.violation, at.worst), min(self.slope, at.relative_slope)
         self.theta = max(self.theta, far)
 
     @property
     def ray_tolerance(self) -> float:
         """Stationarity of rays: the exchange may stall because the rows conflict."""
-        return ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else RAY_TOLERANCE
+        return ACCEPTED_RAY if self.rounds >= STALLED_ROUNDS else RAY_TOLERANCE
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:

@@ -105,7 +105,7 @@ class Lti:
     @cached_property
     def soft(self) -> bool:
         """Whether some bound has a price."""
-        return not all(np.isinf(prices).all() for prices in vars(self.prices).values())
+        return not all(map(np.all, map(np.isinf, vars(self.prices).values())))
 
     def price_of(self, t: Indices, f: Indices, sign: Array) -> Array:
         """Return the prices of rows as ``Bounds.at`` does; most problems have none."""

@@ -30,7 +30,7 @@ from lin_freq_ocp.methods.spectral.model import Lti
 
 MOST_BORDERING = 128  # directions of small cost; of more, only the smallest become bordering unknowns, which are dense
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
-NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
+NEAR_RESOLVENT = 1e2  # sum of the absolute entries of the resolvent at a near bin: dividing loses two digits there
 NEAR_RADIUS = 0.3  # distance to an eigenvalue up to which the resolvent is tested: a back substitution for these bins
 # Singular value of D_k, relative to the largest, below which its direction becomes a bordering unknown: a division by
 # it would lose five digits of the response to a jump ...
@@ -73,12 +73,6 @@ class Resolvent:
                     solution[i] += triangle[i, j] * solution[j]
             solution[i] /= z - triangle[i, i]
         return times_columns(self.unitary, solution)
-
-    def size(self, z: ComplexArray) -> Array:
-        """Return the sums of the absolute values of the entries of (z_k I - A)^{-1}, (bins,)."""
-        n = len(self.triangle)
-        identity = np.broadcast_to(np.eye(n, dtype=np.complex128)[:, :, None], (n, n, len(z)))
-        return np.abs(self.apply(z, identity)).sum((0, 1))
 
 
 def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray:
@@ -166,7 +160,8 @@ class BinSpaces:
             np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
         close = np.flatnonzero(distance < NEAR_RADIUS)
         with np.errstate(all="ignore"):
-            size = self.resolvent.size(self.z[close])
+            identity = np.repeat(np.eye(lti.state_dim, dtype=np.complex128)[:, :, None], len(close), axis=2)
+            size = np.abs(self.resolvent.apply(self.z[close], identity)).sum((0, 1))
         self.near = NearBins(lti, close[~(size < NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.compatibility: list[CompatibilityEquation] = []
