@@ -30,7 +30,9 @@ EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDERED = 3000  # rows of the matrix; with more, its dense decomposition takes longer than the sparse program
 NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
 EQUATION_ROUNDING = 1e-13  # relative eigenvalue of S_E that is rounding of 0
-COMPLIANT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
+# Response of a bordering unknown to a force, relative to a control's, from which it stays in the small QP: in the sum
+# with S_W, fewer than five digits of S_W would be left.
+COMPLIANT_RESPONSE = 1e11
 COMPLIANT_END = 1e8  # the same for free ends, which move all signals
 HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
 SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control

@@ -1,7 +1,8 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
 Data return the signals that are optimal for given theta, zeta and weights, and their residual in the equations
-(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10).
+(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10). A first
+reader may skip the estimates of memory, and stop after Data.
 """
 
 from __future__ import annotations
@@ -95,6 +96,7 @@ class Data:
             jump += np.fft.rfft(lti.offset)
         self.linear = None if lti.linear is None else np.fft.rfft(lti.linear)
         self.base = spaces.particular(jump[:, None])[:, 0]
+        # responses to theta are M-orthogonal to N: the part of c_k along N, which follows, does not change h_theta
         self.h_theta = kkt.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
         self.h_theta[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
         if self.linear is not None:
