@@ -68,8 +68,8 @@ class Resolvent:
         if adjoint:  # of a lower triangle, the first unknown follows first
             z, triangle, order = z.conj(), triangle.conj().T, order[::-1]
         for i in order:
-            for j in np.flatnonzero(triangle[i]):
-                if j != i:
+            for j in range(len(rhs)):
+                if j != i and triangle[i, j]:
                     solution[i] += triangle[i, j] * solution[j]
             solution[i] /= z - triangle[i, i]
         return times_columns(self.unitary, solution)
