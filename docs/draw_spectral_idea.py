@@ -146,7 +146,7 @@ def draw_kernels(ax: Axes, structure: Structure, solution: lfo.solvers.SpectralS
         ax,
         "(d) How one row acts on another: kernels",
         "t - s, modulo the horizon",
-        "K / largest |K|",
+        "kernel / its largest value",
         [Note("decrease at t by a unit force on u at s; dots: entries of the QP")],
     )
     T = structure.kkt.lti.horizon

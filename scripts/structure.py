@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_769,
-    "code lines": 48_050,
-    "code lines, linear part": 22_652,
+    "shipped lines": 51_754,
+    "code lines": 48_032,
+    "code lines, linear part": 22_634,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.0,
     "files entered by a solve": 51,
-    "functions entered by a solve": 381,
-    "calls of a solve": 747,
+    "functions entered by a solve": 380,
+    "calls of a solve": 739,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -21,7 +21,7 @@ from lin_freq_ocp.methods.condensed.windows import ControlWindows, WindowDuals
 from lin_freq_ocp.methods.spectral.model import Lti, LtiUnits
 from lin_freq_ocp.methods.spectral.recovery import LtiMultipliers, in_units
 from lin_freq_ocp.methods.spectral.reductions import soft_sets
-from lin_freq_ocp.methods.spectral.spaces import bin_weights
+from lin_freq_ocp.methods.spectral.spaces import bin_multiplicity
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.trajectory import Extremals, Trajectory
 
@@ -239,5 +239,5 @@ def extremals_of(problem: OptimalControlProblem, plans: Sequence[Plan]) -> Extre
     splits = np.cumsum([rows.rows for rows in problem.stage_rows])
     stage |= {rows.name: part for rows, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=False)}
     x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
-    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_weights(T) / T)[:, None]
+    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_multiplicity(T) / T)[:, None]
     return Extremals(x, u, eta, forces[..., :n], forces[:, :-1, n:], rho_u, stage)

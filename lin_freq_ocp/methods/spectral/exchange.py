@@ -1,7 +1,12 @@
 """The exchange: a small QP over the working rows, signals by FFT, new rows, until no row is violated.
 
-docs/spectral.md, 7 and 8. Every round corrects the residuals of the true signals (section 6): its fixed point has true
-slacks in spite of errors of the small QP.
+docs/spectral.md, 7 and 8. A round is a Newton step from the true signals of (theta, zeta, l_0), for the change of
+(theta, zeta) and new weights l of the working rows:
+
+    K change + C (l - l_0) = defects = (-slope, residual),      slack_0 - C'change + S_W (l - l_0) >= 0,  l >= 0
+
+So its fixed point has true slacks, whatever errors S, K and the small QP have. Exchange.run is the loop, Iterate
+measures the signals and tests for optimality, Stalling decides when rounding ends it.
 """
 
 from __future__ import annotations
@@ -76,6 +81,10 @@ def deadline(seconds: float | None, interrupted: Callable[[], bool]) -> Stop:
     return stop
 
 
+ExchangeStep = tuple[Array, Array, Ray | None]
+"""The answer of a small QP: the change of (theta, zeta), the new weights of the working rows, and perhaps a ray."""
+
+
 @dataclass(eq=False)
 class ExchangeOutcome:
     """The result of an exchange: the last trajectory, and its multipliers of equations and rows."""
@@ -90,12 +99,14 @@ class ExchangeOutcome:
 
 
 class Exchange:
-    """One solve: theta, zeta and the working rows with their weights, their signals, and the rules of a round."""
+    """One solve. Its state is the iterate ``at``, and the working rows with their weights.
+
+    A round replaces ``at``, and changes ``working``, ``violations`` (those of ``at``), ``proximal`` and ``stalling``;
+    ``rounds`` counts the small QPs.
+    """
 
     def __init__(self, data: Data, first: Rows | None, tolerance: float, stop: Stop):
-        self.data, self.kkt = data, data.structure.kkt
-        self.tolerance, self.stop, self.rounds = tolerance, stop, 0
-        self.theta, self.zeta = np.zeros(self.kkt.size), np.zeros(len(data.e))
+        self.data, self.kkt, self.tolerance, self.stop = data, data.structure.kkt, tolerance, stop
         self.working, self.violations = WorkingSet(self.kkt, data.lti), Violations(data.lti)
         self.whole = data.structure.whole_horizon(self.violations.rows)
         self.first = None if first is None else bounded_rows(first, data.lti)
@@ -104,199 +115,201 @@ class Exchange:
             if self.first.weights is not None:
                 self.working.weights = np.minimum(self.first.weights, self.working.prices)
         self.proximal = data.lti.curvature_unit if data.lti.has_limits else self.kkt.least_proximal
-        self.ray: Ray | None = None
-        # progress so far: the least violation and slope, the largest theta, and rounds without progress
-        self.best, self.flattest, self.farthest, self.stalled = np.inf, np.inf, 0.0, 0
-        self._evaluate()
+        self.stalling, self.rounds = Stalling(), 0
+        self.at = Iterate(data, np.zeros(self.kkt.size), np.zeros(len(data.e)), self.working, self.violations)
 
     def run(self) -> ExchangeOutcome:
         """Exchange until optimal, evaluating all signals MOST_ROUNDS times at most."""
-        added = len(self.working)
+        working, kkt, stalling, added = self.working, self.kkt, self.stalling, len(self.working)
+
+        def outcome(status: str, message: str = "", ray: Ray | None = None) -> ExchangeOutcome:
+            return ExchangeOutcome(status, message, self.at.signals, self.at.zeta, working, self.rounds, ray)
+
         for count in range(1, MOST_ROUNDS + 1):
-            rows = len(self.working)
-            reason = self.stop(QP_SECONDS * rows**3) if rows > LARGE_QP else None
+            reason = self.stop(QP_SECONDS * len(working) ** 3) if len(working) > LARGE_QP else None
             if reason is not None:
-                return self._outcome("limit", reason)
+                return outcome("limit", reason)
             # the small QP, and the signals of its weights
             self.rounds += 1
-            diverging = self.working.weights.max(initial=0.0) > DIVERGING_WEIGHT * self.data.lti.cost_level
-            self._step(want_ray=diverging or count % RAY_ROUNDS == 0)
+            change, weights, ray = self._step(count)
+            if ray is None:
+                working.weights = weights
+                theta, zeta = self.at.theta + change[: kkt.size], self.at.zeta + change[kkt.size :]
+                del self.at  # its signals are large: freed before the next are made
+                self.at = Iterate(self.data, theta, zeta, working, self.violations)
+                if self.at.relative_residual > EQUATION_CONFLICT:
+                    ray = equation_ray(self.data, self.at.residual)
             # stop?
-            if self.ray is not None:
-                return self._outcome("infeasible", INFEASIBLE)
-            if self._optimal(added):
-                return self._outcome("optimal")
-            if self.violations.worst < self.tolerance and np.abs(self.theta).max(initial=0.0) > UNBOUNDED_SIZE:
-                return self._outcome("unbounded", "the cost has no lower bound")
+            if ray is not None:
+                return outcome("infeasible", INFEASIBLE, ray)
+            stalling.note(self.at, added)
+            if self.at.accurate() if stalling.rounds >= STALLED_ROUNDS else self.at.optimal(self.tolerance):
+                return outcome("optimal")
+            if self.at.worst < self.tolerance and np.abs(self.at.theta).max(initial=0.0) > UNBOUNDED_SIZE:
+                return outcome("unbounded", "the cost has no lower bound")
             reason = self.stop()
             if reason is not None:
-                return self._outcome("limit", reason)
+                return outcome("limit", reason)
+            if kkt.compliant and self.at.worst < NEARLY_FEASIBLE and not self.at.level:  # longer steps
+                self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
             # drop rows without multiplier, add violated ones
             entering = self.violations.entering(self.tolerance)
-            present = self.working.present.copy()
+            present = working.present.copy()
             if count <= KEEP_ALL_AFTER:
-                self.working.keep(self.working.weights > 0)
-            self.working.add(*entering)
-            added = int(np.count_nonzero(self.working.present & ~present))  # rows that return at once are not new
-        if self._accurate():
-            return self._outcome("optimal")
-        return self._outcome("numerical_error", f"not converged after {self.rounds} rounds")
+                working.keep(working.weights > 0)
+            working.add(*entering)
+            added = int(np.count_nonzero(working.present & ~present))  # rows that return at once are not new
+        if self.at.accurate():
+            return outcome("optimal")
+        return outcome("numerical_error", f"not converged after {self.rounds} rounds")
 
-    def _step(self, want_ray: bool) -> None:
-        """Correct theta, zeta and weights by the residuals of the signals, in one of three ways; then the signals.
+    def _step(self, count: int) -> ExchangeStep:
+        """Return the step of round ``count``, from the residuals of the signals: docs/spectral.md, 6.
 
-        If the horizon is short, the small QP runs over all bounded values (_whole_step). Else it runs over the working
-        rows, with theta and zeta eliminated (_stiff_step), or kept if compliant (_compliant_step).
+        A first reader may take it for ``_eliminated_step``. If the horizon is short, the small QP runs over all bounded
+        values (_whole_step). If theta is compliant, it stays in the small QP (_compliant_step). Each of these may add
+        rows to the working set, or replace its rows.
         """
-        working, kkt = self.working, self.kkt
-        answer = None if want_ray or self.whole is None else self._whole_step(self.whole)
-        if answer is None:
-            answer = self._compliant_step(want_ray) if kkt.compliant else self._stiff_step(want_ray)
-        step, weights, self.ray = answer
-        if self.ray is not None:
-            return
-        working.weights = weights
-        self.theta = self.theta + step[: kkt.size]
-        self.zeta = self.zeta + step[kkt.size :]
-        self._evaluate()
-        if self.relative_residual > EQUATION_CONFLICT:
-            self.ray = equation_ray(self.data, self.residual)
+        diverging = self.working.weights.max(initial=0.0) > DIVERGING_WEIGHT * self.data.lti.cost_level
+        want_ray = diverging or count % RAY_ROUNDS == 0
+        if self.whole is not None and not want_ray:
+            first = None if count > 1 else self.first
+            step = self._whole_step(self.whole, first or self.working.rows())
+            if step is not None:
+                return step
+        return self._compliant_step(want_ray) if self.kkt.compliant else self._stiff_step(want_ray)
 
-    def _whole_step(self, whole: WholeHorizon) -> tuple[Array, Array, None] | None:
-        """Return the step of (theta, zeta) and weights from rounds on all values; None if a small QP was inaccurate."""
-        working = self.working
+    def _eliminated_step(self, guess: Array, want_ray: bool) -> ExchangeStep:
+        """Return the step for the present working rows, with theta and zeta eliminated: docs/spectral.md, (4).
+
+        In theta and zeta it is K^{-1} (defects - C (l - l_0)), for weights l_0 before it. The slacks then change to
+        slack_0 - C'step + S_W (l - l_0) = S l + delta. An inaccurate QP leads to a search for a ray.
+        """
+        working, inverse = self.working, self.kkt.inverse
+        change = inverse @ self.at.defects
+        if not len(working):
+            return change, working.weights, None
+        through, S = working.eliminated(inverse)
+        delta = self.at.slack - working.coupling.T @ change - S @ working.weights
+        diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
+        new, accurate = bounded_qp(S, delta, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
+        combine = (want_ray or not accurate) and self.stop() is None
+        tolerance = self.stalling.ray_tolerance
+        ray = row_ray(self.data, working, S, delta, through, combine, tolerance, self.stop)
+        if ray is None and combine:
+            ray = regularised_ray(self.data, working, tolerance, self.stop)
+        return change - through @ (new - working.weights), new, ray
+
+    # A first reader may go on with Iterate. These steps save time, or digits of compliant unknowns.
+
+    def _whole_step(self, whole: WholeHorizon, start: Rows) -> ExchangeStep | None:
+        """Return the step of rounds on all values, whose rows become the working rows; None if a QP was inaccurate."""
+        working, at = self.working, self.at
         # the values without working rows
-        step = self.kkt.inverse @ self.defects
-        base = np.append(self.violations.values(self.signals.y), self.signals.last) + step @ whole.coupling
+        change = self.kkt.inverse @ at.defects
+        base = np.append(self.violations.values(at.signals.y), at.signals.last) + change @ whole.coupling
         if len(working):
             indices, mu = whole.flat_indices(working.t, working.f), working.sign * working.weights
-            step, base = step + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
-        start, self.first = whole.duals(self.first or working.rows()), None
-        duals = exchange_values(whole, self.violations, start, base, self.tolerance, self.stop)
-        rows = whole.rows_of(duals)
-        self.rounds += max(0, duals.rounds - 1)
-        if not duals.accurate:
+            change, base = change + whole.through[:, indices] @ mu, base + whole.response(indices, mu)
+        rows, count, accurate = exchange_values(whole, self.violations, start, base, self.tolerance, self.stop)
+        self.rounds += max(0, count - 1)
+        if not accurate:
             working.add(rows.t, rows.f, rows.sign)
             return None
-        working.replace(rows, whole.coupling[:, duals.indices] * duals.sign)
-        return step - whole.through[:, duals.indices] @ (duals.sign * duals.weights), duals.weights, None
+        indices = whole.flat_indices(rows.t, rows.f)
+        working.replace(rows, whole.coupling[:, indices] * rows.sign)
+        return change - whole.through[:, indices] @ (rows.sign * working.weights), working.weights, None
 
-    def _stiff_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the step of (theta, zeta), weights and a ray if one is found, with theta and zeta eliminated.
-
-        Rows near the working rows that the step violates enter at once; then the step is computed again.
-        """
+    def _stiff_step(self, want_ray: bool) -> ExchangeStep:
+        """Return the eliminated step; on long horizons, rows near the working rows that it violates enter before."""
         near, working, guess = None, self.working, self.working.weights
         for _ in range(LOCAL_ROUNDS):
-            step, new, ray = self._eliminated_step(guess, want_ray)
-            converged = ray is not None or self.violations.worst < self.tolerance or self.stop() is not None
+            change, new, ray = self._eliminated_step(guess, want_ray)
+            converged = ray is not None or self.at.worst < self.tolerance or self.stop() is not None
             if converged or not 0 < len(working) <= LOCAL_ROWS:
-                break
+                return change, new, ray
             near = near or neighbourhood_of(self.kkt, self.violations, working)
-            if near is None or not working.add(*near.entering(self.signals.y, working, step, new, self.tolerance)):
-                break
+            if near is None or not working.add(*near.entering(self.at.signals.y, working, change, new, self.tolerance)):
+                return change, new, ray
             guess = np.append(new, np.zeros(len(working) - len(new)))
-        else:
-            step, new, ray = self._eliminated_step(guess, want_ray)
-        return step, new, ray
+        return self._eliminated_step(guess, want_ray)
 
-    def _eliminated_step(self, guess: Array, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for the present working rows: docs/spectral.md, (4). An inaccurate QP leads to a ray."""
-        working, inverse = self.working, self.kkt.inverse
-        step = inverse @ self.defects
-        if not len(working):
-            return step, working.weights, None
-        Z, S = working.eliminated(inverse)
-        d = self.slack - working.coupling.T @ step - S @ working.weights
-        diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
-        new, accurate = bounded_qp(S, d, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
-        combine = (want_ray or not accurate) and self.stop() is None
-        ray = row_ray(self.data, working, S, d, Z, combine, self._ray_tolerance, self.stop)
-        if ray is None and combine:
-            ray = regularised_ray(self.data, working, self._ray_tolerance, self.stop)
-        return step - Z @ (new - working.weights), new, ray
-
-    def _compliant_step(self, want_ray: bool) -> tuple[Array, Array, Ray | None]:
-        """Return the same for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
-        working, kkt = self.working, self.kkt
+    def _compliant_step(self, want_ray: bool) -> ExchangeStep:
+        """Return the step for compliant bordering unknowns, which stay in the small QP, with a proximal term."""
+        working, kkt, at = self.working, self.kkt, self.at
         K = kkt.proximal_matrix(self.proximal)
         if not len(working):
             inverse = kkt.inverse if self.proximal == kkt.least_proximal else kkt.inverse_of(K)
-            return inverse @ self.defects, working.weights, None
-        at = self.slack, working.weights, working.prices
-        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, self.defects, *at)
-        step, new, accurate = qp.solve(self.stop)
+            return inverse @ at.defects, working.weights, None
+        before = at.slack, working.weights, working.prices
+        qp = BorderedQp(kkt.size, K, working.coupling, working.gram, at.defects, *before)
+        change, new, accurate = qp.solve(self.stop)
         if not (want_ray or not accurate) or self.stop():
-            return step, new, None
-        return step, new, regularised_ray(self.data, working, self._ray_tolerance, self.stop)
+            return change, new, None
+        return change, new, regularised_ray(self.data, working, self.stalling.ray_tolerance, self.stop)
 
-    @property
-    def _ray_tolerance(self) -> float:
-        """Return the stationarity of rays: the exchange may stall because the rows conflict."""
-        return ACCEPTED_RAY if self.stalled >= STALLED_ROUNDS else RAY_TOLERANCE
 
-    def _evaluate(self) -> None:
-        """Set the signals, by FFT, and what follows: violations, slacks, the residual of E, the slope in theta."""
-        for name in ("signals", "cost"):  # large: freed before the next are made
-            self.__dict__.pop(name, None)
-        self.signals = self.data.signals(self.theta, self.zeta, self.working)
-        self.residual = self.data.residual(self.theta, self.signals)
-        saturated = self.working.saturated
-        self.violations.set_saturated(self.working.t[saturated], self.working.f[saturated])
-        self.violations.measure_values(self.violations.values(self.signals.y), self.signals.last)
-        on_rows = self.working.coupling[: self.kkt.size] @ self.working.weights
-        self.slope = self.data.h + self.kkt.H @ self.theta + self.kkt.E.T @ self.zeta + on_rows
-        self.defects = np.concatenate([-self.slope, self.residual])  # right-hand side of the bordered system
+class Iterate:
+    """The signals of theta, zeta and the weights of the working rows, by FFT, and what they leave to be done.
+
+    ``worst`` is the largest violation, ``residual`` that of the equations, ``slope`` (size,) the gradient of the
+    Lagrangian in theta; ``defects`` = (-slope, residual) is the right-hand side of the bordered system. Its gradient in
+    all v_k is zero by construction (docs/spectral.md, 8).
+    """
+
+    def __init__(self, data: Data, theta: Array, zeta: Array, working: WorkingSet, violations: Violations):
+        kkt = data.structure.kkt
+        self.data, self.kkt, self.theta, self.zeta, self.working = data, kkt, theta, zeta, working
+        self.signals = data.signals(theta, zeta, working)
+        self.residual = data.residual(theta, self.signals)
+        values, saturated = violations.values(self.signals.y), working.weights >= working.prices
+        rows = working.t[saturated], working.f[saturated]
+        self.worst = violations.measure_values(values, self.signals.last, *rows)
+        on_rows = working.coupling[: kkt.size] @ working.weights
+        self.slope = data.h_theta + kkt.H @ theta + kkt.E.T @ zeta + on_rows
+        self.defects = np.concatenate([-self.slope, self.residual])
         largest = max(1.0, float(np.abs(self.signals.y).max()))
         self.relative_residual = float(np.abs(self.residual).max(initial=0.0)) / largest
 
     @property
     def slack(self) -> Array:
-        """Slacks of the working rows, limit - G y, (count,)."""
+        """Slacks of the present working rows, limit - G y, (count,)."""
         return self.working.slacks(self.signals.y, self.signals.last)
 
-    def _optimal(self, added: int) -> bool:
-        """Whether this point is optimal, or as close as rounding allows; else allow longer steps."""
-        kkt, worst, slope = self.kkt, self.violations.worst, self._relative_slope()
-        level = worst < NEARLY_FEASIBLE and slope < SLOPE_TOLERANCE  # the cost hardly decreases along theta
-        if level and kkt.size:
-            gain = abs(float(self.slope @ kkt.inverse[: kkt.size, : kkt.size] @ self.slope))
-            level = gain <= GAIN_TOLERANCE * self._cost_size() or self._cannot_decrease()
-        if kkt.compliant and worst < NEARLY_FEASIBLE and not level:  # longer steps
-            self.proximal = max(self.proximal * LONGER_STEPS, kkt.least_proximal)
-        self._note_progress(added, slope)
-        if self.stalled >= STALLED_ROUNDS:
-            return self._accurate()
-        return worst < self.tolerance and level and self._complementary(SLACK_TOLERANCE)
+    def optimal(self, tolerance: float) -> bool:
+        """Whether all optimality conditions hold."""
+        return self.worst < tolerance and self.level and self._complementary(SLACK_TOLERANCE)
 
-    def _note_progress(self, added: int, slope: float) -> None:
-        """Count the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
-        kkt, worst, far = self.kkt, self.violations.worst, float(np.abs(self.theta).max(initial=0.0))
-        moves = kkt.compliant and not self._cannot_decrease() and (slope < self.flattest / 2 or far > 2 * self.farthest)
-        improving = worst < self.best / 2 or (added and worst >= FINE_VIOLATION) or moves
-        self.stalled = 0 if improving else self.stalled + 1
-        self.best, self.flattest = min(self.best, worst), min(self.flattest, slope)
-        self.farthest = max(self.farthest, far)
+    def accurate(self) -> bool:
+        """Whether a point that no longer improves is accepted: they hold as closely as rounding allows."""
+        flat = self.relative_slope < ACCEPTED_SLOPE or self.cannot_decrease
+        return self.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
 
-    def _accurate(self) -> bool:
-        """Whether a point that no longer improves is accepted."""
-        flat = self._relative_slope() < ACCEPTED_SLOPE or self._cannot_decrease()
-        return self.violations.worst < ACCEPTED_VIOLATION and flat and self._complementary(ACCEPTED_SLACK)
+    @cached_property
+    def level(self) -> bool:
+        """Whether the cost hardly decreases along theta."""
+        if self.worst >= NEARLY_FEASIBLE or self.relative_slope >= SLOPE_TOLERANCE:
+            return False
+        size = self.kkt.size
+        gain = abs(float(self.slope @ self.kkt.inverse[:size, :size] @ self.slope))
+        return gain <= GAIN_TOLERANCE * self._cost_size or self.cannot_decrease
 
     def _complementary(self, allowed: float) -> bool:
         """Whether the equations hold, and all rows with a multiplier hold with equality."""
         slack = float(self.working.weights @ np.maximum(0.0, self.slack))
-        return self.relative_residual < EQUATION_TOLERANCE and slack <= allowed * self._cost_size()
+        return self.relative_residual < EQUATION_TOLERANCE and slack <= allowed * self._cost_size
 
-    def _cannot_decrease(self) -> bool:
+    @cached_property
+    def cannot_decrease(self) -> bool:
         """Whether moves of the bordering unknowns as large as the point, and as 1, hardly decrease the cost."""
         decrease = float(np.abs(self.slope) @ (1 + np.abs(self.theta)))
         return decrease <= DECREASE_TOLERANCE * max(abs(self.cost), SMALL_COST * self.data.lti.cost_level)
 
-    def _relative_slope(self) -> float:
-        """Return the largest derivative in theta, relative to the absolute sum of its terms."""
+    @cached_property
+    def relative_slope(self) -> float:
+        """The largest derivative in theta, relative to the absolute sum of its terms."""
         kkt, working = self.kkt, self.working
-        terms = np.abs(self.data.h) + np.abs(working.coupling[: kkt.size]) @ working.weights
+        terms = np.abs(self.data.h_theta) + np.abs(working.coupling[: kkt.size]) @ working.weights
         terms += np.abs(kkt.H) @ np.abs(self.theta) + np.abs(kkt.E.T) @ np.abs(self.zeta)
         least = LEAST_SIZE * self.data.lti.curvature_unit
         return float(np.abs(self.slope).max(initial=0.0)) / max(float(terms.max(initial=0.0)), least)
@@ -309,13 +322,35 @@ class Exchange:
         linear = 0.0 if lti.linear is None else float(np.einsum("it,it->", lti.linear, at.y))
         return float(0.5 * np.einsum("it,it->", lti.M @ at.y, at.y) + linear + last) + lti.constant
 
+    @property
     def _cost_size(self) -> float:
-        """Return the size of the cost: differences in cost are relative to it."""
+        """The size of the cost: differences in cost are relative to it."""
         return max(self.data.lti.cost_level, abs(self.cost))
 
-    def _outcome(self, status: str, message: str = "") -> ExchangeOutcome:
-        self.violations.violation = np.zeros((0, 0))  # large; it is measured again before the next use
-        return ExchangeOutcome(status, message, self.signals, self.zeta, self.working, self.rounds, self.ray)
+
+@dataclass(eq=False)
+class Stalling:
+    """Counts the rounds in which nothing improves: no violation, no slope, no new row, no longer theta."""
+
+    rounds: int = 0
+    violation: float = np.inf  # the least so far
+    slope: float = np.inf  # the least relative one
+    theta: float = 0.0  # the largest
+
+    def note(self, at: Iterate, added: int) -> None:
+        """Note a point, and the number of rows that were added before it."""
+        far = float(np.abs(at.theta).max(initial=0.0))
+        nearer = at.relative_slope < self.slope / 2 or far > 2 * self.theta
+        moves = at.kkt.compliant and not at.cannot_decrease and nearer
+        improving = at.worst < self.violation / 2 or (added and at.worst >= FINE_VIOLATION) or moves
+        self.rounds = 0 if improving else self.rounds + 1
+        self.violation, self.slope = min(self.violation, at.worst), min(self.slope, at.relative_slope)
+        self.theta = max(self.theta, far)
+
+    @property
+    def ray_tolerance(self) -> float:
+        """Stationarity of rays: the exchange may stall because the rows conflict."""
+        return ACCEPTED_RAY if self.rounds >= STALLED_ROUNDS else RAY_TOLERANCE
 
 
 def first_working_set(lti: Lti, stop: Stop, structures: dict[int, Structure]) -> Rows | None:

@@ -1,12 +1,17 @@
 """The bordered KKT system: the unknowns and equations that couple bins (docs/spectral.md, 4).
 
 Bordering unknowns theta: the free components of x_0 and x_T, then real coordinates of the bordering directions, each
-with a signal in time of unit amplitude. Equations E theta - (responses to forces) = e: x(0) = x_0, other points that
-bounds fix, compatibility at singular bins, state bands. The KKT matrix is
+with a signal in time of unit amplitude. Equations: x(0) = x_0, other points that bounds fix, compatibility at singular
+bins, state bands. They act on signals and on theta:
 
-    K_b = [[H, E'], [E, -S_E]],
+    E_y y + E_theta theta = e,    y = (signals without forces) - N N^* (E_y'zeta + ...) + Y theta
 
-with S_E the decrease of the equations by unit forces on them.
+Their multipliers zeta are forces, E_y'zeta, which lower the equations by S_E zeta. So the KKT matrix of theta, zeta is
+
+    K = [[H, E'], [E, -S_E]],     E = E_theta + E_y Y,     S_E = E_y N N^* E_y'.
+
+E is therefore the total derivative of the equations; E_y is never a matrix, but a value of a signal (for points) or a
+row of the DFT (``bands``). H is the Hessian in theta of the cost of Y theta.
 """
 
 from __future__ import annotations
@@ -25,21 +30,23 @@ EQUILIBRATIONS = 3  # passes of row scaling
 LARGEST_BORDERED = 3000  # rows of the matrix; with more, its dense decomposition takes longer than the sparse program
 NULL_EQUATION = 1e-12  # relative singular value of the equations that is rounding of 0
 EQUATION_ROUNDING = 1e-13  # relative eigenvalue of S_E that is rounding of 0
-COMPLIANT_RESPONSE = 1e11  # response of a bordering unknown to a force, relative to a control's, from which it is kept
+# Response of a bordering unknown to a force, relative to a control's, from which it stays in the small QP: in the sum
+# with S_W, fewer than five digits of S_W would be left.
+COMPLIANT_RESPONSE = 1e11
 COMPLIANT_END = 1e8  # the same for free ends, which move all signals
 HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the largest, that may be rounding
 SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control
 
 
 class BorderedSystem:
-    """Bordering unknowns, equations, and the pseudo-inverse of K_b.
+    """Bordering unknowns, equations, and the pseudo-inverse of K.
 
     theta, ``size`` numbers:
         the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They move the
         jump w = x_0 - x_T by ``end_jumps`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
-        then a coordinate q for each real or imaginary part of a bordering direction, the ``first`` of each direction
-        being real. It moves y_k by amplitude[q] vectors[:, q] at the bin bins[q].
-    equations E theta - (responses to forces) = e, in this order:
+        then a coordinate j for each real or imaginary part of a bordering direction, the ``first`` of each direction
+        being real. It moves y_k by amplitude[j] vectors[:, j] at the bin bins[j].
+    equations, in this order:
         values F_f y_t at (point_t, point_f): x(0) = x_0, then those that bounds fix;
         compatibility, scaled by compatibility_scale;
         rows ``bands`` (count, T+1) of the DFT, of states ``band_component`` (count,); their spectra are ``band_hat``.
@@ -51,7 +58,7 @@ class BorderedSystem:
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
         self._set_variables()
         fixed, bands = len(lti.fixed_points[0]), 2 * int(lti.state_stop.sum())
-        compatibility = int(sum(spaces.weight[equation.k] for equation in spaces.compatibility))
+        compatibility = int(sum(spaces.multiplicity[equation.k] for equation in spaces.compatibility))
         equations = lti.state_dim + fixed + compatibility + bands
         if self.size + equations > LARGEST_BORDERED:  # before any matrix of this size is made
             raise UnsupportedError(
@@ -85,38 +92,38 @@ class BorderedSystem:
             )
             self.end_signals = np.fft.irfft(self.end_responses, T)
         # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
-        k, v = self.spaces.bordering_bin, self.spaces.bordering_vector
-        counts = self.spaces.weight[k].astype(int)
+        k, directions = self.spaces.bordering_bin, self.spaces.bordering_vector
+        counts = self.spaces.multiplicity[k].astype(int)
         direction = np.repeat(np.arange(len(k)), counts)
         self.first, self.bins = ends + np.cumsum(counts) - counts, k[direction]
         self.ends_count, self.size = ends, ends + len(self.bins)
-        self.vectors = v[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
-        self.amplitude = T / self.spaces.weight[self.bins]  # of a spectrum whose signal has unit amplitude
+        self.vectors = directions[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
+        self.amplitude = T / self.spaces.multiplicity[self.bins]  # of a spectrum whose signal has unit amplitude
 
     def _set_hessian(self) -> None:
-        """H_ab = 1/T sum_k weight_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
-        lti, e, w = self.lti, self.ends_count, self.spaces.weight
-        W, v = self.end_responses, self.vectors
+        """H_ab = 1/T sum_k multiplicity_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
+        lti, ends = self.lti, self.ends_count
+        Y, vectors = self.end_responses, self.vectors
         self.H = np.zeros((self.size, self.size))
-        if e:
-            weighted = times_columns(lti.M, W)
-            self.H[:e, :e] = np.einsum("iak,ibk->ab", W.conj() * w, weighted, optimize=True).real / lti.horizon
-            self.H[e:, :e] = np.einsum("iq,iaq->qa", v.conj(), weighted[:, :, self.bins]).real
-            self.H[:e, e:] = self.H[e:, :e].T
+        if ends:
+            MY, repeated = times_columns(lti.M, Y), Y.conj() * self.spaces.multiplicity
+            self.H[:ends, :ends] = np.einsum("iak,ibk->ab", repeated, MY, optimize=True).real / lti.horizon
+            self.H[ends:, :ends] = np.einsum("ij,iaj->ja", vectors.conj(), MY[:, :, self.bins]).real
+            self.H[:ends, ends:] = self.H[ends:, :ends].T
         same = self.bins[:, None] == self.bins
-        self.H[e:, e:] = np.where(same, (v.conj().T @ lti.M @ v).real * self.amplitude, 0.0)
+        self.H[ends:, ends:] = np.where(same, (vectors.conj().T @ lti.M @ vectors).real * self.amplitude, 0.0)
         self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
 
     def _set_compatibility_rows(self) -> None:
-        """Rows (T/weight) sigma (theta_re + i theta_im) - L^* z W theta_e, real and imaginary part, scaled to 1."""
+        """Rows (T/multiplicity) sigma (theta_re + i theta_im) - U_j^* z end_jumps theta, Re and Im, scaled to 1."""
         spaces, rows = self.spaces, list[Array]()
         self.compatibility_scale = np.ones(len(spaces.compatibility))
         for j, equation in enumerate(spaces.compatibility):
             row = np.zeros(self.size, dtype=np.complex128)
             row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.end_jumps)
-            column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.weight[equation.k]
+            column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.multiplicity[equation.k]
             row[column] = equation.sigma * amplitude
-            if spaces.weight[equation.k] == 2:
+            if spaces.multiplicity[equation.k] == 2:
                 row[column + 1] = 1j * equation.sigma * amplitude
             self.compatibility_scale[j] = 1 / max(1.0, float(np.abs(row).max()))
             rows.append(self.compatibility_scale[j] * self._real_and_imaginary(equation.k, row))
@@ -124,7 +131,7 @@ class BorderedSystem:
 
     def _real_and_imaginary(self, k: int, values: ComplexArray) -> Array:
         """Return the real and imaginary part of a complex equation at bin k; only the real one at real bins."""
-        return values.real[None] if self.spaces.weight[k] == 1 else np.stack([values.real, values.imag])
+        return values.real[None] if self.spaces.multiplicity[k] == 1 else np.stack([values.real, values.imag])
 
     def _set_band_rows(self) -> None:
         """State bands: rows of the DFT of length T+1, whose last entry acts on x_T; of T with periodic ends."""
@@ -156,18 +163,18 @@ class BorderedSystem:
         return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
 
     def _decompose(self) -> None:
-        """Set K_b, its ``inverse``, and a basis of the ``dependent`` equations; see ``compliant`` below."""
+        """Set K (``matrix``), its ``inverse``, and a basis of the ``dependent`` equations; see ``compliant`` below."""
         points, first_band = len(self.point_t), len(self.point_t) + len(self.compatibility_rows)
-        S = np.zeros((len(self.E), len(self.E)))
-        S[:, :points] = self.responses(self.point_t, self.point_f)
-        S[:points, first_band:] = S[first_band:, :points].T
+        S_E = np.zeros((len(self.E), len(self.E)))
+        S_E[:, :points] = self.responses(self.point_t, self.point_f)
+        S_E[:points, first_band:] = S_E[first_band:, :points].T
         for i in self.band_components:
             of_component = np.flatnonzero(self.band_component == i)
-            S[first_band:, first_band + of_component] = self.band_responses[i] @ self.bands[of_component, :-1].T
-        self.matrix = np.empty((self.size + len(S), self.size + len(S)))
+            S_E[first_band:, first_band + of_component] = self.band_responses[i] @ self.bands[of_component, :-1].T
+        self.matrix = np.empty((self.size + len(S_E), self.size + len(S_E)))
         self.matrix[: self.size, : self.size], self.matrix[: self.size, self.size :] = self.H, self.E.T
-        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(S + S.T) / 2
-        self.dependent = _null_space(self.E.T, S)
+        self.matrix[self.size :, : self.size], self.matrix[self.size :, self.size :] = self.E, -(S_E + S_E.T) / 2
+        self.dependent = _null_space(self.E.T, S_E)
         unit, stiffest = self.lti.curvature_unit, float(np.abs(self.H).max(initial=0.0))
         self.least_proximal = max(SHORTEST_PROXIMAL * unit, HESSIAN_ROUNDING * stiffest)
         self.inverse = self.inverse_of(self.matrix)
@@ -182,42 +189,42 @@ class BorderedSystem:
             self.inverse = self.inverse_of(self.proximal_matrix(self.least_proximal))
 
     def proximal_matrix(self, proximal: float) -> Array:
-        """Return K_b with a proximal weight on theta."""
+        """Return K with a proximal weight on theta, which shortens steps where H is nearly 0."""
         matrix, diagonal = self.matrix.copy(), np.arange(self.size)
         matrix[diagonal, diagonal] += proximal
         return matrix
 
     @cached_property
     def regularised(self) -> Array:
-        """The inverse of K_b with a unit Hessian in place of H."""
+        """The inverse of K with a unit Hessian in place of H."""
         matrix = self.matrix.copy()
         matrix[: self.size, : self.size] = self.lti.curvature_unit * np.eye(self.size)
         return self.inverse_of(matrix)
 
     def inverse_of(self, matrix: Array) -> Array:
-        """Return the inverse of K_b, perhaps with another Hessian; dependent equations have no multiplier.
+        """Return the inverse of K, perhaps with another Hessian; dependent equations have no multiplier.
 
         It is NaN if the matrix is exactly singular: the exchange fails.
         """
         matrix = matrix.copy()
-        n, onto = self.size, self.dependent @ self.dependent.T
-        matrix[n:, n:] -= onto / self.lti.curvature_unit
+        zeta, onto = slice(self.size, None), self.dependent @ self.dependent.T
+        matrix[zeta, zeta] -= onto / self.lti.curvature_unit
         scale = equilibration(matrix)
         try:
             inverse = np.linalg.inv(matrix * scale[:, None] * scale) * scale[:, None] * scale
         except np.linalg.LinAlgError:
             return np.full_like(matrix, np.nan)
-        inverse[n:, n:] += self.lti.curvature_unit * onto
+        inverse[zeta, zeta] += self.lti.curvature_unit * onto
         return (inverse + inverse.T) / 2
 
     def gradient(self, spectrum: ComplexArray) -> Array:
         """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
-        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.weight).real
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.multiplicity).real
         at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
         return np.concatenate([over_bins / self.lti.horizon, at_bins])
 
     def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
-        """Return e, shape (equations,), for the data of ``lti`` and z w_c + d_k of shape (n, bins)."""
+        """Return e, (equations,), for the data of ``lti``, with z w + d_k of the fixed ends, (n, bins)."""
         spaces, n, (start, end) = self.spaces, lti.start_points, lti.ends
         points = start[:n], lti.bounds.lower[self.point_f[n:], self.point_t[n:]]
         compatibility = [
@@ -248,7 +255,7 @@ class BorderedSystem:
         return response.swapaxes(0, 1)
 
     def coupling(self, t: Indices, f: Indices) -> Array:
-        """Return [d/dtheta; -S_E] of F_f y_t, and of component f of x_T at t = T: (size + equations, len(t))."""
+        """Return C, (size + equations, len(t)), of F_f y_t, and of component f of x_T at t = T: see WorkingSet."""
         inner, last = t < self.lti.horizon, np.flatnonzero(t == self.lti.horizon)
         columns = np.zeros((len(self.matrix), len(t)))
         columns[: self.size, inner] = self.derivatives(t[inner], f[inner])
@@ -263,11 +270,11 @@ class BorderedSystem:
         return np.vstack([at_points, np.zeros((len(self.compatibility_rows), len(t))), at_bands])
 
     def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add the responses to theta (size, N) to the spectra (n+m, N, bins), in place."""
+        """Add Y_k theta to the spectrum (n+m, bins), in place."""
         for a in range(self.ends_count):
-            spectrum += theta[a, :, None] * self.end_responses[:, a, None]
-        along = self.amplitude[:, None] * theta[self.ends_count :]
-        np.add.at(spectrum.T, self.bins, along[:, :, None] * self.vectors.T[:, None])
+            spectrum += theta[a] * self.end_responses[:, a]
+        along = self.amplitude * theta[self.ends_count :]
+        np.add.at(spectrum.T, self.bins, along[:, None] * self.vectors.T)
 
 
 def _null_space(rows: Array, gram: Array) -> Array:

@@ -1,12 +1,18 @@
 """A linear time-invariant problem in units of order 1, with time as the last axis (docs/spectral.md, 1).
 
-    minimise    sum_{t<T} 1/2 y'M y + h_t'y  +  1/2 x_T'P x_T + p'x_T,    y_t = (x_t, u_t),  M = [[Q, S], [S', R]]
-    subject to  x_{t+1} = A x_t + B u_t + d_t,   lower_t <= F y_t <= upper_t,   F = [I; C D],
+    minimise    sum_{t<T} 1/2 y_t'M y_t + h_t'y_t  +  1/2 x_T'P x_T + p'x_T,      y_t = (x_t, u_t)
+    subject to  x_{t+1} = A x_t + B u_t + d_t,     lower_t <= F y_t <= upper_t,
                 ends fixed, free or in a box, per component,   stopped bins of u (length T) and of x (length T+1)
 
+M is the Hessian of the stage cost, and h_t contains the references. F is the identity, for bounds on single components,
+above the joint rows.
+
+``lti_problem`` changes the form of a problem, not its constraints: arrays in units of order 1, which are powers of two,
+so that conversions do not round. A problem must be of the class for which ``refusal`` has no reason. ``reductions``
+makes others so, before: in the user's units, and with a way back for the multipliers.
+
 A bound with a finite price is soft: the price times its violation joins the cost, and limits its multiplier. Without a
-recursion, the dynamics are the frequency response of x_{t+1} at every bin. Units are powers of two: conversions do not
-round.
+recursion, the dynamics are the frequency response of x_{t+1} at every bin.
 """
 
 from __future__ import annotations
@@ -81,14 +87,14 @@ class Lti:
         """x_0 and x_T with zeros for free components, (n,)."""
         return np.where(np.isnan(self.start), 0.0, self.start), np.where(np.isnan(self.end), 0.0, self.end)
 
-    def with_ends(self, ends: tuple[Box, Box], x: Array) -> Lti | None:
-        """Return the problem between other ends, in units x (n,) of the states; None if x_0 has free components."""
-        start, end = (_fixed_values(box) / x for box in ends)
+    def with_ends(self, ends: tuple[Box, Box], units: Array) -> Lti | None:
+        """Return the problem between other ends, for units (n,) of the states; None if x_0 has free components."""
+        start, end = (_fixed_values(box) / units for box in ends)
         if np.isnan(self.start).any() or np.isnan(start).any():  # their bounds are those of y_0
             return None
         changed = with_fields(self, start=start, end=end)
         if not self.soft:  # else, the end is the same
-            last_lower, last_upper = (side / x for side in ends[1].bounds)
+            last_lower, last_upper = (side / units for side in ends[1].bounds)
             assign(changed, bounds=replace(self.bounds, last_lower=last_lower, last_upper=last_upper))
         return changed
 
@@ -99,11 +105,15 @@ class Lti:
     @cached_property
     def soft(self) -> bool:
         """Whether some bound has a price."""
-        return not all(np.isinf(prices).all() for prices in vars(self.prices).values())
+        return not all(map(np.all, map(np.isinf, vars(self.prices).values())))
+
+    def price_of(self, t: Indices, f: Indices, sign: Array) -> Array:
+        """Return the prices of rows as ``Bounds.at`` does; most problems have none."""
+        return self.prices.at(t, f, sign) if self.soft else np.full(len(t), np.inf)
 
     @cached_property
     def state_cost(self) -> bool:
-        """Whether Q or S is not zero."""
+        """Whether M has a row of a state that is not zero."""
         return bool(self.M[: self.state_dim].any())
 
     @cached_property
@@ -114,7 +124,7 @@ class Lti:
 
     @cached_property
     def diagonal_bound(self) -> Array:
-        """A diagonal d, (rows of F,), with diag(d) - S >= 0 for small QPs on control rows: 1/R there, else 0.
+        """A diagonal, (rows of F,), with diag - S >= 0 for small QPs on control rows: 1/R there, else 0.
 
         It is zero if R is not diagonal, or if the cost has products of states and controls.
         """
@@ -197,117 +207,20 @@ class LtiUnits:
         return self.cost / self.signals
 
 
-def refusal(problem: OptimalControlProblem) -> str | None:
-    """Return why the Fourier-domain method cannot take the problem, or None."""
-    cost, response = problem.quadratic, problem.response
-    if response is not None and not closes_on_the_circle(problem):
-        return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
-    taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
-    sets = [term for term in problem.terms if term.kind not in taken]
-    unsupported = [term for term in sets if soft_set(problem, term) is None]
-    if unsupported:
-        return f"{unsupported[0].name}: only boxes, joint rows, stop bands and quadratic costs"
-    if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
-        return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
-    if sets and priced_bounds(problem) is None:
-        return "a hard and a soft bound on the same side of a component"
-    if response is None and problem.linear.time_varying:
-        return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
-    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
-        return "Q, R or S depends on time; the Fourier-domain method needs a constant stage Hessian"
-    if any(rows.time_varying for rows in problem.stage_rows):
-        return "C or D of a stage row depends on time; the Fourier-domain method needs them constant"
-    bins = 2 * int(problem.state_stop.sum())
-    if bins > STATE_BAND_ROWS:
-        return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
-    if not any(part.any() for part in (cost.Q, cost.R)):
-        advice = "" if response is None else " (solve takes such a cost over a frequency response)"
-        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{advice}"
-    return None
-
-
-def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
-    """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
-    links, cost = problem.links, problem.quadratic
-    return (
-        [(link.periodic, link.penalty.reach) for link in links] == [(True, 0.0)]
-        and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())
-        and all(term.hard for term in problem.terms)
-    )
-
-
-def natural_units(problem: OptimalControlProblem) -> LtiUnits:
-    """Return units with data of order 1; UnsupportedError if the cost of the sizes is not finite and above 0."""
-    states, controls, known = natural_sizes(problem)
-    balanced = problem.response is None and not known.all()
-    x = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
-    u = _power_of_two(_control_sizes(problem.control_tube, controls))
-    cost = problem.quadratic
-    level = float(np.trace(cost.R * u * u[:, None])) / len(u) or float(np.trace(cost.Q * x * x[:, None])) / len(x)
-    if not 0 < level < np.inf:
-        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
-    rows = np.abs(_scaled_rows(problem, x, u)).max(1)
-    return LtiUnits(x, u, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
-
-
-def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
-    """Return sizes of the states, (n,): as given, else such that A is balanced among states that act on each other.
-
-    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even if
-    states oscillate against each other. In such units A would be nearly defective.
-    """
-    sizes = stated.copy()
-    count, group = connected_components(A != 0, connection="strong")
-    for members in (np.flatnonzero(group == i) for i in range(count)):
-        coupling = A[np.ix_(members, members)] * ~np.eye(len(members), dtype=bool)
-        balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
-        known, ratio = given[members], sizes[members] / balanced
-        level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
-        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
-        sizes[members] = np.where(wrong & ~known, level * balanced, sizes[members])
-    return sizes
-
-
-def _control_sizes(tube: Box, stated: Array) -> Array:
-    """Return sizes of the controls, (m,): as stated, or their bounds if the stated sizes are much smaller."""
-    sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
-    if all((side <= MUCH_LARGER * stated).all() for side in sides):
-        return stated
-    bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
-    larger = (bounds > MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
-    return np.where(larger, bounds, stated)
-
-
-def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
-    """Return units from a solution y (n+m, T) in the given units, or None if those were right.
-
-    If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
-    """
-    reached = np.abs(y).max(1)
-    wrong = (reached > ROUNDED_COMPONENT) & (reached < WRONG_UNIT)
-    if not wrong.any():
-        return None
-    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
-    n = len(units.x)
-    smallest = float(factor[n:].max()) ** 2
-    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)
-
-
 def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
     """Return the problem in the given units; it must not be one that ``refusal`` names."""
     n, T, cost = problem.state_dim, problem.horizon, problem.quadratic
-    x, u = units.x, units.u
+    x_unit, u_unit, y_unit = units.x, units.u, units.signals
     outputs = problem.response
     if outputs is None:
         A, B, d, response = problem.linear.A, problem.linear.B, problem.linear.offset, None
     else:  # the outputs lead by one step: x_{t+1} follows from the controls, without a recursion
         lead = np.exp(2j * np.pi * np.arange(T // 2 + 1) / T)
-        A, B, d = np.zeros((n, n)), np.zeros((n, len(u))), outputs.base[1:]
+        A, B, d = np.zeros((n, n)), np.zeros((n, len(u_unit))), outputs.base[1:]
         response = lead * np.moveaxis(outputs.G, 0, -1)
-    y = units.signals
     linear = _linear_terms(problem)
     offset = d.T if d.ndim == 2 else d[:, None]
-    bounds, hard = _bounds(problem, units), np.broadcast_to(np.inf, (len(y) + len(units.rows), T))
+    bounds, hard = _bounds(problem, units), np.broadcast_to(np.inf, (len(y_unit) + len(units.rows), T))
     prices = Bounds(hard, hard, np.full(n, np.inf), np.full(n, np.inf))
     if not all(term.hard for term in problem.terms):
         bounds, prices = _soft_bounds(problem, units, bounds)
@@ -316,29 +229,29 @@ def lti_problem(problem: OptimalControlProblem, units: LtiUnits) -> Lti:
         lower = _with_end_bound(np.maximum, bounds.lower, bounds.last_lower)
         upper = _with_end_bound(np.minimum, bounds.upper, bounds.last_upper)
         bounds = Bounds(lower, upper, np.full(n, -np.inf), np.full(n, np.inf))
-    start, end = (_fixed_values(box) / x for box in problem.ends)
+    start, end = (_fixed_values(box) / x_unit for box in problem.ends)
     p = cost.p - cost.P @ np.broadcast_to(cost.x_ref, (T + 1, n))[T]
     referred = cost.x_ref.any() or cost.u_ref.any()
-    constant = cost.value(np.zeros((T + 1, n)), np.zeros((T, len(u)))) if referred else 0.0
+    constant = cost.value(np.zeros((T + 1, n)), np.zeros((T, len(u_unit)))) if referred else 0.0
     return Lti(
-        A=A * x / x[:, None],
-        B=B * u / x[:, None],
-        M=cost.stage_hessians[0] * y * y[:, None] / units.cost,
-        P=cost.P * x * x[:, None] / units.cost,
-        F=np.vstack([np.eye(len(y)), _scaled_rows(problem, x, u) / units.rows[:, None]]),
+        A=A * x_unit / x_unit[:, None],
+        B=B * u_unit / x_unit[:, None],
+        M=cost.stage_hessians[0] * y_unit * y_unit[:, None] / units.cost,
+        P=cost.P * x_unit * x_unit[:, None] / units.cost,
+        F=np.vstack([np.eye(len(y_unit)), _scaled_rows(problem, x_unit, u_unit) / units.rows[:, None]]),
         passed=~problem.control_stop.T,
         state_stop=problem.state_stop,
         horizon=T,
         start=start,
         end=end,
-        linear=None if linear is None else np.broadcast_to(linear * y[:, None] / units.cost, (len(y), T)),
-        p=p * x / units.cost,
-        offset=np.broadcast_to(offset / x[:, None], (n, T)) if offset.any() else None,
+        linear=None if linear is None else np.broadcast_to(linear * y_unit[:, None] / units.cost, (len(y_unit), T)),
+        p=p * x_unit / units.cost,
+        offset=np.broadcast_to(offset / x_unit[:, None], (n, T)) if offset.any() else None,
         bounds=bounds,
         prices=prices,
         constant=constant / units.cost,
         periodic=periodic,
-        response=None if response is None else response * (u / x[:, None])[:, :, None],
+        response=None if response is None else response * (u_unit / x_unit[:, None])[:, :, None],
     )
 
 
@@ -383,29 +296,57 @@ def _as_columns(bounds: Array, first: Array) -> Array:
     return columns
 
 
-def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) -> tuple[Bounds, Bounds]:
-    """Return the bounds, including those of soft sets, and all prices; rows are soft on their upper side."""
-    n, T, y = problem.state_dim, problem.horizon, units.signals
-    priced = priced_bounds(problem)
-    if priced is None:
-        text = "method 'spectral': a soft set that is not a set of bounds on components. Use method 'convex'."
-        raise UnsupportedError(text)
-    per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
-    joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
-    of_lower, of_upper = (side.T * y[:, None] / units.cost for side in (priced.of_lower, priced.of_upper))
-    sides = list[Array]()
-    for side, limit, price in ((hard.lower, priced.lower, of_lower), (hard.upper, priced.upper, of_upper)):
-        soft = np.isfinite(price[:, :T])
-        sides.append(np.vstack([np.where(soft, limit[:T].T / y[:, None], side[: len(y)]), side[len(y) :]]))
-    last = (priced.lower[T, :n] / units.x, priced.upper[T, :n] / units.x)
-    rows = np.broadcast_to(joint[:, None], (len(joint), T))
-    prices = Bounds(
-        np.vstack([of_lower[:, :T], np.full(rows.shape, np.inf)]),
-        np.vstack([of_upper[:, :T], rows]),
-        of_lower[:n, T],
-        of_upper[:n, T],
+def _fixed_values(box: Box) -> Array:
+    """Return the values that a box fixes, NaN elsewhere."""
+    return np.where(box.fixed, box.lower, np.nan)
+
+
+def _scaled_rows(problem: OptimalControlProblem, x_unit: Array, u_unit: Array) -> Array:
+    """Return the matrix of all joint rows, for states and controls in these units, (rows, n+m)."""
+    rows = [np.hstack([family.C * x_unit, family.D * u_unit]) for family in problem.stage_rows]
+    return np.concatenate([*rows, np.zeros((0, len(x_unit) + len(u_unit)))])
+
+
+# A first reader may stop here. What follows: problems that are refused, periodic ends, soft bounds, and units.
+
+
+def refusal(problem: OptimalControlProblem) -> str | None:
+    """Return why the Fourier-domain method cannot take the problem, or None."""
+    cost, response = problem.quadratic, problem.response
+    if response is not None and not closes_on_the_circle(problem):
+        return "only a periodic frequency response, without terminal cost, fixed ends and soft sets"
+    taken = TermKind.STAGE_ROWS, TermKind.LINKED_ENDS
+    sets = [term for term in problem.terms if term.kind not in taken]
+    unsupported = [term for term in sets if soft_set(problem, term) is None]
+    if unsupported:
+        return f"{unsupported[0].name}: only boxes, joint rows, stop bands and quadratic costs"
+    if any(term.kind == TermKind.LINKED_ENDS for term in problem.terms) and not closes_on_the_circle(problem):
+        return "the ends are linked otherwise than by x_T = x_0 alone, without terminal cost, fixed ends and soft sets"
+    if sets and priced_bounds(problem) is None:
+        return "a hard and a soft bound on the same side of a component"
+    if response is None and problem.linear.time_varying:
+        return "A or B depends on time; the Fourier-domain method needs time-invariant dynamics"
+    if any(part.ndim == 3 for part in (cost.Q, cost.R, cost.S)):
+        return "Q, R or S depends on time; the Fourier-domain method needs a constant stage Hessian"
+    if any(rows.time_varying for rows in problem.stage_rows):
+        return "C or D of a stage row depends on time; the Fourier-domain method needs them constant"
+    bins = 2 * int(problem.state_stop.sum())
+    if bins > STATE_BAND_ROWS:
+        return f"the state bands are about {bins} dense rows; the Fourier-domain method takes {STATE_BAND_ROWS}"
+    if not any(part.any() for part in (cost.Q, cost.R)):
+        advice = "" if response is None else " (solve takes such a cost over a frequency response)"
+        return f"neither Q nor R is above zero; the Fourier-domain method needs a strictly convex cost{advice}"
+    return None
+
+
+def closes_on_the_circle(problem: OptimalControlProblem) -> bool:
+    """Whether x_T = x_0 is the only constraint on the ends, apart from bounds: the trajectory is then one period."""
+    links, cost = problem.links, problem.quadratic
+    return (
+        [(link.periodic, link.penalty.reach) for link in links] == [(True, 0.0)]
+        and not (cost.P.any() or cost.p.any() or problem.state_tube.fixed[[0, -1]].any())
+        and all(term.hard for term in problem.terms)
     )
-    return Bounds(sides[0], sides[1], *last), prices
 
 
 def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
@@ -418,16 +359,89 @@ def _with_end_bound(tighter: np.ufunc, side: Array, last: Array) -> Array:
     return bounds
 
 
-def _fixed_values(box: Box) -> Array:
-    """Return the values that a box fixes, NaN elsewhere."""
-    return np.where(box.fixed, box.lower, np.nan)
+def _soft_bounds(problem: OptimalControlProblem, units: LtiUnits, hard: Bounds) -> tuple[Bounds, Bounds]:
+    """Return the bounds, including those of soft sets, and all prices; rows are soft on their upper side."""
+    n, T, y_unit = problem.state_dim, problem.horizon, units.signals
+    priced = priced_bounds(problem)
+    if priced is None:
+        text = "method 'spectral': a soft set that is not a set of bounds on components. Use method 'convex'."
+        raise UnsupportedError(text)
+    per_row = [np.full(rows.rows, np.inf if rows.penalty is None else rows.penalty) for rows in problem.stage_rows]
+    joint = np.concatenate([*per_row, np.zeros(0)]) * units.rows / units.cost
+    of_lower, of_upper = (side.T * y_unit[:, None] / units.cost for side in (priced.of_lower, priced.of_upper))
+    sides = list[Array]()
+    for side, limit, price in ((hard.lower, priced.lower, of_lower), (hard.upper, priced.upper, of_upper)):
+        soft = np.isfinite(price[:, :T])
+        sides.append(
+            np.vstack([np.where(soft, limit[:T].T / y_unit[:, None], side[: len(y_unit)]), side[len(y_unit) :]])
+        )
+    last = (priced.lower[T, :n] / units.x, priced.upper[T, :n] / units.x)
+    rows = np.broadcast_to(joint[:, None], (len(joint), T))
+    prices = Bounds(
+        np.vstack([of_lower[:, :T], np.full(rows.shape, np.inf)]),
+        np.vstack([of_upper[:, :T], rows]),
+        of_lower[:n, T],
+        of_upper[:n, T],
+    )
+    return Bounds(sides[0], sides[1], *last), prices
 
 
-def _scaled_rows(problem: OptimalControlProblem, x: Array, u: Array) -> Array:
-    """Return [C D] of all stage rows, for states and controls in the units x and u, (rows, n+m)."""
-    rows = [np.hstack([family.C * x, family.D * u]) for family in problem.stage_rows]
-    return np.concatenate([*rows, np.zeros((0, len(x) + len(u)))])
+def natural_units(problem: OptimalControlProblem) -> LtiUnits:
+    """Return units with data of order 1; UnsupportedError if the cost of the sizes is not finite and above 0."""
+    states, controls, known = natural_sizes(problem)
+    balanced = problem.response is None and not known.all()
+    x_unit = _power_of_two(_state_sizes(problem.linear.A, states, known) if balanced else states)
+    u_unit = _power_of_two(_control_sizes(problem.control_tube, controls))
+    cost = problem.quadratic
+    level = float((np.diagonal(cost.R) * u_unit**2).mean()) or float((np.diagonal(cost.Q) * x_unit**2).mean())
+    if not 0 < level < np.inf:
+        raise UnsupportedError(f"method 'spectral': states and controls of their sizes cost {level:g}; change units.")
+    rows = np.abs(_scaled_rows(problem, x_unit, u_unit)).max(1)
+    return LtiUnits(x_unit, u_unit, _power_of_two(np.where(rows > 0, rows, 1.0)), float(_power_of_two(np.array(level))))
+
+
+def _state_sizes(A: Array, stated: Array, given: Mask) -> Array:
+    """Return sizes of the states, (n,): as given, else such that A is balanced among states that act on each other.
+
+    The estimate |x| <= T |A| |x| of a state without a given size grows with T, once per state of a chain, even if
+    states oscillate against each other. In such units A would be nearly defective.
+    """
+    sizes = stated.copy()
+    count, group = connected_components(A != 0, connection="strong")
+    for members in (np.flatnonzero(group == i) for i in range(count)):
+        coupling = A[np.ix_(members, members)] * ~np.eye(len(members), dtype=bool)
+        balanced = matrix_balance(coupling, permute=False, separate=True)[1][0]
+        known, ratio = given[members], sizes[members] / balanced
+        level = ratio[known].max() if known.any() else np.exp(np.log(ratio).mean())
+        wrong = np.abs(np.log(ratio / level)) > np.log(MUCH_LARGER)
+        sizes[members] = np.where(wrong & ~known, level * balanced, sizes[members])
+    return sizes
+
+
+def _control_sizes(tube: Box, stated: Array) -> Array:
+    """Return sizes of the controls, (m,): as stated, or their bounds if the stated sizes are much smaller."""
+    sides = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in tube.bounds]
+    if all((side <= MUCH_LARGER * stated).all() for side in sides):
+        return stated
+    bounds = np.maximum(*(np.median(side, axis=0) for side in sides))
+    larger = (bounds > MUCH_LARGER * stated) & (bounds <= FAR_BEYOND * stated)
+    return np.where(larger, bounds, stated)
 
 
 def _power_of_two(size: Array) -> Array:
     return np.exp2(np.round(np.log2(size)))
+
+
+def revised_units(units: LtiUnits, y: Array) -> LtiUnits | None:
+    """Return units from a solution y (n+m, T) in the given units, or None if those were right.
+
+    If bounds such as 1e9 stand for no bound, all signals may be rounding errors in the first units.
+    """
+    reached = np.abs(y).max(1)
+    wrong = (reached > ROUNDED_COMPONENT) & (reached < WRONG_UNIT)
+    if not wrong.any():
+        return None
+    factor = np.where(wrong, _power_of_two(np.where(wrong, reached, 1.0)), 1.0)
+    n = len(units.x)
+    smallest = float(factor[n:].max()) ** 2
+    return LtiUnits(units.x * factor[:n], units.u * factor[n:], units.rows, units.cost * smallest)

@@ -3,6 +3,9 @@
 Soft stop bands become hard ones, if their multipliers do not exceed their prices (SoftBins). Polyhedral sets become
 joint rows (RowForm). Soft sets whose rows bound single components become bounds with prices (SoftBounds), which the
 model of the method contains in addition to hard bounds. docs/spectral.md, 12, derives soft bounds and soft bands.
+
+Reductions replace a problem by another one, in the user's units, and map its multipliers back. They precede
+``lti_problem`` in ``model``, which only writes the arrays of the last problem in units of order 1.
 """
 
 from __future__ import annotations

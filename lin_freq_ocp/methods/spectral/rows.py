@@ -32,7 +32,7 @@ class Rows(NamedTuple):
     sign: Array
     weights: Array | None = None
 
-    def take(self, chosen: Mask) -> Rows:
+    def take(self, chosen: Mask | Indices) -> Rows:
         """Return some of the rows."""
         weights = None if self.weights is None else self.weights[chosen]
         return Rows(self.t[chosen], self.f[chosen], self.sign[chosen], weights)
@@ -74,22 +74,18 @@ class Violations:
         t, index = np.append(t, 0 * start), self._index[np.append(f, start)]
         self.fixed = index[index >= 0], t[index >= 0]
         self.violation, self.last, self.worst = np.zeros((0, 0)), np.zeros(n), 0.0
-        none = np.zeros(0, dtype=np.intp)
-        self.set_saturated(none, none)
-
-    def set_saturated(self, t: Indices, f: Indices) -> None:
-        """Set the saturated rows: f of F at times t; at t = T, f is a component of x_T."""
-        inner = t < self.lti.horizon
-        self._saturated = self._index[f[inner]], t[inner]
-        self._saturated_last = f[~inner]
 
     def values(self, y: Array) -> Array:
         """Return F y of the bounded rows, shape (bounded, T)."""
         return y[self.rows] if len(self.lti.F) == len(y) else self.lti.F[self.rows] @ y
 
-    def measure_values(self, values: Array, last: Array) -> float:
-        """Measure values (bounded, T) of the bounded rows, and last = x_T; return the worst violation."""
-        bounds, n = self.lti.bounds, self.lti.state_dim
+    def measure_values(self, values: Array, last: Array, t: Indices, f: Indices) -> float:
+        """Measure values (bounded, T) of the bounded rows, and last = x_T; return the worst violation.
+
+        The rows f of F at times t are saturated; at t = T, f is a component of x_T.
+        """
+        bounds, n, inner = self.lti.bounds, self.lti.state_dim, t < self.lti.horizon
+        self._saturated = self._index[f[inner]], t[inner]
         below = self.lower - values
         self.violation = np.subtract(values, self.upper, out=self.violation if self.violation.size else None)
         self.above = self.violation >= below
@@ -100,7 +96,7 @@ class Violations:
         self.worst = float(self.violation.max(initial=ABSENT))
         if self.free_end.any():
             at_end = np.maximum(last - bounds.last_upper, bounds.last_lower - last) / self.scale[:n]
-            at_end[self._saturated_last] = ABSENT
+            at_end[f[~inner]] = ABSENT
             self.last, self.last_above = np.where(self.free_end, at_end, ABSENT), last > bounds.last_upper
             self.worst = max(self.worst, float(self.last.max()))
         return self.worst
@@ -157,8 +153,9 @@ class WorkingSet:
     """Rows G y <= limit, each sign F_f y_t, with multipliers ``weights`` l >= 0; at t = T, on free components of x_T.
 
     ``limits`` and ``prices`` (count,) are their right-hand sides and largest multipliers, infinite for hard rows.
-    ``coupling`` is C = [dG/dtheta'; -S_EW], (size + equations, count), S_EW the decrease of the equations by unit
-    forces on the rows. ``present`` (2, rows of F, T+1) is the mask of the rows, lower bounds first.
+    ``coupling`` is C = [(G Y)'; -S_EW], (size + equations, count): the effect of theta on the rows, and the decrease of
+    the equations by unit forces on the rows, S_EW = E_y N N^* G'. ``present`` (2, rows of F, T+1) is the mask of the
+    rows, lower bounds first.
     """
 
     def __init__(self, kkt: BorderedSystem, lti: Lti):
@@ -211,12 +208,12 @@ class WorkingSet:
         self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling = coupling
         self.limits = self.sign * self._lti.bounds.at(self.t, self.f, self.sign)
-        self.prices = self._lti.prices.at(self.t, self.f, self.sign)
+        self.prices = self._lti.price_of(self.t, self.f, self.sign)
         self._cached_gram: Array | None = None
 
     @property
     def gram(self) -> Array:
-        """S_W, the responses of the rows to forces on each other at fixed theta and multipliers of the equations."""
+        """S_W = G N N^* G', the decrease of the rows by unit forces on each other, at fixed theta and zeta."""
         if self._cached_gram is None:
             require_memory(
                 f"method 'spectral' with {len(self)} working rows (samples at a bound)",
@@ -229,17 +226,12 @@ class WorkingSet:
         return self._cached_gram
 
     def eliminated(self, inverse: Array) -> tuple[Array, Array]:
-        """Return K_b^{-1} C and S for an inverse of K_b; S is exactly symmetric: else the QP stalls at rounding."""
-        gram, Z = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
-        half = self.coupling.T @ (Z / 2)
+        """Return K^{-1} C and S for an inverse of K; S is exactly symmetric: else the QP stalls at rounding."""
+        gram, through = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
+        half = self.coupling.T @ (through / 2)
         S = half + half.T
         S += gram
-        return Z, S
-
-    @property
-    def saturated(self) -> Mask:
-        """Which multipliers are the price of their row: these rows are violated."""
-        return self.weights >= self.prices
+        return through, S
 
     def slacks(self, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
@@ -249,5 +241,5 @@ class WorkingSet:
         return self.limits - self.sign * values
 
     def free_response(self) -> Array:
-        """Return the response of each row to a unit force on it, without equations, (count,)."""
+        """Return the decrease of each row by a unit force on it, without equations, (count,)."""
         return self._kkt.kernels.free_response(self.t, self.f)

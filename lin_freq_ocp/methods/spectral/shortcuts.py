@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -83,21 +82,11 @@ class Neighbourhood:
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
 
-class ActiveSetDuals(NamedTuple):
-    """Values with multipliers: flat indices, signs as in Rows, weights >= 0 (undefined if not ``accurate``)."""
-
-    indices: Indices
-    sign: Array
-    weights: Array
-    rounds: int = 0
-    accurate: bool = True
-
-
 class WholeHorizon:
     """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
 
     ``coupling`` (size + equations, values) and ``free_response`` (values,) are as in WorkingSet, ``through`` is
-    K_b^{-1} C.
+    K^{-1} C.
     """
 
     def __init__(self, kkt: BorderedSystem, rows: Indices):
@@ -119,20 +108,15 @@ class WholeHorizon:
         T = self.kernels.lti.horizon
         return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
 
-    def duals(self, rows: Rows) -> ActiveSetDuals:
-        """Return the rows by flat indices."""
-        indices, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
-        weights = np.zeros(len(indices)) if rows.weights is None else rows.weights[once]
-        return ActiveSetDuals(indices, rows.sign[once], weights)
+    def distinct(self, rows: Rows) -> tuple[Indices, Array, Array]:
+        """Return the flat indices of rows, each once, with signs and weights."""
+        index, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
+        return index, rows.sign[once], np.zeros(len(index)) if rows.weights is None else rows.weights[once]
 
     def gram(self, index: Indices) -> Array:
         """Return S of some values."""
         S = self.coupling[:, index].T @ self.through[:, index]
         return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
-
-    def rows_of(self, duals: ActiveSetDuals) -> Rows:
-        """Return the rows of some values."""
-        return Rows(self.t[duals.indices], self.f[duals.indices], duals.sign, duals.weights)
 
     def response(self, index: Indices, mu: Array) -> Array:
         """Return S mu of all values, for multipliers mu of the values ``index``."""
@@ -147,30 +131,31 @@ class WholeHorizon:
 
 
 def exchange_values(
-    whole: WholeHorizon, violations: Violations, start: ActiveSetDuals, base: Array, tolerance: float, stop: Stop
-) -> ActiveSetDuals:
+    whole: WholeHorizon, violations: Violations, start: Rows, base: Array, tolerance: float, stop: Stop
+) -> tuple[Rows, int, bool]:
     """Exchange until no value violates its bound by more than the tolerance, for MODEL_ROUNDS at most.
 
-    ``base`` (values,) are those without multipliers, v_0.
+    ``base`` (values,) are those without multipliers, v_0. Return the rows with their weights, the number of small QPs,
+    and whether the last of them is accurate.
     """
-    index, sign, weights = start.indices, start.sign, start.weights
-    lti, duals, present = violations.lti, start, np.zeros(len(base), dtype=bool)
+    index, sign, weights = whole.distinct(start)
+    lti, solved, rounds, present = violations.lti, start, 0, np.zeros(len(base), dtype=bool)
     n = lti.state_dim
     for count in range(1, MODEL_ROUNDS + 1):
         values, saturated = base, index[:0]
         if len(index):
             t, f = whole.t[index], whole.f[index]
-            d = sign * (lti.bounds.at(t, f, sign) - base[index])
-            price, diagonal_bound = lti.prices.at(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
+            delta = sign * (lti.bounds.at(t, f, sign) - base[index])
+            price, diagonal_bound = lti.price_of(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
             S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, d, weights, price, diagonal_bound, whole.free_response[index], stop)
-            duals = ActiveSetDuals(index, sign, weights, count, accurate)
+            weights, accurate = bounded_qp(S, delta, weights, price, diagonal_bound, whole.free_response[index], stop)
+            solved, rounds = Rows(t, f, sign, weights), count
             if not accurate:
-                break
+                return solved, rounds, False
             values = base - whole.response(index, sign * weights)
             saturated = index[weights >= price]
-        violations.set_saturated(whole.t[saturated], whole.f[saturated])
-        if violations.measure_values(values[:-n].reshape(len(whole.rows), -1), values[-n:]) < tolerance or stop():
+        parts = values[:-n].reshape(len(whole.rows), -1), values[-n:]
+        if violations.measure_values(*parts, whole.t[saturated], whole.f[saturated]) < tolerance or stop():
             break
         active = weights > 0
         index, sign, weights = index[active], sign[active], weights[active]
@@ -183,7 +168,7 @@ def exchange_values(
             break
         index, sign = np.concatenate([index, entering[new]]), np.concatenate([sign, side[new]])
         weights = np.concatenate([weights, np.zeros(added)])
-    return duals
+    return solved, rounds, True
 
 
 def cheaper_problem(lti: Lti) -> tuple[Lti, float, Callable[[Rows], Rows]] | None:

@@ -1,13 +1,17 @@
 """All y_k = (x_k, u_k) that satisfy the dynamics and the stop bands at each bin (docs/spectral.md, 2, 3 and 5).
 
-    F_k y_k = z w + d_k,  F_k = [zI - A, -B_passed],  w = x_0 - x_T
-    <=>   y_k = N_k v_k + (particular response to z w + d_k) + (bordering directions)
+    D_k y_k = z w + d_k,  D_k = [zI - A, -B_passed],  w = x_0 - x_T
+    <=>   y_k = N_k v_k + D_k^+ (z w + d_k) + (bordering directions)
 
 The jump w closes the period: x_1 .. x_T have the spectrum z (x_k - w). N_k spans the regular part of the null space of
-F_k, with N_k^* M N_k = I. The particular response P_k is M-orthogonal to it. Far from eigenvalues of A,
-N = [(zI - A)^{-1} B; I]. Near them, N and P follow from a singular value decomposition of F_k; directions of small cost
-or of small singular values become bordering directions, one complex unknown each. The inverse transform of
-F_f N N^* F_g' is a circulant kernel: the response of row f to a unit force on row g, by their distance in time.
+D_k, with N_k^* M N_k = I. The particular response is M-orthogonal to it: N_k^* M D_k^+ = 0. Far from eigenvalues of A,
+before these normalisations, N = [(zI - A)^{-1} B; I] and D^+ = [(zI - A)^{-1}; 0]. Near them, both follow from a
+singular value decomposition of D_k; directions of small cost or of small singular values become bordering directions,
+one complex unknown each.
+
+The inverse transform of F_f N N^* F_g' is a circulant kernel kappa_fg, the response of row f to a unit force on row g,
+by their distance in time. A first reader may skip NearBins and ``_choose_bordering_directions``: they only matter at
+the few bins near eigenvalues.
 """
 
 from __future__ import annotations
@@ -26,18 +30,21 @@ from lin_freq_ocp.methods.spectral.model import Lti
 
 MOST_BORDERING = 128  # directions of small cost; of more, only the smallest become bordering unknowns, which are dense
 SMALL_TABLE = 500_000  # entries up to which all kernels are computed at once
-NEAR_RESOLVENT = 1e2  # size of the resolvent from which a bin is near an eigenvalue: dividing loses two digits
-NEAR_RADIUS = 0.3  # distance to an eigenvalue beyond which a bin is far, however large the resolvent
-# Relative singular value of F_k below which its direction may become a bordering unknown ...
+NEAR_RESOLVENT = 1e2  # sum of the absolute entries of the resolvent at a near bin: dividing loses two digits there
+NEAR_RADIUS = 0.3  # distance to an eigenvalue up to which the resolvent is tested: a back substitution for these bins
+# Singular value of D_k, relative to the largest, below which its direction becomes a bordering unknown: a division by
+# it would lose five digits of the response to a jump ...
 SMALL_SINGULAR_VALUE = 1e-5
-LEAST_DIVISOR = 1e-11  # ... and below which it always does: fewer than five digits of it are known
 # ... unless the distance to every eigenvalue, times T, is above this: |1 - (lambda / z)^T| is then of order 1, or
 # |lambda| is far from 1 in T steps, and a jump leaves a response of its own size. Few bins per eigenvalue are nearer.
 RESOLVED_PHASE = 10.0
+LEAST_DIVISOR = 1e-11  # ... and below which it does at any distance: fewer than five digits of the value are known
 ZERO_SINGULAR_VALUE = 1e-13  # relative singular value that is rounding; as a number it would decide the answer
-SMALL_HESSIAN = 1e-4  # cost of a null direction, relative to a control's, below which it may be a bordering unknown ...
-LEAST_HESSIAN = 1e-10  # ... and below which it always does
-SINGULAR_HESSIAN = 1e-13  # relative eigenvalue of N^*MN at which the cost does not see a direction: refused
+# Cost of a null direction, relative to a control's, below which it becomes a bordering unknown: N would be the vector
+# over the root of its cost, and kernels 1e4 times as large as the others lose four digits of their sums ...
+SMALL_HESSIAN = 1e-4
+LEAST_HESSIAN = 1e-10  # ... also if there are MOST_BORDERING cheaper ones: ten digits of the sums would be lost
+SINGULAR_HESSIAN = 1e-13  # relative eigenvalue of N^*MN that is rounding of 0: the cost does not see this direction
 
 FLAT_COST = (
     "method 'spectral': some direction that the bands allow costs nothing (R singular); "
@@ -51,33 +58,21 @@ class Resolvent:
     def __init__(self, A: Array):
         self.triangle, self.unitary = schur(A.astype(np.complex128), output="complex")
         self.eigenvalues: ComplexArray = np.diagonal(self.triangle)
-        self._adjoint = self.unitary.conj().T
 
-    def apply(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-1} rhs_k, for z (bins,) and rhs (n, columns, bins); inf or NaN at eigenvalues."""
-        Y = times_columns(self._adjoint, rhs)
-        for i in range(len(Y) - 1, -1, -1):
-            for j in range(i + 1, len(Y)):
-                if self.triangle[i, j]:
-                    Y[i] += self.triangle[i, j] * Y[j]
-            Y[i] /= z - self.triangle[i, i]
-        return times_columns(self.unitary, Y)
+    def apply(self, z: ComplexArray, rhs: ComplexArray, adjoint: bool = False) -> ComplexArray:
+        """Return (z_k I - A)^{-1} rhs_k, or (z_k I - A)^{-*} rhs_k; inf or NaN at eigenvalues.
 
-    def apply_adjoint(self, z: ComplexArray, rhs: ComplexArray) -> ComplexArray:
-        """Return (z_k I - A)^{-*} rhs_k, for rhs (n, columns, bins)."""
-        Y = times_columns(self._adjoint, rhs)
-        for i in range(len(Y)):
-            for j in range(i):
-                if self.triangle[j, i]:
-                    Y[i] += self.triangle[j, i].conj() * Y[j]
-            Y[i] /= (z - self.triangle[i, i]).conj()
-        return times_columns(self.unitary, Y)
-
-    def size(self, z: ComplexArray) -> Array:
-        """Return the sums of the absolute values of the entries of (z_k I - A)^{-1}, (bins,)."""
-        n = len(self.triangle)
-        identity = np.broadcast_to(np.eye(n, dtype=np.complex128)[:, :, None], (n, n, len(z)))
-        return np.abs(self.apply(z, identity)).sum((0, 1))
+        z is (bins,), and rhs (n, columns, bins).
+        """
+        solution, triangle, order = times_columns(self.unitary.conj().T, rhs), self.triangle, range(len(rhs))[::-1]
+        if adjoint:  # of a lower triangle, the first unknown follows first
+            z, triangle, order = z.conj(), triangle.conj().T, order[::-1]
+        for i in order:
+            for j in range(len(rhs)):
+                if j != i and triangle[i, j]:
+                    solution[i] += triangle[i, j] * solution[j]
+            solution[i] /= z - triangle[i, i]
+        return times_columns(self.unitary, solution)
 
 
 def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray:
@@ -86,10 +81,10 @@ def times_columns(matrix: Array | ComplexArray, X: ComplexArray) -> ComplexArray
 
 
 class NearBins:
-    """F_k = L diag(sigma) V^* at the near bins k (count,): left (count, n, n), sigma (count, n), right (count, n+m, n).
+    """D_k = U diag(sigma) V^* at the near bins k (count,): left (count, n, n), sigma (count, n), right (count, n+m, n).
 
     ``good`` (count, n) marks the singular values that the particular response divides by. ``null`` (count, n+m, m) are
-    the null vectors of F_k that diagonalise M, and ``cost`` (count, m) their costs; both are padded for stopped
+    the null vectors of D_k that diagonalise M, and ``cost`` (count, m) their costs; both are padded for stopped
     controls, by zeros and inf.
     """
 
@@ -109,8 +104,8 @@ class NearBins:
         for members in map(np.array, groups.values()):
             z_k = z[k[members]].real if real[members[0]] else z[k[members]]
             passed = np.append(np.ones(n, dtype=bool), lti.passed[:, k[members[0]]])
-            F = z_k[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
-            self.left[members], self.sigma[members], right = np.linalg.svd(F[:, :, passed])
+            D = z_k[:, None, None] * np.eye(n, n + m) - np.hstack([lti.A, lti.B])
+            self.left[members], self.sigma[members], right = np.linalg.svd(D[:, :, passed])
             V = np.zeros((len(z_k), n + m, right.shape[1]), dtype=z_k.dtype)
             V[:, passed] = right.conj().swapaxes(1, 2)
             self.right[members], null = V[:, :, :n], V[:, :, n:]
@@ -118,8 +113,8 @@ class NearBins:
             if columns == 1:
                 self.null[members, :, :1], self.cost[members, :1] = null, cost.real[:, 0]
             else:
-                h, vectors = np.linalg.eigh(cost)
-                self.null[members, :, :columns], self.cost[members, :columns] = null @ vectors, h
+                self.cost[members, :columns], vectors = np.linalg.eigh(cost)
+                self.null[members, :, :columns] = null @ vectors
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > RESOLVED_PHASE
@@ -132,14 +127,14 @@ class NearBins:
         return np.einsum("kij,kjc->ick", self.right, projected)
 
     def adjoint(self, rhs: ComplexArray) -> ComplexArray:
-        """Return L diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, columns, count)."""
+        """Return U diag(1/sigma) V^* rhs over the good singular values, for rhs (n+m, columns, count)."""
         projected = np.einsum("kij,ick->kjc", self.right.conj(), rhs) * self._inverse[:, :, None]
         return np.einsum("kij,kjc->ick", self.left, projected)
 
 
 @dataclass(frozen=True, eq=False)
 class CompatibilityEquation:
-    """At bin k: sigma xi = L^*(z w + d_k), sigma small, xi the coefficient of bordering direction ``direction``."""
+    """At bin k: sigma xi = U_j^*(z w + d_k), sigma small, xi the coefficient of bordering direction ``direction``."""
 
     k: int
     left: ComplexArray
@@ -150,7 +145,7 @@ class CompatibilityEquation:
 class BinSpaces:
     """The null spaces N (n+m, m, bins) and particular responses of all bins 0 .. T/2; spectra are (component, bin).
 
-    z = exp(2 pi i k / T); ``weight`` is the number of times that a bin counts in sums over the full circle (1 or 2).
+    z = exp(2 pi i k / T); ``multiplicity`` is how often a bin counts in sums over the full circle (1 or 2).
     The bordering directions bordering_vector (n+m, directions) at bordering_bin (directions,) are M-orthogonal to N.
     """
 
@@ -158,21 +153,22 @@ class BinSpaces:
         self.lti = lti
         bins = np.arange(lti.horizon // 2 + 1)
         self.z: ComplexArray = np.exp(2j * np.pi * bins / lti.horizon)
-        self.weight = bin_weights(lti.horizon)
+        self.multiplicity = bin_multiplicity(lti.horizon)
         self.resolvent = Resolvent(lti.A)
         distance = np.full(len(self.z), np.inf)  # to the nearest eigenvalue
         for eigenvalue in self.resolvent.eigenvalues:
             np.minimum(distance, np.abs(self.z - eigenvalue), out=distance)
         close = np.flatnonzero(distance < NEAR_RADIUS)
         with np.errstate(all="ignore"):
-            size = self.resolvent.size(self.z[close])
+            identity = np.repeat(np.eye(lti.state_dim, dtype=np.complex128)[:, :, None], len(close), axis=2)
+            size = np.abs(self.resolvent.apply(self.z[close], identity)).sum((0, 1))
         self.near = NearBins(lti, close[~(size < NEAR_RESOLVENT)], self.z, distance)
         self.N = self._far_null_spaces()
         self.compatibility: list[CompatibilityEquation] = []
         self._choose_bordering_directions()
 
     def _far_null_spaces(self) -> ComplexArray:
-        """Return N L^{-*} with N^*MN = L L^* at far bins, zero at near ones; stopped controls have unit cost."""
+        """Return N at far bins, normalised by a Cholesky factor of N^*MN; 0 at near bins and for stopped controls."""
         lti, n, m = self.lti, self.lti.state_dim, self.lti.control_dim
         passed = np.array(lti.passed)
         passed[:, self.near.k] = False
@@ -183,21 +179,21 @@ class BinSpaces:
         N[:n, ~passed] = 0
         N[n + np.arange(m), np.arange(m)] = passed
         weighted = slice(0 if lti.state_cost else n, None)  # the components that M weighs
-        V, M = N[weighted], lti.M[weighted, weighted]
-        H = np.asarray(np.einsum("iak,ibk->kab", V.conj(), times_columns(M, V)), dtype=np.complex128)
+        part, M = N[weighted], lti.M[weighted, weighted]
+        cost = np.asarray(np.einsum("iak,ibk->kab", part.conj(), times_columns(M, part)), dtype=np.complex128)
         if m == 1:  # several are checked below
-            rounding = SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(V[:, 0]) ** 2).sum(0)
-            if (H[:, 0, 0].real <= rounding)[passed[0]].any():
+            rounding = SINGULAR_HESSIAN**2 * lti.curvature_unit * (np.abs(part[:, 0]) ** 2).sum(0)
+            if (cost[:, 0, 0].real <= rounding)[passed[0]].any():
                 raise UnsupportedError(FLAT_COST)
-        H[:, np.arange(m), np.arange(m)] += ~passed.T
-        sizes = np.sqrt(np.diagonal(H, axis1=1, axis2=2).real)
+        cost[:, np.arange(m), np.arange(m)] += ~passed.T  # stopped controls: their zero columns stay zero
+        sizes = np.sqrt(np.diagonal(cost, axis1=1, axis2=2).real)
         if not (sizes > 0).all():
             raise UnsupportedError(FLAT_COST)
         if m == 1:
             N /= sizes.T
             return N
         try:
-            factor = np.linalg.cholesky(H / (sizes[:, :, None] * sizes[:, None]))
+            factor = np.linalg.cholesky(cost / (sizes[:, :, None] * sizes[:, None]))
         except np.linalg.LinAlgError:
             raise UnsupportedError(FLAT_COST) from None
         if np.diagonal(factor, axis1=1, axis2=2).real.min(initial=1.0) ** 2 <= SINGULAR_HESSIAN:
@@ -224,7 +220,7 @@ class BinSpaces:
         self.bordering_vector: ComplexArray = vectors - np.einsum("iak,ak->ik", N, along)
 
     def particular(self, rhs: ComplexArray) -> ComplexArray:
-        """Return (I - N N^* M) P rhs, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
+        """Return D^+ rhs, with D^+ <- (I - N N^* M) D^+, shape (n+m, columns, bins), for rhs (n, columns, bins)."""
         lti, n = self.lti, self.lti.state_dim
         response = np.zeros((len(lti.M), *rhs.shape[1:]), dtype=np.complex128)
         with np.errstate(all="ignore"):
@@ -238,7 +234,7 @@ class BinSpaces:
         return response
 
     def project(self, g: ComplexArray, bins: Indices | slice = slice(None)) -> ComplexArray:
-        """Return K g = N N^* g, for g (n+m, columns, bins)."""
+        """Return N N^* g, for g (n+m, columns, bins)."""
         N = self.N[:, :, bins]
         return np.einsum("iak,ack->ick", N, np.einsum("iak,ick->ack", N.conj(), g))
 
@@ -251,14 +247,14 @@ class BinSpaces:
                 row -= response * v
 
 
-def bin_weights(horizon: int) -> Array:
+def bin_multiplicity(horizon: int) -> Array:
     """Return how often each bin of the DFT counts in sums over the full circle, 1 or 2, (T//2 + 1,)."""
     bins = np.arange(horizon // 2 + 1)
     return np.where((bins == 0) | (2 * bins == horizon), 1.0, 2.0)
 
 
 class CirculantKernels:
-    """K_fg(t) = irfft of F_f N N^* F_g': a unit force on F_g y_0 lowers F_f y_t by K_fg(t).
+    """kappa_fg(t) = irfft of F_f N N^* F_g': a unit force on F_g y_0 lowers F_f y_t by kappa_fg(t).
 
     ``table`` is (rows, rows, T). If it is not ``complete``, pairs f <= g are computed on demand; the others are
     undefined, and use no memory.
@@ -266,7 +262,7 @@ class CirculantKernels:
 
     def __init__(self, lti: Lti, spaces: BinSpaces):
         self.lti, self.spaces, rows = lti, spaces, len(lti.F)
-        self.known = np.zeros((rows, rows), dtype=bool)
+        self._computed = np.zeros((rows, rows), dtype=bool)
         self.complete = rows * rows * lti.horizon <= SMALL_TABLE
         if self.complete:
             NF = self.of_rows(np.arange(rows))
@@ -275,17 +271,17 @@ class CirculantKernels:
         else:
             self.table = np.empty((rows, rows, lti.horizon))
 
-    def gram(self, t: Indices, f: Indices, s: Indices, g: Indices) -> Array:
-        """Return K_{f_i g_j}(t_i - s_j), shape (len(t), len(s)); all times are below T."""
+    def gram(self, t: Indices, f: Indices, t_force: Indices, g: Indices) -> Array:
+        """Return kappa_{f_i g_j}(t_i - t_force_j), shape (len(t), len(t_force)); all times are below T."""
         if not self.complete:
             self._compute(product(np.unique(f), np.unique(g)))
-        f, lag = f[:, None], t[:, None] - s  # a negative index counts from the end of the circle
+        f, lag = f[:, None], t[:, None] - t_force  # a negative index counts from the end of the circle
         if self.complete:
             return self.table[f, g, lag]
         return self.table[np.minimum(f, g), np.maximum(f, g), np.where(f <= g, lag, -lag)]
 
     def gram_of_rows(self, t: Indices, f: Indices) -> Array:
-        """Return K between the rows f at times t, (count, count); 0 for components of x_T, which are at t = T."""
+        """Return kappa between the rows f at times t, (count, count); 0 for components of x_T, which are at t = T."""
         inner = t < self.lti.horizon
         if inner.all():
             return self.gram(t, f, t, f)
@@ -294,7 +290,7 @@ class CirculantKernels:
         return gram
 
     def free_response(self, t: Indices, f: Indices) -> Array:
-        """Return the response of each row to a unit force on it, without equations, K_ff(0), (count,).
+        """Return the response of each row to a unit force on it, without equations, kappa_ff(0), (count,).
 
         Components of x_T are unknowns of their own.
         """
@@ -305,13 +301,13 @@ class CirculantKernels:
 
     def _compute(self, pairs: Iterable[tuple[int, int]]) -> None:
         for f, g in map(sorted, pairs):
-            if not self.known[f, g]:
+            if not self._computed[f, g]:
                 row, column = self.of_rows(np.array([f, g]))
                 self.table[f, g] = np.fft.irfft((row * column.conj()).sum(0), self.lti.horizon)
                 if f == g:
                     self.table[f, f] += np.roll(self.table[f, f, ::-1], 1)
                     self.table[f, f] /= 2
-                self.known[f, g] = True
+                self._computed[f, g] = True
 
     def of_rows(self, rows: Indices) -> ComplexArray:
         """Return F_f N of some rows, shape (rows, m, bins)."""

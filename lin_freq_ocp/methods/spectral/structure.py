@@ -1,7 +1,8 @@
 """The matrices of a problem (Structure), and its ends, linear terms, offsets and bounds (Data).
 
 Data return the signals that are optimal for given theta, zeta and weights, and their residual in the equations
-(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10).
+(docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10). A first
+reader may skip the estimates of memory, and stop after Data.
 """
 
 from __future__ import annotations
@@ -81,8 +82,9 @@ class Signals:
 class Data:
     """One solve's ends, linear terms, offsets and bounds: those of ``lti``, whose structure must be the given one.
 
-    ``base`` (n+m, bins) are the c_k, the spectrum of y without forces and theta, ``linear`` the spectrum of h_t,
-    ``h`` (size,) the gradient in theta at 0, and ``e`` (equations,) the right-hand sides.
+    ``base`` (n+m, bins) is c_k = D_k^+ (z w + d_k) - N_k N_k^* h_k, the spectrum of y without forces and theta;
+    ``linear`` is that of h_t, ``h_theta`` (size,) the gradient of the cost in theta at 0, and ``e`` (equations,) the
+    right-hand sides of the equations. Free components of the ends count as 0 in the jump w: they are part of theta.
     """
 
     def __init__(self, structure: Structure, lti: Lti):
@@ -94,8 +96,9 @@ class Data:
             jump += np.fft.rfft(lti.offset)
         self.linear = None if lti.linear is None else np.fft.rfft(lti.linear)
         self.base = spaces.particular(jump[:, None])[:, 0]
-        self.h = kkt.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
-        self.h[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
+        # responses to theta are M-orthogonal to N: the part of c_k along N, which follows, does not change h_theta
+        self.h_theta = kkt.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
+        self.h_theta[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
         if self.linear is not None:
             self.base -= spaces.project(self.linear[:, None])[:, 0]
         self.e = kkt.right_hand_side(lti, jump)
@@ -103,12 +106,12 @@ class Data:
     def signals(self, theta: Array, zeta: Array, working: WorkingSet) -> Signals:
         """Return the optimum over all bins for given theta, and forces of equations and working rows.
 
-        y_k = base_k - N_k N_k^* (G'l + E'zeta)_k + (responses to theta): docs/spectral.md, (3).
+        y_k = c_k - N_k N_k^* (G'l + E_y'zeta)_k + Y_k theta: docs/spectral.md, (3).
         """
         lti, kkt, spectrum = self.lti, self.structure.kkt, self.base.copy()
         if len(working) or zeta.any():
             self.structure.spaces.respond(*self.forces(zeta, working), spectrum)
-        kkt.add(theta[:, None], spectrum[:, None])
+        kkt.add(theta, spectrum)
         y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
         if lti.periodic:
             last[:] = y[: lti.state_dim, 0]
@@ -116,7 +119,7 @@ class Data:
         return Signals(y, last, spectrum)
 
     def forces(self, zeta: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
-        """Return the spectrum of G'l + E'zeta, (n+m, bins), and the mask of its components that are not zero."""
+        """Return the spectrum g_k of G'l + E_y'zeta, (n+m, bins), and the mask of its components that are not zero."""
         lti, kkt, dimension = self.lti, self.structure.kkt, len(self.lti.M)
         pulses = np.zeros((len(lti.F), lti.horizon))
         inner = working.inner
@@ -138,7 +141,7 @@ class Data:
         return spectrum, used
 
     def residual(self, theta: Array, at: Signals) -> Array:
-        """Return e - E(x, theta), measured on the signals where possible."""
+        """Return e - E_y y - E_theta theta, measured on the signals where possible."""
         kkt, points = self.structure.kkt, len(self.structure.kkt.point_t)
         residual = self.e - kkt.E @ theta
         residual[:points] = self.e[:points] - at.y[kkt.point_f, kkt.point_t]
@@ -159,9 +162,14 @@ class Data:
 class Ray:
     """A Farkas ray, verified within this method: weights l of the working rows, and multipliers zeta of the equations.
 
-    A ray (l >= 0, zeta), with l = 0 on soft rows, proves infeasibility if the forces G'l + E'zeta move nothing
-    (N^* ghat = 0, and no slope in theta) and the weighted sum of the constraints cannot hold: at any point c that
-    satisfies the dynamics, l'(limit - G c) + zeta'(e - E c) < 0.
+    A ray (l >= 0, zeta), with l = 0 on soft rows, proves infeasibility if its forces g = G'l + E_y'zeta move nothing,
+
+        N_k^* g_k = 0 at all bins,    E'zeta + (G Y)'l = 0 (no slope in theta),
+
+    and the weighted sum of the constraints cannot hold: with the slacks of the rows and the residual of the equations
+    at the signals c without forces,
+
+        l'(limit - G c) + zeta'(e - E_y c) < 0.
     """
 
     working: WorkingSet
@@ -193,29 +201,31 @@ def equation_ray(data: Data, residual: Array) -> Ray | None:
 
 
 def row_ray(
-    data: Data, working: WorkingSet, S: Array, d: Array, Z: Array, combine: bool, tolerance: float, stop: Stop
+    data: Data, working: WorkingSet, S: Array, delta: Array, through: Array, combine: bool, tolerance: float, stop: Stop
 ) -> Ray | None:
     """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
-    The homogeneous dual min 1/2 l'S l + d'l + rho/2 (d'l)^2 is bounded; tau = 1 + rho d'l vanishes where rows conflict.
+    S, delta and ``through`` = K^{-1} C are those of the small QP. Its homogeneous form
+    min 1/2 l'S l + delta'l + squared/2 (delta'l)^2 is bounded; tau = 1 + squared delta'l vanishes where rows conflict.
     """
-    hard, violated = np.isinf(working.prices), d < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
+    hard, violated = np.isinf(working.prices), delta < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
     decided = hard & violated & (np.diagonal(S) < DECIDED_RESPONSE * working.free_response())
-    weights = np.zeros(len(d))
+    weights = np.zeros(len(delta))
     if decided.any():
-        weights[np.argmin(np.where(decided, d, np.inf))] = 1.0
+        weights[np.argmin(np.where(decided, delta, np.inf))] = 1.0
     elif combine and hard.any():
-        S, b = S[np.ix_(hard, hard)], d[hard]
-        size = np.abs(b) / np.sqrt(np.maximum(np.diagonal(S), TINY_SQUARED))
-        rho = max(float(size.max()), TINY_SQUARED) ** -2
-        none, free = np.zeros(len(b)), np.full(len(b), np.inf)
-        weights[hard], _ = bounded_qp(S + rho * np.outer(b, b), b, none, free, none, none, stop)
-        if not weights.any() or 1 + rho * float(d @ weights) >= CONFLICT_TAU:
+        S, on_hard = S[np.ix_(hard, hard)], delta[hard]
+        size = np.abs(on_hard) / np.sqrt(np.maximum(np.diagonal(S), TINY_SQUARED))
+        squared = max(float(size.max()), TINY_SQUARED) ** -2
+        none, free = np.zeros(len(on_hard)), np.full(len(on_hard), np.inf)
+        homogeneous = S + squared * np.outer(on_hard, on_hard)
+        weights[hard], _ = bounded_qp(homogeneous, on_hard, none, free, none, none, stop)
+        if not weights.any() or 1 + squared * float(delta @ weights) >= CONFLICT_TAU:
             return None
     else:
         return None
     weights /= weights.max()
-    zeta = -(Z @ weights)[data.structure.kkt.size :]
+    zeta = -(through @ weights)[data.structure.kkt.size :]
     return verified_ray(data, working.weighted(weights), zeta, tolerance)
 
 
@@ -226,6 +236,6 @@ def regularised_ray(data: Data, working: WorkingSet, tolerance: float, stop: Sto
     """
     kkt, (c, residual) = data.structure.kkt, data.without_forces()
     step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
-    Z, S = working.eliminated(kkt.regularised)
-    d = working.slacks(c.y, c.last) - working.coupling.T @ step
-    return row_ray(data, working, S, d, Z, True, tolerance, stop)
+    through, S = working.eliminated(kkt.regularised)
+    delta = working.slacks(c.y, c.last) - working.coupling.T @ step
+    return row_ray(data, working, S, delta, through, True, tolerance, stop)

@@ -257,19 +257,19 @@ def bordered(size: int, equations: int, count: int, hessian: float, seed: int = 
         size=size,
         K=np.block([[H, E.T], [E, -F @ F.T]]),
         C=np.vstack([G.T, -F @ W.T]),
-        S=W @ W.T,
-        r=np.concatenate([-h, e]),
+        S_W=W @ W.T,
+        defects=np.concatenate([-h, e]),
         slack=limit,
         weights=np.zeros(count),
-        upper=np.full(count, np.inf),
+        prices=np.full(count, np.inf),
     )
     return qp, {"H": H, "h": h, "E": E, "F": F, "e": e, "G": G, "W": W, "limit": limit}
 
 
 def bordered_errors(qp: BorderedQp, step: np.ndarray, weights: np.ndarray) -> float:
     change = weights - qp.weights
-    z = qp.slack - qp.C.T @ step + qp.S @ change
-    defects = [np.abs(qp.K @ step + qp.C @ change - qp.r).max(), -z.min(), np.abs(weights * z).max()]
+    z = qp.slack - qp.C.T @ step + qp.S_W @ change
+    defects = [np.abs(qp.K @ step + qp.C @ change - qp.defects).max(), -z.min(), np.abs(weights * z).max()]
     assert weights.min() >= 0
     return float(max(defects))
 
@@ -298,7 +298,7 @@ def test_a_bordered_answer_does_not_depend_on_the_weights_before():
     qp, _ = bordered(4, 3, 30, 1e-3)
     step, weights, _ = qp.solve()
     before = np.random.default_rng(1).random(30) * weights.max()
-    warm = replace(qp, r=qp.r - qp.C @ before, slack=qp.slack + qp.S @ before, weights=before)
+    warm = replace(qp, defects=qp.defects - qp.C @ before, slack=qp.slack + qp.S_W @ before, weights=before)
     same_step, same, accurate = warm.solve()
     assert accurate
     np.testing.assert_allclose(same, weights, atol=1e-9 * weights.max())
@@ -309,7 +309,12 @@ def test_a_bordered_step_from_its_answer_is_none():
     qp, _ = bordered(4, 3, 30, 1e-3)
     step, weights, _ = qp.solve()
     change = qp.C @ weights
-    again = replace(qp, r=qp.r - qp.K @ step - change, slack=qp.slack - qp.C.T @ step + qp.S @ weights, weights=weights)
+    again = replace(
+        qp,
+        defects=qp.defects - qp.K @ step - change,
+        slack=qp.slack - qp.C.T @ step + qp.S_W @ weights,
+        weights=weights,
+    )
     further, same, accurate = again.solve()
     assert accurate
     assert np.abs(further).max() < 1e-8 * np.abs(step).max()
@@ -319,15 +324,15 @@ def test_a_bordered_step_from_its_answer_is_none():
 def test_a_bordered_answer_with_upper_bounds_is_optimal():
     qp, _ = bordered(4, 3, 30, 1e-3)
     free = qp.solve()[1]
-    upper = np.where(np.arange(30) % 3 == 0, np.inf, 0.5 * free.max())
-    qp = replace(qp, upper=upper)
+    prices = np.where(np.arange(30) % 3 == 0, np.inf, 0.5 * free.max())
+    qp = replace(qp, prices=prices)
     step, weights, accurate = qp.solve()
     assert accurate
-    assert (weights <= upper).all()
-    assert (weights == upper).any()
-    z = qp.slack - qp.C.T @ step + qp.S @ weights
-    assert np.abs(qp.K @ step + qp.C @ weights - qp.r).max() < 1e-9
-    assert np.where(weights < upper, z, 0.0).min() > -1e-9
+    assert (weights <= prices).all()
+    assert (weights == prices).any()
+    z = qp.slack - qp.C.T @ step + qp.S_W @ weights
+    assert np.abs(qp.K @ step + qp.C @ weights - qp.defects).max() < 1e-9
+    assert np.where(weights < prices, z, 0.0).min() > -1e-9
     assert np.where(weights > 0, z, 0.0).max() < 1e-9
 
 

@@ -162,7 +162,7 @@ def test_particular_responses_solve_all_but_the_singular_equations(all_spaces):
 
 def test_signals_of_real_bins_are_real(all_spaces):
     for spaces in all_spaces:
-        real = np.flatnonzero(spaces.weight == 1)
+        real = np.flatnonzero(spaces.multiplicity == 1)
         assert len(real) == 2 - spaces.lti.horizon % 2
         rhs = np.ones((spaces.lti.state_dim, 1, len(spaces.z)), dtype=complex)
         at_real = [spaces.N[:, :, real], spaces.particular(rhs)[:, :, real]]
