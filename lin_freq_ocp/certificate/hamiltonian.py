@@ -276,15 +276,8 @@ def extremal_within(
             part -= own
             size += np.abs(rho).sum(-2, keepdims=True)
     terms = _priced_terms(problem, trajectory, multipliers, x, u)
-    for part, size, through, through_size in zip(
-        (parts[0][..., :-1, :], parts[1]),
-        (sizes[0][..., :-1, :], sizes[1]),
-        problem.equations.pull_back(eta),
-        problem.equations.pulled_sizes(multipliers.eta),
-        strict=True,
-    ):
-        part += through
-        size += through_size
+    in_z[..., :-1, :] += problem.equations.pull_back(eta)
+    in_z_terms[..., :-1, :] += problem.equations.pulled_sizes(multipliers.eta)
     for priced in terms:
         pulled = priced.term.map.pull_back(priced.weights, (x.shape, u.shape))
         pulled_sizes = priced.term.map.pulled_sizes(priced.weights, (x.shape, u.shape))
