@@ -337,9 +337,9 @@ class QuadraticCost(Cost):
 
     def bend(self, deviations: Array) -> Array:
         """Return the slopes of the quadratic part at stacked deviations from the references, (..., T+1, n + m)."""
-        H, n, slopes = self.stage_hessians, self.S.shape[-2], np.zeros_like(deviations)
-        slopes[..., :-1, :] = times_vectors(H[0] if len(H) == 1 else H, deviations[..., :-1, :])
-        slopes[..., -1, :n] = deviations[..., -1, :n] @ self.P
+        H, n = self.stage_hessians, self.S.shape[-2]
+        slopes = times_vectors(H[0] if len(H) == 1 else np.concatenate([H, H[-1:]]), deviations)
+        slopes[..., -1, :n], slopes[..., -1, n:] = deviations[..., -1, :n].dot(self.P), 0.0
         return slopes
 
     def linear_slopes(self, horizon: int) -> Array | None:
