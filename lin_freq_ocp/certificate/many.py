@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, assign, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, assign, largest_over_time, split_signals, stack_signals
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
 from lin_freq_ocp.certificate.reach import Pair
@@ -48,12 +48,12 @@ def batch_judge_takes(problem: OptimalControlProblem) -> bool:
 
 def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extremals) -> Verdicts:
     """Judge trajectories from initial states (N, n) of a problem that differs in the initial state only."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         extremal = _extremal_from(problem, starts, extremals)
         costs, scale = extremal.cost_and_size
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
-        gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)
+        gaps = np.where(scale > 0, (costs - found.value) / scale, np.inf)
         worth, boxes = extremal.cost_of_residuals, problem.state_boxes
         inside = ((boxes.lower[0] <= starts) & (starts <= boxes.upper[0])).all(1)
         proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & inside
@@ -93,8 +93,9 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    checks = [(np.abs(extremal.residual).max(1), problem.linear.motion_sizes(x, u))]
-    checks.append((extremal.violation.max(1), np.abs(extremal.point).max(1)))
+    residual = np.abs(extremal.residual.astype(np.float64))
+    checks = [(largest_over_time(residual), problem.linear.motion_sizes(x, u))]
+    checks.append((largest_over_time(extremal.violation), largest_over_time(np.abs(extremal.point))))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))

@@ -240,5 +240,5 @@ def extremals_of(problem: OptimalControlProblem, plans: Sequence[Plan]) -> Extre
         splits = np.cumsum([rows.rows for rows in problem.stage_rows[:-1]])
         stage |= {one.name: part for one, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=True)}
     x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
-    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_weights(T) / T)[:, None]
+    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_weights(T)[:, None] / T)
     return Extremals(x, u, eta, forces[..., :n], forces[:, :-1, n:], rho_u, stage)
