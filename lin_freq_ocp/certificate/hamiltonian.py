@@ -323,7 +323,7 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        if rho[~stop].any():
+        if rho.any() and rho[~stop].any():
             k, i = np.argwhere((rho != 0) & ~stop)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}

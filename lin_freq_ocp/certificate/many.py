@@ -53,7 +53,7 @@ def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extrem
         costs, scale = extremal.cost_and_size
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
-        gaps = np.where(scale > 0, (costs - found.value) / scale, np.inf)
+        gaps = np.where(scale > 0, (costs - found.value) / scale, np.inf).astype(np.float64)
         worth, boxes = extremal.cost_of_residuals, problem.state_boxes
         inside = ((boxes.lower[0] <= starts) & (starts <= boxes.upper[0])).all(1)
         proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & inside
