@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_760,
-    "code lines": 48_038,
+    "shipped lines": 51_758,
+    "code lines": 48_036,
     "code lines, linear part": 22_640,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
@@ -65,8 +65,8 @@ LIMITS: dict[str, float] = {
     "lines of a function": 63,
     "functions used once [%]": 12.0,
     "files entered by a solve": 51,
-    "functions entered by a solve": 381,
-    "calls of a solve": 747,
+    "functions entered by a solve": 379,
+    "calls of a solve": 744,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,

@@ -275,8 +275,7 @@ def evaluate_bound(
     """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
     slope, unit = extremal.slopes.astype(np.float64), unit_rounding(extremal.problem)
     error = unit * extremal.slope_terms + ARITHMETIC_ROUNDING * np.abs(slope)
-    slopes = np.empty((3, *slope.shape))  # the slope, and the least and the greatest within rounding errors
-    slopes[0], slopes[1], slopes[2] = slope, slope - error, slope + error
+    slopes = np.stack([slope, slope - error, slope + error])  # and the least and the greatest within rounding errors
     minimum, *pessimistic = box_minimum(slopes, curvatures, bounds[0] - extremal.point, bounds[1] - extremal.point)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
     dynamics_term, frequency_term = extremal.dynamics_term, sum(extremal.frequency_terms)

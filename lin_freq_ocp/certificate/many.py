@@ -93,8 +93,7 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    residual = np.abs(extremal.residual.astype(np.float64))
-    checks = [(largest_over_time(residual), problem.linear.motion_sizes(x, u))]
+    checks = [(largest_over_time(np.abs(extremal.residual.astype(np.float64))), problem.linear.motion_sizes(x, u))]
     checks.append((largest_over_time(extremal.violation), largest_over_time(np.abs(extremal.point))))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop

@@ -140,7 +140,6 @@ def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
     unsized = ~own.any(axis=0)
     if unsized.any():
         own[:, unsized] = np.concatenate(trajectory_sizes(problem, trajectory))[unsized]
-        own[-1, problem.state_dim :] = 0.0
     return seal(own)
 
 
@@ -234,10 +233,8 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         near, zero = split_signals(varied, len(x)), (np.zeros((T + 1, len(x))), np.zeros((T, len(u))))
         priced = [np.abs(term.cost(*near) - term.cost(*zero)).ravel() for term in problem.terms if term.kind.is_cost]
         costs = np.concatenate([(steep * varied).ravel(), *priced])
-        costs, stage = costs[costs > 0], 0.0
-        if len(costs):  # their median
-            middle = [(len(costs) - 1) // 2, len(costs) // 2]
-            stage = SCALE_FLOOR * float(np.partition(costs, middle)[middle].sum() / 2)
+        costs = costs[costs > 0]
+        stage = SCALE_FLOOR * float(np.median(costs)) if len(costs) else 0.0
         level = max(cost, stage)
     if (coarse > x).any():
         lost = problem.quadratic.slope_magnitudes(stack_signals(*steady(coarse, u)))

@@ -106,7 +106,7 @@ class Step:
         the Lagrangian in x and u: the conditions hold.
         """
         figures: dict[str, object] = {"cost": plan.cost, "gap": plan.gap, "satisfied": True, "certify_seconds": seconds}
-        return self._judged(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u), figures)
+        return self._with_answer(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u), figures)
 
     def certified(self, outcome: Outcome, seconds: float) -> Step:
         """Return the step with the judged outcome of its plan."""
@@ -116,10 +116,12 @@ class Step:
         gap, satisfied = certificate.gap, certificate.pmp == "satisfied"
         figures = {"cost": certificate.cost, "gap": float("nan") if gap is None else gap, "satisfied": satisfied}
         figures["certify_seconds"] = seconds
-        return self._judged(outcome.status, translation_of(outcome.problem), plan, figures)
+        return self._with_answer(outcome.status, translation_of(outcome.problem), plan, figures)
 
-    def _judged(self, status: Status, translation: Translation, plan: Trajectory, figures: dict[str, object]) -> Step:
-        """Return the step with the figures and the status of its plan, and the violations of softened constraints.
+    def _with_answer(
+        self, status: Status, translation: Translation, plan: Trajectory, figures: dict[str, object]
+    ) -> Step:
+        """Return the step with the status and figures of its plan, and the violations of softened constraints.
 
         Where softened constraints are exceeded, it is claimed that the problem has no solution: multipliers have
         reached the penalties. Where none is, the plan solves the problem itself.

@@ -386,14 +386,10 @@ class QuadraticCost(Cost):
         return _cost_of_checked(**weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
     def slope_magnitudes(self, z: Array) -> Array:
-        """Return the sums of the absolute values of the terms of the slopes at stacked signals, (T+1, n + m)."""
+        """Return the sums of the absolute values of the terms of the gradient at stacked signals, (T+1, n + m)."""
         references, linear = self.references(len(z) - 1), self.magnitudes.linear_slopes(len(z) - 1)
         slopes = self.magnitudes.bend(np.abs(z) if references is None else np.abs(z) + np.abs(references))
         return slopes if linear is None else slopes + linear
-
-    def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return ``slope_magnitudes`` in x, (T+1, n), and in u, (T, m)."""
-        return split_signals(self.slope_magnitudes(stack_signals(x, u)), self.S.shape[-2])
 
     @cached_property
     def stage_hessians(self) -> Array:
