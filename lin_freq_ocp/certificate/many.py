@@ -100,4 +100,4 @@ def _feasible(extremal: Extremal) -> Mask:
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))
     checks += [(k.term.penalty.violation(k.values).max(1), k.sizes.max(1)) for k in extremal.terms if k.term.hard]
     errors, scales = (np.concatenate(side, axis=1) for side in zip(*checks, strict=True))
-    return (errors <= CONDITION_TOLERANCE * scales).all(1)
+    return np.all(errors <= CONDITION_TOLERANCE * scales, axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -105,7 +105,7 @@ class Step:
         Its gap bounds the sum of all residuals of the maximum principle by their worth, with mu and nu as the slopes of
         the Lagrangian in x and u: the conditions hold.
         """
-        figures: dict[str, object] = {"cost": plan.cost, "gap": plan.gap, "satisfied": True, "certify_seconds": seconds}
+        figures = {"cost": plan.cost, "gap": plan.gap, "satisfied": True, "certify_seconds": seconds}
         return self._with_answer(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u), figures)
 
     def certified(self, outcome: Outcome, seconds: float) -> Step:
@@ -119,7 +119,7 @@ class Step:
         return self._with_answer(outcome.status, translation_of(outcome.problem), plan, figures)
 
     def _with_answer(
-        self, status: Status, translation: Translation, plan: Trajectory, figures: dict[str, object]
+        self, status: Status, translation: Translation, plan: Trajectory, figures: Mapping[str, float]
     ) -> Step:
         """Return the step with the status and figures of its plan, and the violations of softened constraints.
 
