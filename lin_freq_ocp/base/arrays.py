@@ -231,7 +231,7 @@ def first_largest(values: Array, order: ArrayLike | None = None) -> tuple[int, .
 
     Answers name it: which of equal entries is larger by rounding depends on the processor.
     """
-    largest = float(values.max())
+    largest = float(values.flat[values.argmax()])
     equal = values >= min((1 - SAME) * largest, (1 + SAME) * largest)
     first = int(equal.argmax() if order is None else np.where(equal, order, np.inf).argmin())
     return (first,) if values.ndim == 1 else divmod(first, values.shape[1])

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import LibController, ThreadpoolController
 
 from lin_freq_ocp.base.errors import UnsupportedError
 
@@ -63,21 +63,24 @@ class _OneBlasThread(ContextDecorator):
         self._lock, self._users = threading.Lock(), 0
 
     @cached_property
-    def _controller(self) -> ThreadpoolController:
+    def _libraries(self) -> list[LibController]:
         import_module("scipy.linalg")  # it loads SciPy's library; NumPy has one of its own
-        return ThreadpoolController().select(user_api="blas")
+        return ThreadpoolController().select(user_api="blas").lib_controllers
 
     def __enter__(self) -> None:
         with self._lock:
-            if self._users == 0:
-                self._limits = self._controller.limit(limits=1)
+            if self._users == 0:  # ``limit`` of threadpoolctl describes each library before and after: 20 us
+                self._found = [(library, library.num_threads) for library in self._libraries]
+                for library, _ in self._found:
+                    library.set_num_threads(1)
             self._users += 1
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._users -= 1
             if self._users == 0:
-                self._limits.restore_original_limits()
+                for library, threads in self._found:
+                    library.set_num_threads(threads)
 
 
 one_blas_thread = _OneBlasThread()

@@ -89,12 +89,12 @@ def box_minimum(slope: Array, curvature: Array, lower: Array, upper: Array) -> A
     """Return min of slope v + curvature v^2 / 2 over lower <= v <= upper, entrywise; -inf where it has none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         free = slope / -(np.maximum(curvature, 0.0) + 0.0)  # -0.0 becomes 0.0
-        np.copyto(free, 0.0, where=slope == 0)
-        v = np.minimum(np.maximum(free, lower), upper)
+        free[slope == 0] = 0.0
+        v = np.minimum(np.maximum(free, lower, out=free), upper, out=free)
         least = 0.5 * curvature * v
         least += slope
         least *= v
-        np.copyto(least, -np.inf, where=np.isinf(v))
+        least[np.isinf(v)] = -np.inf
         if not (curvature < 0).any():
             return least
         ends = [np.where(np.isinf(end), -np.inf, (slope + 0.5 * curvature * end) * end) for end in (lower, upper)]
@@ -273,14 +273,13 @@ def evaluate_bound(
     extremal: Extremal, curvatures: Array, bounds: Pair, cost: Number, cost_terms: Number, level: float = np.inf
 ) -> Evaluation:
     """Return D over stacked bounds; the cost has rounding errors relative to its terms."""
-    slope, size, unit = extremal.slopes.astype(np.float64), extremal.slope_terms, unit_rounding(extremal.problem)
-    low, high = bounds[0] - extremal.point, bounds[1] - extremal.point
-    error = unit * size + ARITHMETIC_ROUNDING * np.abs(slope)
-    between = np.stack([slope - error, slope + error])
-    minimum, *pessimistic = box_minimum(np.stack([slope, *between]), curvatures, low, high)
+    slope, unit = extremal.slopes.astype(np.float64), unit_rounding(extremal.problem)
+    error = unit * extremal.slope_terms + ARITHMETIC_ROUNDING * np.abs(slope)
+    slopes = np.stack([slope, slope - error, slope + error])  # and the least and the greatest within rounding errors
+    minimum, *pessimistic = box_minimum(slopes, curvatures, bounds[0] - extremal.point, bounds[1] - extremal.point)
     stage_gaps, losses = 0.0 - minimum.sum(-1), -np.minimum(*pessimistic)
     dynamics_term, frequency_term = extremal.dynamics_term, sum(extremal.frequency_terms)
-    stage_term, certain = extremal.terms_gap, total(losses)
+    stage_term, certain = extremal.terms_gap, losses.sum((-2, -1))
     finite = np.isfinite(certain)
     gap = np.where(finite, stage_gaps.sum(-1), 0.0)
     others = cost_terms + np.abs(dynamics_term) + np.abs(frequency_term) + np.abs(stage_term)
@@ -289,7 +288,7 @@ def evaluate_bound(
     value = np.where(finite, np.minimum(without_losses - certain, level) - in_sums, -np.inf)
     rounding = np.where(finite, certain, np.inf) - gap + in_sums
     terms = dynamics_term, frequency_term, stage_term
-    deviations = Deviations(between, curvatures, losses, cost - without_losses + in_sums)
+    deviations = Deviations(slopes[1:], curvatures, losses, cost - without_losses + in_sums)
     return Evaluation(value, rounding, stage_gaps, terms, deviations)
 
 
@@ -309,7 +308,7 @@ def _sum_of_terms(extremal: Extremal) -> Array:
     """
     problem, others = extremal.problem, extremal.slope_terms - extremal.cost_terms
     offset, linear = problem.linear.offset, problem.quadratic.linear_slopes(problem.horizon)
-    terms = total(extremal.cost_terms * np.abs(extremal.deviations)) + total(others * np.abs(extremal.point))
+    terms = total(extremal.cost_terms * np.abs(extremal.deviations) + others * np.abs(extremal.point))
     if linear is not None:
         terms = terms + total(np.abs(linear * extremal.point))
     if offset.any():

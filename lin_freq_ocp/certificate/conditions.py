@@ -156,7 +156,7 @@ def stationarity(extremal: Extremal, least: Floors) -> list[Condition]:
     S, where that is smaller than their part of their scale.
     """
     last, n, normals = extremal.problem.horizon, extremal.problem.state_dim, extremal.normals
-    residual = np.abs(extremal.slopes + normals).astype(np.float64)
+    residual = np.abs((extremal.slopes + normals).astype(np.float64))
     scales = _scales(extremal.slope_terms + np.abs(normals), least.slopes)
     worth: Array | None = None
     conditions, of_x, of_u = list[Condition](), slice(0, n), slice(n, None)

@@ -81,7 +81,7 @@ class Extremal:
     z, deviations, bent
         The trajectory, its deviations from the references, and the slopes of the quadratic cost there.
     signal
-        The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat.
+        The frequency multipliers as functions of time, (D phi_t)' eta_xhat and (D psi_t)' eta_uhat; None if all are 0.
     in_z
         D_x H_t and D_u H_t with the terms; at T, where there is no f, -eta_C D c_T - (D phi_T)' eta_xhat.
     in_z_terms
@@ -99,7 +99,7 @@ class Extremal:
     z: Array
     deviations: Array
     bent: Array
-    signal: Array
+    signal: Array | None
     in_z: Array
     in_z_terms: Array
     cost_terms: Array
@@ -160,7 +160,7 @@ class Extremal:
     @cached_property
     def frequency_terms(self) -> tuple[Array, Array]:
         """<rho, frequency residual> of states and of controls."""
-        if not (self.multipliers.rho_x.any() or self.multipliers.rho_u.any()):
+        if self.signal is None:
             return np.zeros(self.point.shape[:-2]), np.zeros(self.point.shape[:-2])
         of_x, of_u = split_signals(self.signal * self.point, self.problem.state_dim)
         return total(of_x), total(of_u)
@@ -208,14 +208,16 @@ def cost_and_size(
         If they are known: z less the references, the slopes of the quadratic part, and the values of the terms there.
     """
     n, cost, (reach, varied) = problem.state_dim, problem.quadratic, _reach_and_variation(problem)
-    (x, u), slopes = split_signals(z, n), cost.linear_slopes(problem.horizon)
+    (x, u), slopes, in_components = split_signals(z, n), cost.linear_slopes(problem.horizon), "...ti,...ti->...t"
     if known is None:
         deviations = cost.deviations_of(z)
         known = deviations, cost.bend(deviations), [term.map.values(x, u) for term in problem.terms]
     deviations, bent, values = known
-    stages, formulas = 0.5 * (deviations * bent).sum(-1), problem.cost.formula_values(x, u)
-    price = stages.sum(-1) + formulas.sum(-1)
-    size = np.minimum(np.abs(stages), (np.abs(bent) * reach).sum(-1) + varied).sum(-1) + np.abs(formulas).sum(-1)
+    stages, most = 0.5 * np.einsum(in_components, deviations, bent), np.einsum(in_components, np.abs(bent), reach)
+    price, size = stages.sum(-1), np.minimum(np.abs(stages), most + varied).sum(-1)
+    if problem.cost.has_formulas:
+        formulas = problem.cost.formula_values(x, u)
+        price, size = price + formulas.sum(-1), size + np.abs(formulas).sum(-1)
     for term, at in zip(problem.terms, values, strict=True):
         paid = term.penalty.cost(at) if term.semi_infinite is None else term.cost(x, u)
         if paid.any():
@@ -262,29 +264,22 @@ def extremal_within(
     n, eta_C, eta, cost = problem.state_dim, multipliers.eta_C, to_long_double(multipliers.eta), problem.quadratic
     z = to_long_double(stack_signals(trajectory.x, trajectory.u))
     x, u = split_signals(z, n)
-    signal, deviations, linear = np.zeros_like(z), cost.deviations_of(z), cost.linear_slopes(problem.horizon)
+    deviations, linear = cost.deviations_of(z), cost.linear_slopes(problem.horizon)
     bent, cost_terms = cost.bend(deviations), cost.magnitudes.bend(np.abs(deviations).astype(np.float64))
     in_z = bent if linear is None else bent + linear
     cost_terms = abs(eta_C) * (cost_terms if linear is None else cost_terms + np.abs(linear))
     in_z, in_z_terms = -eta_C * in_z, cost_terms.copy()
     parts, sizes = split_signals(in_z, n), split_signals(in_z_terms, n)
-    in_time = problem.in_time, lambda rho: time_signal(rho, problem.horizon)
-    rhos = multipliers.rho_x, multipliers.rho_u
-    for part, own, size, rho, signal_of in zip(parts, split_signals(signal, n), sizes, rhos, in_time, strict=True):
+    signal, in_time = None, (problem.in_time, lambda rho: time_signal(rho, problem.horizon))
+    for k, rho in enumerate((multipliers.rho_x, multipliers.rho_u)):
         if rho.any():
-            own[:] = signal_of(to_long_double(rho))
-            part -= own
-            size += np.abs(rho).sum(-2, keepdims=True)
+            signal = np.zeros_like(z) if signal is None else signal
+            split_signals(signal, n)[k][:] = own = in_time[k](to_long_double(rho))
+            parts[k][:] -= own
+            sizes[k][:] += np.abs(rho).sum(-2, keepdims=True)
     terms = _priced_terms(problem, trajectory, multipliers, x, u)
-    for part, size, through, through_size in zip(
-        (parts[0][..., :-1, :], parts[1]),
-        (sizes[0][..., :-1, :], sizes[1]),
-        problem.equations.pull_back(eta),
-        problem.equations.pulled_sizes(multipliers.eta),
-        strict=True,
-    ):
-        part += through
-        size += through_size
+    in_z[..., :-1, :] += problem.equations.pull_back(eta)
+    in_z_terms[..., :-1, :] += problem.equations.pulled_sizes(multipliers.eta)
     for priced in terms:
         pulled = priced.term.map.pull_back(priced.weights, (x.shape, u.shape))
         pulled_sizes = priced.term.map.pulled_sizes(priced.weights, (x.shape, u.shape))
@@ -328,7 +323,7 @@ def require_fitting(problem: OptimalControlProblem, multipliers: Multipliers) ->
     ):
         if rho.shape != stop.shape:
             raise ProblemError(f"multipliers.{field}", f"shape {rho.shape}", f"shape {stop.shape}")
-        if rho[~stop].any():
+        if rho.any() and rho[~stop].any():
             k, i = np.argwhere((rho != 0) & ~stop)[0]
             raise ProblemError(f"multipliers.{field}[{k}, {i}]", f"{rho[k, i]:g}", "0", f"Bin {k} is free.")
     terms = {term.name: term for term in problem.terms}

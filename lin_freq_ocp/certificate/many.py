@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals, with_fields
+from lin_freq_ocp.base.arrays import Array, Mask, assign, largest_over_time, split_signals, stack_signals
 from lin_freq_ocp.certificate.bound import evaluate_bound
 from lin_freq_ocp.certificate.hamiltonian import Extremal, extremal_within
 from lin_freq_ocp.certificate.reach import Pair
@@ -48,12 +48,12 @@ def batch_judge_takes(problem: OptimalControlProblem) -> bool:
 
 def judge_batch(problem: OptimalControlProblem, starts: Array, extremals: Extremals) -> Verdicts:
     """Judge trajectories from initial states (N, n) of a problem that differs in the initial state only."""
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         extremal = _extremal_from(problem, starts, extremals)
         costs, scale = extremal.cost_and_size
         curvatures = np.zeros(extremal.z.shape[1:]) if extremal.curvatures is None else extremal.curvatures
         found = evaluate_bound(extremal, curvatures, _reachable_bounds(extremal, curvatures), costs, scale)
-        gaps = np.divide(costs - found.value, scale, out=np.full(len(scale), np.inf), where=scale > 0)
+        gaps = np.where(scale > 0, (costs - found.value) / scale, np.inf).astype(np.float64)
         worth, boxes = extremal.cost_of_residuals, problem.state_boxes
         inside = ((boxes.lower[0] <= starts) & (starts <= boxes.upper[0])).all(1)
         proven = (np.abs(gaps) <= GAP_TOLERANCE) & (worth <= GAP_TOLERANCE * scale) & inside
@@ -65,8 +65,8 @@ def _extremal_from(problem: OptimalControlProblem, starts: Array, extremals: Ext
     n, multipliers = problem.state_dim, extremals.multipliers
     lower, upper = (np.repeat(side[None], len(starts), axis=0) for side in problem.signal_bounds)
     lower[:, 0, :n] = upper[:, 0, :n] = starts
-    stopped = with_fields(multipliers, rho_u=np.where(problem.control_stop, multipliers.rho_u, 0.0))
-    return extremal_within(problem, extremals.trajectory, stopped, (lower, upper))
+    assign(multipliers, rho_u=np.where(problem.control_stop, multipliers.rho_u, 0.0))
+    return extremal_within(problem, extremals.trajectory, multipliers, (lower, upper))
 
 
 def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
@@ -93,10 +93,11 @@ def _reachable_bounds(extremal: Extremal, curvatures: Array) -> Pair:
 def _feasible(extremal: Extremal) -> Mask:
     """Return which trajectories satisfy dynamics, bounds and stop bands, relative to the sizes of the components."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
-    checks = [(largest_over_time(np.abs(extremal.residual)), problem.linear.motion_sizes(x, u))]
+    checks = [(largest_over_time(np.abs(extremal.residual.astype(np.float64))), problem.linear.motion_sizes(x, u))]
     checks.append((largest_over_time(extremal.violation), largest_over_time(np.abs(extremal.point))))
     if problem.control_stop.any():
         spectra = np.abs(np.fft.rfft(u, axis=1)) * problem.control_stop
         checks.append((spectra.max(1), np.linalg.norm(u, axis=1)))
     checks += [(k.term.penalty.violation(k.values).max(1), k.sizes.max(1)) for k in extremal.terms if k.term.hard]
-    return np.all([(error <= CONDITION_TOLERANCE * scale).all(1) for error, scale in checks], axis=0)
+    errors, scales = (np.concatenate(side, axis=1) for side in zip(*checks, strict=True))
+    return np.all(errors <= CONDITION_TOLERANCE * scales, axis=1)

@@ -277,13 +277,9 @@ def descent_direction(problem: OptimalControlProblem, trajectory: Trajectory, al
     slopes, scales = _quadratic_slope(along, problem.quadratic.gradient(x, u))
     # At an optimum to six digits, gradient and multipliers cancel to these digits of their largest entries: slopes are
     # relative to the largest gradient of each component, on all of its change
-    natural = problem.quadratic.gradient_magnitudes(np.ones((len(x), 1)) * sizes[0], np.ones((len(u), 1)) * sizes[1])
-    at_point = problem.quadratic.gradient_magnitudes(x, u)
-    scales += [
-        float(np.maximum(part.max(0), SCALE_FLOOR * least.max(0)) @ np.abs(change).sum(0))
-        for part, least, change in zip(at_point, natural, (along.x, along.u), strict=True)
-    ]
     z, change, stacked_sizes = stack_signals(x, u), stack_signals(along.x, along.u), np.concatenate(sizes)
+    at_point, natural = (problem.quadratic.slope_magnitudes(at).max(0) for at in (z, 0 * z + stacked_sizes))
+    scales.append(float(np.maximum(at_point, SCALE_FLOOR * natural) @ np.abs(change).sum(0)))
     (lower, upper), near = problem.signal_bounds, TOUCHING * (stacked_sizes + np.abs(z))
     left = np.maximum(np.where(upper - z <= near, change, 0.0), np.where(z - lower <= near, -change, 0.0))
     residuals.append(float((left / stacked_sizes).max()))
@@ -324,8 +320,8 @@ def unbounded_direction(problem: OptimalControlProblem, along: Trajectory) -> Di
     for signal, stop in ((x[: problem.state_samples], problem.state_stop), (u, problem.control_stop)):
         terms = np.abs(signal).sum(0) * np.ones(stop.shape)
         residuals.append(_relative_to(np.abs(np.fft.rfft(signal, axis=0)[stop]), terms[stop]))
-    bent, level, terms = cost.gradient(x, u), cost.gradient(*rest), cost.gradient_magnitudes(x, u)
-    residuals += [_relative_to(one - other, size) for one, other, size in zip(bent, level, terms, strict=True)]
+    changes = [one - other for one, other in zip(cost.gradient(x, u), cost.gradient(*rest), strict=True)]
+    residuals.append(_relative_to(stack_signals(*changes), cost.slope_magnitudes(FAR * z)))
     # where the quadratic cost does not bend, its slope is that at the references
     linear = cost.gradient(rest[0] + cost.x_ref, rest[1] + cost.u_ref)
     slopes, scales = _quadratic_slope(Trajectory(x, u), linear)

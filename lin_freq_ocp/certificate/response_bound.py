@@ -135,7 +135,7 @@ def _evaluate(
     above, below = (mu > 0) & np.isfinite(upper), (mu < 0) & np.isfinite(lower)
     normal, limits = np.where(above | below, mu, 0.0), np.where(above, upper, np.where(below, lower, 0.0))
     slope_x, residual = normal - in_x, x - response.states(u)
-    through_u = problem.equations.pull_back(to_long_double(multipliers.eta))[1]
+    through_u = problem.equations.pull_back(to_long_double(multipliers.eta))[:, problem.state_dim :]
     slope = (through_u - in_u + response.pull_back(slope_x)).astype(np.float64)
     lost = multipliers.eta_C * np.abs(residual[:-1]).astype(np.float64)
     Q, S = (np.abs(part) for part in (problem.quadratic.Q, problem.quadratic.S))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, split_signals, stack_signals
+from lin_freq_ocp.base.arrays import Array, Mask, largest_over_time, seal, split_signals, stack_signals
 from lin_freq_ocp.certificate.hamiltonian import Extremal, cost_and_size
 from lin_freq_ocp.certificate.tolerances import (
     CONDITION_TOLERANCE,
@@ -43,8 +43,8 @@ def trajectory_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> 
     whole trajectory. If the trajectory is zero and there are no data, the size is that of the origin, or 1.
     """
     n, (references, slopes, curvature) = problem.state_dim, _sizes_of_cost(problem.quadratic)
-    values, reach = largest_over_time(np.abs(stack_signals(trajectory.x, trajectory.u))), reach_of_bounds(problem)
-    references = np.minimum(references, values + reach.max(axis=0))
+    values = largest_over_time(np.abs(stack_signals(trajectory.x, trajectory.u)))
+    references = np.minimum(references, values + largest_over_time(reach_of_bounds(problem)))
     A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
     in_data = np.maximum(references, np.concatenate([offset, problem.level_sizes]))
     for end in (problem.initial_box, problem.terminal_box):
@@ -111,12 +111,13 @@ def cost_scale(
     levels, of whose cost DATA_ROUNDING counts. Rounding of the Hessian adds HESSIAN_ROUNDING of the products of its
     entries with deviations, and rounding of J and its bound COST_ROUNDING of J.
     """
-    x, u = trajectory.x, trajectory.u
+    x, u, z = trajectory.x, trajectory.u, stack_signals(trajectory.x, trajectory.u)
     quadratic, levels = problem.quadratic, problem.level_sizes
-    cost, size = known or map(float, cost_and_size(problem, stack_signals(x, u)))
-    in_x, in_u = (DATA_ROUNDING * own for own in _own_terms(problem, trajectory))
-    rounding = COST_ROUNDING * abs(cost) + HESSIAN_ROUNDING * quadratic.products(x, u)
-    rounding += quadratic.magnitudes.value(in_x, in_u)
+    cost, size = known or map(float, cost_and_size(problem, z))
+    moved = DATA_ROUNDING * _own_terms(problem, trajectory)
+    rounding = COST_ROUNDING * abs(cost) + HESSIAN_ROUNDING * quadratic.products(z)
+    rounding += sum(float(part.sum()) for part in quadratic.magnitudes.terms_at(moved) if part is not None)
+    in_x, in_u = split_signals(moved, problem.state_dim)
     if levels.any():
         rounding += DATA_ROUNDING * quadratic.magnitudes.value(np.zeros_like(x), np.broadcast_to(levels, u.shape))
     for term in problem.terms:
@@ -127,19 +128,19 @@ def cost_scale(
 
 
 @lru_cache(maxsize=2)  # for the scale of the cost and those of slopes
-def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Sizes:
-    """Return the sums of the absolute values of the terms of each state, (T+1, n), and control, (T, m), at its time.
+def _own_terms(problem: OptimalControlProblem, trajectory: Trajectory) -> Array:
+    """Return the sums of the absolute values of the terms of each state and control at its time, stacked, (T+1, n + m).
 
     A component whose terms are all zero has its size.
     """
-    x, u, cost = trajectory.x, trajectory.u, problem.quadratic
-    A, B, offset = problem.form.gains_along(x, u)
-    of_x, of_u = np.abs(x) + np.abs(cost.x_ref), np.abs(u) + np.abs(cost.u_ref)
-    of_x[1:] += np.abs(x[:-1]) @ A.T + np.abs(u) @ B.T + offset
-    if not (of_x.any(axis=0).all() and of_u.any(axis=0).all()):
-        sizes = trajectory_sizes(problem, trajectory)
-        of_x, of_u = (np.where(own.any(axis=0), own, size) for own, size in zip((of_x, of_u), sizes, strict=True))
-    return of_x, of_u
+    z, references = np.abs(stack_signals(trajectory.x, trajectory.u)), problem.quadratic.references(problem.horizon)
+    A, B, offset = problem.form.gains_along(trajectory.x, trajectory.u)
+    own = z.copy() if references is None else z + np.abs(references)
+    own[1:, : problem.state_dim] += z[:-1] @ np.hstack([A, B]).T + offset
+    unsized = ~own.any(axis=0)
+    if unsized.any():
+        own[:, unsized] = np.concatenate(trajectory_sizes(problem, trajectory))[unsized]
+    return seal(own)
 
 
 class Scales(NamedTuple):
@@ -212,16 +213,18 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
     rounding = STATE_ROUNDING * (largest_over_time(given) + largest_over_time(moved))
     resting = largest_over_time(at) <= rounding
 
-    size, steady = np.concatenate([x, u]), (np.broadcast_to(x, (T + 1, len(x))), np.broadcast_to(u, (T, len(u))))
-    steep = stack_signals(*problem.quadratic.gradient_magnitudes(*_own_terms(problem, extremal.trajectory)))
+    size = np.concatenate([x, u])
+    steep = problem.quadratic.slope_magnitudes(_own_terms(problem, extremal.trajectory))
     steep = eta_C * (steep if slopes_at is None else steep + slopes_at(size))
     # what rounding of the states does to rows, and to the slopes of the cost, is no residual
     precise = rounding / CONDITION_TOLERANCE
     coarse = np.maximum(x, precise / SCALE_FLOOR)
-    blurred = np.broadcast_to(coarse, (T + 1, len(x))), steady[1]
-    exact = np.broadcast_to(precise, (T + 1, len(x))), 0 * steady[1]
-    terms = tuple(SCALE_FLOOR * priced.term.map.sizes(*blurred).max(0, initial=0.0) for priced in extremal.terms)
-    limits = tuple(one.term.map.sizes(*exact).max(0, initial=0.0) for one in extremal.terms)
+
+    def steady(of_x: Array, of_u: Array) -> Sizes:
+        return np.broadcast_to(of_x, (T + 1, len(of_x))), np.broadcast_to(of_u, (T, len(of_u)))
+
+    terms = tuple(SCALE_FLOOR * one.term.map.sizes(*steady(coarse, u)).max(0, initial=0.0) for one in extremal.terms)
+    limits = tuple(one.term.map.sizes(*steady(precise, 0 * u)).max(0, initial=0.0) for one in extremal.terms)
     if eta_C == 0:  # any multiple of abnormal multipliers is as good
         parts = zip(split_signals(extremal.slope_terms, len(x)), (x, u), strict=True)
         level = stage = SCALE_FLOOR * max(float((part @ own).max()) for part, own in parts)
@@ -230,12 +233,11 @@ def floors(extremal: Extremal, scales: Scales, origin: Array | None = None) -> F
         near, zero = split_signals(varied, len(x)), (np.zeros((T + 1, len(x))), np.zeros((T, len(u))))
         priced = [np.abs(term.cost(*near) - term.cost(*zero)).ravel() for term in problem.terms if term.kind.is_cost]
         costs = np.concatenate([(steep * varied).ravel(), *priced])
-        costs, stage = np.sort(costs[costs > 0]), 0.0
-        if len(costs):  # their median
-            stage = SCALE_FLOOR * float((costs[(len(costs) - 1) // 2] + costs[len(costs) // 2]) / 2)
+        costs = costs[costs > 0]
+        stage = SCALE_FLOOR * float(np.median(costs)) if len(costs) else 0.0
         level = max(cost, stage)
     if (coarse > x).any():
-        lost = stack_signals(*problem.quadratic.gradient_magnitudes(*blurred))
+        lost = problem.quadratic.slope_magnitudes(stack_signals(*steady(coarse, u)))
         lost = lost if slopes_at is None else lost + slopes_at(np.concatenate([coarse, u]))
         steep = np.maximum(steep, eta_C * lost)
     steep = np.where(steep > 0, SCALE_FLOOR * steep, stage / size)

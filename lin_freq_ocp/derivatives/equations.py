@@ -109,7 +109,7 @@ def changed_signals(problem: OptimalControlProblem, at: Variables, change: Value
     of_z = stack_signals(*weights.gradient(at.x, at.u)) - cost.bend(stack_signals(*moved))
     matrices = {name: change.get(name, np.zeros_like(getattr(linear, name))) for name in ("A", "B")}
     dynamics = replace(linear, **matrices, offset=change.get("offset", 0.0 * linear.offset))
-    of_z[:-1] -= np.hstack(dynamics.pull_back(at.multipliers.eta))
+    of_z[:-1] -= dynamics.pull_back(at.multipliers.eta)
     sides = [np.zeros((2, *signal.shape)) for signal in (at.x, at.u)]
     for name, d in change.items():
         for block, side in zip((Block.STATE_SET, Block.CONTROL_SET), sides, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -105,32 +105,30 @@ class Step:
         Its gap bounds the sum of all residuals of the maximum principle by their worth, with mu and nu as the slopes of
         the Lagrangian in x and u: the conditions hold.
         """
-        judged = replace(self, cost=plan.cost, gap=plan.gap, satisfied=True, certify_seconds=seconds, pending=None)
-        return judged._with_status(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u))
+        figures = {"cost": plan.cost, "gap": plan.gap, "satisfied": True, "certify_seconds": seconds}
+        return self._with_answer(Status.OPTIMAL, translation, Trajectory(plan.x, plan.u), figures)
 
     def certified(self, outcome: Outcome, seconds: float) -> Step:
         """Return the step with the judged outcome of its plan."""
         certificate, plan = outcome.certificate, outcome.trajectory
         assert certificate is not None  # the plan was judged
         assert plan is not None
-        judged = replace(
-            self,
-            cost=certificate.cost,
-            gap=float("nan") if certificate.gap is None else certificate.gap,
-            satisfied=certificate.pmp == "satisfied",
-            certify_seconds=seconds,
-            pending=None,
-        )
-        return judged._with_status(outcome.status, translation_of(outcome.problem), plan)
+        gap, satisfied = certificate.gap, certificate.pmp == "satisfied"
+        figures = {"cost": certificate.cost, "gap": float("nan") if gap is None else gap, "satisfied": satisfied}
+        figures["certify_seconds"] = seconds
+        return self._with_answer(outcome.status, translation_of(outcome.problem), plan, figures)
 
-    def _with_status(self, status: Status, translation: Translation, plan: Trajectory) -> Step:
-        """Return the step with the status of its plan, and the violations of softened constraints.
+    def _with_answer(
+        self, status: Status, translation: Translation, plan: Trajectory, figures: Mapping[str, float]
+    ) -> Step:
+        """Return the step with the status and figures of its plan, and the violations of softened constraints.
 
         Where softened constraints are exceeded, it is claimed that the problem has no solution: multipliers have
         reached the penalties. Where none is, the plan solves the problem itself.
         """
         exceeded = excess(translation, plan) if self.source is Source.SOFTENED else {}
-        return replace(self, status=Status.INFEASIBLE_CLAIMED if exceeded else status, excess=exceeded, plan=plan)
+        status = Status.INFEASIBLE_CLAIMED if exceeded else status
+        return replace(self, status=status, excess=exceeded, plan=plan, pending=None, **figures)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lin_freq_ocp.base.arrays import Array
+from lin_freq_ocp.base.arrays import Array, stack_signals
 from lin_freq_ocp.base.errors import NumericalError, UnsupportedError
 from lin_freq_ocp.methods.long_problems import LONGEST_FACTOR
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
@@ -163,7 +163,7 @@ class DeviationProgram:
             system,
             terms,
             scaling.cost,
-            DATA_ROUNDING * problem.quadratic.products(corrected.x, corrected.u),
+            DATA_ROUNDING * problem.quadratic.products(stack_signals(corrected.x, corrected.u)),
         )
 
 

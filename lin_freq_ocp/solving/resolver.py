@@ -28,7 +28,7 @@ from lin_freq_ocp.transform.reductions import Change
 from lin_freq_ocp.transform.reformulations import Translation, far_origin, translated_by
 from lin_freq_ocp.transform.starts import start_of
 
-JUDGED_AT_ONCE = 10_000  # states of plans: their arrays stay in the cache of a processor
+JUDGED_AT_ONCE = 3_000  # states of plans: an array of them in extended precision takes some 0.2 MB, as a cache has it
 TRAVEL = 100.0  # largest moves of a state in a solve: an origin that is farther away is replaced
 
 

@@ -95,7 +95,7 @@ def test_the_excess_of_the_hamiltonian_covers_the_controls_that_the_rows_allow(t
         reported = next(
             one.residual for one in judge(problem, trajectory, multipliers).conditions if "maximal" in one.name
         )
-        in_u = problem.dynamics.pull_back(multipliers.eta)[1] - problem.cost.gradient(x, u)[1]
+        in_u = problem.dynamics.pull_back(multipliers.eta)[:, problem.state_dim :] - problem.cost.gradient(x, u)[1]
         k = np.arange(T // 2 + 1)
         weight = np.where((k == 0) | (2 * k == T), 1.0, 0.5)
         in_u = in_u - np.fft.irfft(T * weight[:, None] * multipliers.rho_u, n=T, axis=0)

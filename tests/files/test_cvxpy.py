@@ -63,7 +63,7 @@ def assert_maximum_principle(problem: OptimalControlProblem, program: cp.Problem
     in_x, in_u = problem.cost.gradient(x, u)
     in_x += frequency_force(program, problem.state_stop, T + 1, "state spectrum")
     in_u += frequency_force(program, problem.control_stop, T, "control spectrum")
-    back_x, back_u = problem.dynamics.pull_back(eta)
+    back_x, back_u = np.split(problem.dynamics.pull_back(eta), [problem.state_dim], axis=1)
     scale = max(1.0, np.abs(back_x).max())
     assert np.abs(eta[:-1] - (back_x - in_x[:-1] - mu[:-1])[1:]).max() <= tolerance * scale
     assert np.abs(eta[-1] + in_x[-1] + mu[-1]).max() <= tolerance * scale

@@ -7,6 +7,7 @@ import pytest
 
 from helpers.linear_problems import M, N, T, at_time, generator
 from lin_freq_ocp import QuadraticCost
+from lin_freq_ocp.base import split_signals, stack_signals
 from lin_freq_ocp.errors import ProblemError
 
 # ------------------------------------------------------------------------------------------------------------ costs
@@ -104,12 +105,12 @@ def test_gradient_is_the_central_difference(per_time):
             assert gradient[index] == pytest.approx(slope, rel=1e-9, abs=1e-9)
 
 
-def test_gradient_magnitudes_are_the_sums_of_absolute_terms():
+def test_slope_magnitudes_are_the_sums_of_absolute_terms():
     terms = random_cost(21, per_time=True)
     cost = QuadraticCost(**terms).at_dimensions(N, M, T)
     rng = generator(22)
     x, u = rng.normal(size=(T + 1, N)), rng.normal(size=(T, M))
-    in_x, in_u = cost.gradient_magnitudes(x, u)
+    in_x, in_u = split_signals(cost.slope_magnitudes(stack_signals(x, u)), N)
     a, b = np.abs(x) + np.abs(terms["x_ref"]), np.abs(u) + np.abs(terms["u_ref"])
     for t in range(T):
         Q, R, S = (np.abs(terms[field][t]) for field in "QRS")

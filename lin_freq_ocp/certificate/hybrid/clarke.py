@@ -278,7 +278,7 @@ def switching_stages(
 def required_slopes(extremal: Extremal) -> Array:
     """Return p_t, (T, n + m), the derivative of <eta_t, f_t> that an extremal of any dynamics requires."""
     through = extremal.problem.linear.pull_back(to_long_double(extremal.multipliers.eta))
-    return ((extremal.slopes + extremal.normals)[:-1] + np.hstack(through)).astype(np.float64)
+    return ((extremal.slopes + extremal.normals)[:-1] + through).astype(np.float64)
 
 
 def stationarity_scale(extremal: Extremal, least: Floors) -> Array:

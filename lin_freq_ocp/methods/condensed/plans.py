@@ -230,14 +230,15 @@ def extremals_of(problem: OptimalControlProblem, plans: Sequence[Plan]) -> Extre
     """Return plans of one solver, for a problem that differs in the initial state only, in the user's units."""
     tables, units = plans[0].tables, plans[0].units
     (T, n, m), of_y = tables.loop.shape, units.multipliers
-    starts, v = np.array([plan.start for plan in plans]), np.stack([plan.v for plan in plans], axis=-1)
-    found = tables.recover(starts / units.x, v, np.stack([plan.weights for plan in plans], axis=-1))
-    on_rows = np.moveaxis(found.on_rows, 2, 0).swapaxes(1, 2)
+    starts, v = np.array([plan.start for plan in plans]), np.array([plan.v for plan in plans]).T
+    found = tables.recover(starts / units.x, v, np.array([plan.weights for plan in plans]).transpose(1, 2, 0))
+    on_rows = found.on_rows.T
     forces = on_rows[..., : n + m] * of_y
     stage = {one.name: one.multipliers(forces, 1.0) for one in soft_sets(problem, starts) or ()}
-    joint = on_rows[:, :-1, n + m :] * (units.cost / units.rows)
-    splits = np.cumsum([rows.rows for rows in problem.stage_rows])
-    stage |= {rows.name: part for rows, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=False)}
+    if problem.stage_rows:
+        joint = on_rows[:, :-1, n + m :] * (units.cost / units.rows)
+        splits = np.cumsum([rows.rows for rows in problem.stage_rows[:-1]])
+        stage |= {one.name: part for one, part in zip(problem.stage_rows, np.split(joint, splits, axis=2), strict=True)}
     x, u, eta = (part.swapaxes(0, 1) for part in (found.x * units.x, found.u * units.u, found.eta * of_y[:n]))
-    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_multiplicity(T) / T)[:, None]
+    rho_u = (found.band * of_y[n:]).swapaxes(0, 1) * (bin_multiplicity(T)[:, None] / T)
     return Extremals(x, u, eta, forces[..., :n], forces[:, :-1, n:], rho_u, stage)

@@ -248,7 +248,7 @@ class CondensedTables:
         loop, lti, (T, n, _), data = self.loop, self.loop.lti, self.loop.shape, np.ones(len(x_0))
         x, u = loop.simulate(x_0, loop.plans(v), data)
         in_x, in_u = (eta_C * slope for slope in loop.slopes(x, u, data))
-        at_rows = np.ascontiguousarray(np.moveaxis(weights, 0, 2))
+        at_rows = weights.transpose(1, 2, 0)
         in_x += _product(at_rows, self.C)
         in_u += _product(at_rows[:-1], self.D) + forces
         on_rows, band = np.zeros((len(lti.F), *weights.shape[1:])), np.zeros((T // 2 + 1, *in_u.shape[1:]), complex)

@@ -248,7 +248,7 @@ class SoftBins(Reduced):
 
         The multipliers of bins that a hard band of the given problem also removes stay with that band.
         """
-        through_u = self.given.equations.pull_back(reduced.eta)[1]
+        through_u = self.given.equations.pull_back(reduced.eta)[:, self.given.state_dim :]
         rho = {
             TermKind.CONTROL_SPECTRUM: (reduced.rho_u.copy(), self.given.control_stop, through_u),
             TermKind.STATE_SPECTRUM: (reduced.rho_x.copy(), self.given.state_stop, reduced.eta),

@@ -19,12 +19,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
 from scipy.linalg import schur
 
-from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
+from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask, seal
 from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Lti
 
@@ -247,10 +248,11 @@ class BinSpaces:
                 row -= response * v
 
 
+@lru_cache(maxsize=4)  # a loop reads the multipliers of one horizon at every step
 def bin_multiplicity(horizon: int) -> Array:
     """Return how often each bin of the DFT counts in sums over the full circle, 1 or 2, (T//2 + 1,)."""
     bins = np.arange(horizon // 2 + 1)
-    return np.where((bins == 0) | (2 * bins == horizon), 1.0, 2.0)
+    return seal(np.where((bins == 0) | (2 * bins == horizon), 1.0, 2.0))
 
 
 class CirculantKernels:

@@ -89,7 +89,7 @@ class Assembly:
         if not self.fixed.any():
             return multipliers
         # for fixed controls, stationarity: nu = -(eta_C dJ/du - B'eta + (rows of stages)'lambda)
-        shapes, slopes = (multipliers.mu.shape, multipliers.nu.shape), -problem.linear.pull_back(eta)[1]
+        shapes, slopes = (multipliers.mu.shape, multipliers.nu.shape), -problem.linear.pull_back(eta)[:, n:]
         for term in problem.terms:
             if term.map.stage_form(n, problem.control_dim) is not None:
                 slopes += term.map.pull_back(multipliers.stage[term.name], shapes)[1]

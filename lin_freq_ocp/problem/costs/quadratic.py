@@ -328,18 +328,23 @@ class QuadraticCost(Cost):
         """Return x - x_ref, (..., T+1, n), and u - u_ref, (..., T, m)."""
         return x - self.x_ref if "x_ref" in self._nonzero else x, u - self.u_ref if "u_ref" in self._nonzero else u
 
+    def references(self, horizon: int) -> Array | None:
+        """Return the references of all times, stacked, (T+1, n + m); None if they are zero."""
+        if self._nonzero.isdisjoint(("x_ref", "u_ref")):
+            return None
+        T, n, m = horizon, *self.S.shape[-2:]
+        return stack_signals(np.broadcast_to(self.x_ref, (T + 1, n)), np.broadcast_to(self.u_ref, (T, m)))
+
     def deviations_of(self, z: Array) -> Array:
         """Return stacked signals (..., T+1, n + m) less the references."""
-        if self._nonzero.isdisjoint(("x_ref", "u_ref")):
-            return z
-        times, (n, m) = z.shape[-2], self.S.shape[-2:]
-        return z - stack_signals(np.broadcast_to(self.x_ref, (times, n)), np.broadcast_to(self.u_ref, (times - 1, m)))
+        references = self.references(z.shape[-2] - 1)
+        return z if references is None else z - references
 
     def bend(self, deviations: Array) -> Array:
         """Return the slopes of the quadratic part at stacked deviations from the references, (..., T+1, n + m)."""
-        H, n, slopes = self.stage_hessians, self.S.shape[-2], np.zeros_like(deviations)
-        slopes[..., :-1, :] = times_vectors(H[0] if len(H) == 1 else H, deviations[..., :-1, :])
-        slopes[..., -1, :n] = deviations[..., -1, :n] @ self.P
+        H, n = self.stage_hessians, self.S.shape[-2]
+        slopes = times_vectors(H[0] if len(H) == 1 else np.concatenate([H, H[-1:]]), deviations)
+        slopes[..., -1, :n], slopes[..., -1, n:] = deviations[..., -1, :n].dot(self.P), 0.0
         return slopes
 
     def linear_slopes(self, horizon: int) -> Array | None:
@@ -360,9 +365,9 @@ class QuadraticCost(Cost):
         quadratic, linear = self.terms_at(stack_signals(x, u))
         return quadratic if linear is None else quadratic + linear.sum(-1)
 
-    def products(self, x: Array, u: Array) -> float:
-        """Return |z|'|H||z| for deviations z from the references, the sum of the terms of the quadratic part."""
-        sizes = np.abs(self.deviations_of(stack_signals(x, u)))
+    def products(self, z: Array) -> float:
+        """Return |d|'|H||d|/2 for deviations d of z from the references, the sum of the terms of the quadratic part."""
+        sizes = np.abs(self.deviations_of(z))
         return float(0.5 * (sizes * self.magnitudes.bend(sizes)).sum())
 
     def value(self, x: Array, u: Array) -> float:
@@ -380,9 +385,11 @@ class QuadraticCost(Cost):
         weights = {field: np.abs(getattr(self, field)) for field in WEIGHTS}
         return _cost_of_checked(**weights, x_ref=np.zeros(()), u_ref=np.zeros(()))
 
-    def gradient_magnitudes(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the sums of the absolute values of the terms of the gradient, in x (T+1, n) and in u (T, m)."""
-        return self.magnitudes.gradient(np.abs(x) + np.abs(self.x_ref), np.abs(u) + np.abs(self.u_ref))
+    def slope_magnitudes(self, z: Array) -> Array:
+        """Return the sums of the absolute values of the terms of the gradient at stacked signals, (T+1, n + m)."""
+        references, linear = self.references(len(z) - 1), self.magnitudes.linear_slopes(len(z) - 1)
+        slopes = self.magnitudes.bend(np.abs(z) if references is None else np.abs(z) + np.abs(references))
+        return slopes if linear is None else slopes + linear
 
     @cached_property
     def stage_hessians(self) -> Array:

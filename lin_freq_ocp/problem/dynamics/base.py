@@ -249,11 +249,11 @@ class StateEquations(StandardDynamics, words="LinearDynamics or FrequencyRespons
         return np.maximum(np.abs(x).max(0), self.successor_sizes(x, u).max(0))
 
     @abstractmethod
-    def pull_back(self, eta: Array) -> tuple[Array, Array]:
-        """Return the derivatives of <eta, f> in x_t, t < T, (T, n), and in u_t, (T, m), for eta (T, n)."""
+    def pull_back(self, eta: Array) -> Array:
+        """Return the derivatives of <eta, f> in (x_t, u_t), t < T, (T, n + m), for eta (T, n)."""
 
     @abstractmethod
-    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
+    def pulled_sizes(self, eta: Array) -> Array:
         """Return the sizes that residuals of ``pull_back`` are relative to."""
 
 

@@ -291,15 +291,14 @@ class FrequencyResponse(StateEquations):
         response = self.response(len(u))
         return (np.abs(response.linear(u)) + np.abs(response.base))[1:]
 
-    def pull_back(self, eta: Array) -> tuple[Array, Array]:
-        """Return zeros (T, p), because no state depends on another, and the adjoint of the response, (T, m)."""
+    def pull_back(self, eta: Array) -> Array:
+        """Return zeros, because no state depends on another, and the adjoint of the response, (T, p + m)."""
         later = np.vstack([np.zeros((1, self.state_dim)), eta]).astype(eta.dtype)
-        return np.zeros_like(eta), self.response(len(eta)).pull_back(later)
+        return np.hstack([np.zeros_like(eta), self.response(len(eta)).pull_back(later)])
 
-    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
-        """Return zeros, and the absolute values of the adjoint."""
-        in_x, in_u = self.pull_back(eta)
-        return in_x, np.abs(in_u)
+    def pulled_sizes(self, eta: Array) -> Array:
+        """Return the absolute values of the adjoint."""
+        return np.abs(self.pull_back(eta))
 
     def stepper(self, horizon: int) -> Step:
         """Raise UnsupportedError: outputs depend on all controls."""

@@ -361,10 +361,9 @@ class LinearDynamics(StateEquations):
         """Return f_t(x_t, u_t) for all t < T; x is (..., T+1, n) or (..., T, n), u is (..., T, m)."""
         return times_vectors(self._gain, np.concatenate([x[..., : u.shape[-2], :], u], axis=-1)) + self.offset
 
-    def pull_back(self, eta: Array) -> tuple[Array, Array]:
-        """Return A_t' eta_t, shape (T, n), and B_t' eta_t, shape (T, m), for an adjoint eta (T, n)."""
-        through = times_vectors(np.swapaxes(self._gain, -1, -2), eta)
-        return through[..., : self.state_dim], through[..., self.state_dim :]
+    def pull_back(self, eta: Array) -> Array:
+        """Return (A_t' eta_t, B_t' eta_t), (T, n + m), for an adjoint eta (T, n)."""
+        return times_vectors(np.swapaxes(self._gain, -1, -2), eta)
 
     @cached_property
     def _gain(self) -> Array:
@@ -381,7 +380,7 @@ class LinearDynamics(StateEquations):
         moved = times_vectors(self.magnitudes.B, np.abs(u)) + self.magnitudes.offset
         return np.maximum(largest_over_time(np.abs(x)), largest_over_time(moved))
 
-    def pulled_sizes(self, eta: Array) -> tuple[Array, Array]:
+    def pulled_sizes(self, eta: Array) -> Array:
         """Return the sums of the absolute values of the terms of ``pull_back``."""
         return self.magnitudes.pull_back(np.abs(eta))
 
