@@ -180,8 +180,8 @@ def _with_weak_rows(deviations: DeviationProgram, kkt: ActiveKKT, of_z: float, o
     program, active, z, y = deviations.program, kkt.active, kkt.z, kkt.y
     A, values, equal = sp.csr_array(program.A), program.A @ z, program.equality
     linear, at = deviations.linear, deviations.trajectory
-    sizes = np.concatenate([np.abs(at.x).ravel(), np.abs(at.u).ravel(), np.abs(linear.point(at)[linear.signals :])])
-    terms = TERM_ROUNDING * deviations.scaling.rows * (abs(linear.sparse.A) @ sizes)
+    sizes = np.append(np.abs(at.x), np.abs(at.u))
+    terms = TERM_ROUNDING * deviations.scaling.rows * (abs(linear.sparse.A[:, : linear.signals]) @ sizes)
     norms = np.sqrt(np.asarray((A * A).sum(1)).ravel())
     error = np.maximum(FORWARD * max(1.0, float(np.abs(z).max())), SAFETY * of_z) * norms + terms
     of_y = max(FORWARD * max(1.0, float(np.abs(y).max())), SAFETY * of_y)

@@ -11,13 +11,16 @@ a few steps. They condition the matrix, and nothing else depends on them.
 
 Rounding of z + dz leaves r = M (z + dz) - b. A further solve with [0; -r] leads to a trajectory that satisfies every
 row, and prices r: the optimal cost is at most that of the corrected point plus the price.
+
+Where rounded data let more rows meet than can hold, the step has no active rows to rest on. The deviations are optimised
+once more, in the unit of what is left: iterative refinement of programs (Gleixner, Steffy and Wolter 2016). There, rows
+that hold and rows that do not are apart by order one, and the optimal point is the trajectory that gives the price.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -35,12 +38,12 @@ from lin_freq_ocp.transform.reformulations import at_frequencies
 from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import stated_sizes
 
+FAR_ROW = 1e6  # of a solve in the unit of what another leaves: farther bounds play no part, and would cost it digits
 CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
 RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
 DATA_ROUNDING = 4 * EPSILON  # of the terms of a row
-SIGN_VECTORS = 3  # random signs of the rounding of rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +54,14 @@ class Correction:
     ----------
     price : float
         The change of cost to a trajectory nearby that satisfies every constraint; inf if none is known.
+    data_rounding : float
+        The change of the optimal cost if rows and the Hessian change by DATA_ROUNDING of their terms at random.
     """
 
     trajectory: Trajectory
     multipliers: Multipliers
     price: float
-    _system: ActiveSystem
-    _terms: Array  # sums of the absolute terms of each row
-    _cost: float  # factor of the cost in the units of the system
-    _hessian_rounding: float
-
-    @cached_property
-    def data_rounding(self) -> float:
-        """The change of the optimal cost if active rows and the Hessian change by DATA_ROUNDING of their terms."""
-        rng, size = np.random.default_rng(0), self._system.gaps(DATA_ROUNDING * self._terms)
-        changes = (self._system.change(size * rng.choice([-1.0, 1.0], len(size))) for _ in range(SIGN_VECTORS))
-        return max(_price(self._system, change) for change, _ in changes) / self._cost + self._hessian_rounding
+    data_rounding: float
 
 
 def corrections(
@@ -75,11 +70,14 @@ def corrections(
     """Yield the corrected points of a linear problem; none if the active rows determine none.
 
     The first is that of the active rows of the point. These may be wrong: the next is that of the active rows of the
-    optimal deviations, which one more solve finds. UnsupportedError if the program does not fit into memory, or would
-    take too long.
+    optimal deviations, which one more solve finds. Where rounded data let more rows meet than can hold, which of them
+    are active is hidden in what that solve leaves. The last is the answer of a solve in the unit of what is left.
+    UnsupportedError if the program does not fit into memory, or would take too long.
     """
-    for deviations, z, y in deviations_from(problem, trajectory, multipliers):
+    for k, (deviations, z, y) in enumerate(deviations_from(problem, trajectory, multipliers)):
         yield from filter(None, [deviations.correct(z, y)])
+        if k > 0:
+            yield from deviations.refinements(z)
 
 
 def deviations_from(
@@ -93,11 +91,11 @@ def deviations_from(
         raise UnsupportedError(f"a correction needs about {needed:.2g} s for one factorisation.")
     problem = at_frequencies(problem, multipliers.frequencies)
     trajectory = _within_bounds(problem, trajectory.x, trajectory.u)
-    linear = LinearProgram(problem, trajectory.extended)
+    linear = _program_at(problem, trajectory)
     columns = linear.column_units(*deviation_units(problem, trajectory))
     scaling = scale_rows_and_cost(linear, columns, columns)
     deviations = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), multipliers.frequencies)
-    yield deviations, scaling.scaled_primal(linear.point(trajectory)), scaling.scaled_dual(linear.duals(multipliers))
+    yield deviations, np.zeros(linear.variables), scaling.scaled_dual(linear.duals(multipliers))
     solution = backend("clarabel")(deviations.program, DEFAULT_TOLERANCE, None)
     if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
         yield deviations, solution.z, solution.y
@@ -138,58 +136,84 @@ class DeviationProgram:
 
     def correct(self, z: Array, y: Array) -> Correction | None:
         """Return the correction of a point, whose duals tell the active rows; None if they determine none."""
-        linear, scaling, problem = self.linear, self.scaling, self.linear.problem
-        if (solution := solve_active(self.program, z, y)) is None:
+        solution = solve_active(self.program, z, y)
+        if solution is None or not np.isfinite(self.scaling.dual(solution[1])).all():  # in the units of the problem
             return None
         z, y, system = solution
-        duals = scaling.dual(y)
-        if not np.isfinite(duals).all():  # too large for the units of the problem
-            return None
-        change, (_, of_u) = linear.direction(scaling.primal(z)), linear.split_signals(scaling.columns)
+        corrected, after = self._around(z)
+        system = replace(system, program=after.sparse.scaled(self.scaling))
+        return self._correction(corrected, y, _repair_price(system, self._terms(corrected)))
+
+    def refinements(self, z: Array) -> Iterator[Correction]:
+        """Yield answers of solves in the unit of what a point violates.
+
+        In the second, each row may miss ROW_ULPS rounding errors of its terms: equations that depend on each other
+        contradict each other by rounding.
+        """
+        trajectory, linear = self._around(z)
+        left = linear.sparse.scaled(self.scaling).outside(np.zeros(len(z)))
+        if left <= EPSILON**2:  # no digit that a correction has
+            return
+        scaling = Scaling(left * self.scaling.columns, self.scaling.rows / left, self.scaling.cost / left)
+        refined = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), self.frequencies)
+        rounding = ROW_ULPS * EPSILON * refined._terms(trajectory) * refined.program.alone
+        for width in (0.0 * rounding, rounding):
+            program = refined.program.widened(width)
+            solution = backend("clarabel")(program.without_bounds_beyond(FAR_ROW) or program, DEFAULT_TOLERANCE, None)
+            if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
+                corrected, after = refined._around(solution.z)
+                after = after.sparse.scaled(scaling).widened(width)
+                rest = solution.z - scaling.scaled_primal(linear.point(corrected.extended))
+                price = _price(after, rest) if after.outside(rest) <= CONTRACTION else np.inf
+                yield refined._correction(corrected, solution.y, price)
+
+    def _terms(self, trajectory: Trajectory) -> Array:
+        """Return the sums of the absolute terms of each row; digits of x are those of the user's coordinates."""
+        x, origin = np.abs(trajectory.x), self.linear.problem.origin
+        sizes = np.append(x if origin is None else x + np.abs(origin), np.abs(trajectory.u))
+        return self.scaling.rows * (abs(self.linear.sparse.A[:, : self.linear.signals]) @ sizes)
+
+    def _correction(self, trajectory: Trajectory, y: Array, price: float) -> Correction:
+        """Return a correction with these duals, whose price is in the units of the program."""
+        multipliers = replace(self.linear.multipliers(self.scaling.dual(y), 1.0), frequencies=self.frequencies)
+        rounding = self.linear.problem.quadratic.products(stack_signals(trajectory.x, trajectory.u))
+        rounding += float(np.linalg.norm(y * self._terms(trajectory))) / self.scaling.cost
+        return Correction(trajectory, multipliers, price / self.scaling.cost, DATA_ROUNDING * rounding)
+
+    def _around(self, z: Array) -> tuple[Trajectory, LinearProgram]:
+        """Return the trajectory of z within its bounds, and the program of the deviations from it."""
+        problem, change = self.linear.problem, self.linear.direction(self.scaling.primal(z))
         origin = 0.0 if problem.origin is None else problem.origin  # digits of x are those of the user's coordinates
         x, u = (self.trajectory.x + change.x + origin) - origin, self.trajectory.u + change.u
-        corrected = _within_bounds(problem, x, np.where(np.abs(u) <= EPSILON * of_u, 0.0, u))
-        after = LinearProgram(problem, corrected.extended)
-        after.share_matrices(linear)
-        point = after.point(corrected)
-        system = replace(system, program=after.sparse.scaled(scaling))
-        sizes = np.abs(corrected.x) + np.abs(origin), np.abs(corrected.u), np.abs(point[linear.signals :])
-        sizes = np.concatenate([part.ravel() for part in sizes])
-        terms = scaling.rows * (abs(linear.sparse.A) @ sizes)
-        return Correction(
-            corrected,
-            replace(linear.multipliers(duals, 1.0), frequencies=self.frequencies),
-            _repair_price(system, scaling.scaled_primal(point), terms) / scaling.cost,
-            system,
-            terms,
-            scaling.cost,
-            DATA_ROUNDING * problem.quadratic.products(stack_signals(corrected.x, corrected.u)),
-        )
+        least = EPSILON * self.linear.split_signals(self.scaling.columns)[1]
+        trajectory = _within_bounds(problem, x, np.where(np.abs(u) <= least, 0.0, u))
+        linear = _program_at(problem, trajectory)
+        linear.share_matrices(self.linear)
+        return trajectory, linear
 
 
-def _price(system: ActiveSystem, change: Array) -> float:
+def _program_at(problem: OptimalControlProblem, trajectory: Trajectory) -> LinearProgram:
+    """Return the program of the deviations from a trajectory, and of slacks from its least ones."""
+    at = trajectory.extended
+    slacks = [term.penalty.least_slacks(term.map.values(at.x, at.u)) for term in problem.terms]
+    return LinearProgram(problem, at, slacks)
+
+
+def _price(program: Program, change: Array) -> float:
     """Return by how much a change of z can change the cost."""
-    program = system.program
     return abs(float(program.q @ change)) + 0.5 * float(change @ (program.P @ change))
 
 
-def _repair_price(system: ActiveSystem, z: Array, terms: Array) -> float:
+def _repair_price(system: ActiveSystem, terms: Array) -> float:
     """Return the price of a change that satisfies all rows of the program; inf if the system gives none.
 
-    Equations that depend on each other contradict each other by rounding, which is no more than ROW_ULPS rounding
-    errors of the terms of each row.
+    Rows that depend on each other may miss ROW_ULPS rounding errors of their terms.
     """
-    residual, rounding = system.residual(z), ROW_ULPS * EPSILON * system.gaps(terms)
+    program, residual = system.program, system.residual(np.zeros(len(system.program.q)))
     change, left = system.change(residual)
-    holds = left <= CONTRACTION or bool((np.abs(residual) <= rounding).all())
-    if not holds and rounding.any():
-        change = system.nearest_change(residual, rounding)
-        holds = bool((np.abs(residual - system.M @ change) <= rounding).all())
-    program, values = system.program, system.program.A @ (z + change)
+    holds = left <= CONTRACTION or bool((np.abs(residual) <= ROW_ULPS * EPSILON * system.gaps(terms)).all())
     others = program.alone & ~system.active.above & ~system.active.below
-    outside = np.maximum(values - program.upper, program.lower - values)[others]
-    holds &= max(outside.max(initial=0.0), program.outside_cones(values - program.lower)) <= ZERO_GAP
-    return _price(system, change) if holds else np.inf
+    return _price(program, change) if holds and program.outside(change, others) <= ZERO_GAP else np.inf
 
 
 def _within_bounds(problem: OptimalControlProblem, x: Array, u: Array) -> Trajectory:
@@ -202,8 +226,7 @@ def deviation_units(problem: OptimalControlProblem, trajectory: Trajectory) -> t
     x, of_u = trajectory.x, np.maximum(np.abs(trajectory.u).max(0), RESTING_CONTROL * stated_sizes(problem)[1])
     responses, reach = np.zeros((problem.state_dim, problem.control_dim)), np.zeros(problem.state_dim)
     if problem.response is None:
-        steps = min(problem.horizon, MOVED_STEPS * problem.state_dim)
-        for t in range(steps):
+        for t in range(min(problem.horizon, MOVED_STEPS * problem.state_dim)):
             A, B, _ = problem.linear.at(t)
             responses = np.hstack([A @ responses, B * of_u])
             reach = np.maximum(reach, np.abs(responses).max(1))

@@ -141,9 +141,9 @@ class _Repair:
         x, u, held = self.x, self.u, self.controls
         removed = np.where(self.banded, self._project_bins(u[..., None])[..., 0] - u, 0.0)
         dx, values = self._simulate(removed, np.zeros(len(self.free_start) + self.starts))
-        if not self.count:
-            return dx, removed
         missed = np.append(self.wanted - values, -removed[held])
+        if not missed.any():  # whether or not any controls could change these rows
+            return dx, removed
         responses, of_starts = self._responses()
         of_x, of_u = (np.where(unit > 0, unit, 1.0) ** 2 for unit in (np.abs(signal).max(0) for signal in (x, u)))
         starts = np.append(of_x * self.free_start, np.tile(of_x, len(self.breaks)))[:, None] * of_starts

@@ -123,18 +123,6 @@ class ActiveSystem:
         size, change = float(np.linalg.norm(of_rows)), self.solve(np.zeros(self.H.shape[0]), of_rows)[0]
         return change, float(np.linalg.norm(of_rows - self.M @ change)) / size if size > 0 else 0.0
 
-    def nearest_change(self, of_rows: Array, errors: Array) -> Array:
-        """Return the change of z that leaves the least of these changes of rows, each relative to its error.
-
-        Rows with errors too far apart for one factorisation change nothing.
-        """
-        count, weights = self.H.shape[0], np.maximum(errors / errors.max(), EPSILON) ** 2
-        system = regularised_kkt(sp.csc_array(self.H.shape), self.M, PROXIMAL_WEIGHTS[-1], weights)
-        try:
-            return splu(system).solve(np.append(np.zeros(count), of_rows))[:count]
-        except RuntimeError:  # exactly singular
-            return np.zeros(count)
-
 
 def solve_active(program: Program, z: Array, y: Array) -> tuple[Array, Array, ActiveSystem] | None:
     """Return the point that satisfies the conditions of its active rows, its multipliers, and the last system."""

@@ -154,6 +154,12 @@ class Program:
         _, heads, tails = self.of_cones(of_rows)
         return float((tails - heads).max(initial=0.0))
 
+    def outside(self, z: Array, chosen: Mask | None = None) -> float:
+        """Return the largest violation by z of cones, and of rows outside them: the chosen ones, or all."""
+        values = self.A @ z
+        violation = np.maximum(values - self.upper, self.lower - values)[self.alone if chosen is None else chosen]
+        return max(float(violation.max(initial=0.0)), self.outside_cones(values - self.lower))
+
     @cached_property
     def alone(self) -> Mask:
         """Which rows are in no cone."""
@@ -168,6 +174,10 @@ class Program:
         if not (above.any() or below.any()):
             return None
         return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
+
+    def widened(self, by: Array) -> Program:
+        """Return the program with limits that are farther apart by this on each side, (rows,)."""
+        return replace(self, lower=self.lower - by, upper=self.upper + by)
 
     def standard(self) -> StandardForm:
         """Return the program in the form of interior-point methods."""
@@ -234,21 +244,18 @@ class Program:
         if not (np.isfinite(z).all() and np.isfinite(y).all()):
             return Residuals(np.inf, np.inf, np.inf)
         Pz, Az, Aty = self.P @ z, self.A @ z, self.A.T @ y
-        violation = np.where(self.alone, np.maximum(np.maximum(self.lower - Az, Az - self.upper), 0.0), 0.0)
-        outside, outside_polar = self.outside_cones(Az - self.lower), self.outside_cones(-y)
         bound, carried = self._bound_of(y)
-        impossible = ~carried & (y != 0)
+        impossible, outside_polar = ~carried & (y != 0), self.outside_cones(-y)
         slope, apart = Pz + self.q + Aty, bound - Az
         with np.errstate(over="ignore", invalid="ignore"):  # divergence gives large residuals
             wrong = float(np.abs(y[self.alone]) @ np.abs(apart[self.alone]) + np.abs(slope) @ np.abs(z))
             wrong += float(np.abs(np.add.reduceat((y * apart)[self.in_cones], self.heads)).sum())
-            rounding = CONIC_UNIT_SHARE if self.cones else UNIT_SHARE
-            ones = np.ones(len(z))
+            rounding, ones = CONIC_UNIT_SHARE if self.cones else UNIT_SHARE, np.ones(len(z))
             least = TYPICAL_SHARE * self._magnitude(sizes * ones), rounding * self._magnitude(ones)
             total = max(self._magnitude(np.abs(z)), *least)
         size = np.abs(Pz).max(initial=0), np.abs(Aty).max(initial=0), np.abs(self.q).max(initial=0)
         return Residuals(
-            primal=float(max(violation.max(initial=0), outside) / max(1.0, np.abs(Az).max(initial=0))),
+            primal=self.outside(z) / max(1.0, float(np.abs(Az).max(initial=0))),
             dual=float(
                 max(np.abs(slope).max(initial=0), np.abs(y[impossible]).max(initial=0), outside_polar) / max(1.0, *size)
             ),
@@ -319,12 +326,12 @@ def scale_matrix(matrix: sp.csc_array, rows: Array, columns: Array) -> sp.csc_ar
     return scaled
 
 
-def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_rows: float | Array) -> sp.csc_array:
-    """Return [[P, A'], [A, 0]] with a number added to the diagonal of P, and others, or one, taken from that of 0."""
+def regularised_kkt(P: sp.csc_array, A: sp.csc_array, of_variables: float, of_rows: float) -> sp.csc_array:
+    """Return [[P, A'], [A, 0]] with a number added to the diagonal of P, and another taken from that of 0."""
     variables, count = P.shape[0], A.shape[0]
     every, rows = np.arange(variables + count), A.indices + variables
     of_P, of_A = (np.repeat(every[:variables], np.diff(matrix.indptr)) for matrix in (P, A))
-    diagonal = np.append(np.full(variables, of_variables), np.broadcast_to(-of_rows, count))
+    diagonal = np.append(np.full(variables, of_variables), np.full(count, -of_rows))
     values = np.concatenate([P.data, A.data, A.data, diagonal])
     i, j = np.concatenate([P.indices, rows, of_A, every]), np.concatenate([of_P, of_A, rows, every])
     return sp.csc_array((values, (i, j)), shape=(variables + count, variables + count))

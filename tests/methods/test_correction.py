@@ -78,13 +78,15 @@ def test_what_rounding_of_the_data_is_worth_grows_as_the_move_shrinks():
     assert 100 < worth[1] / worth[0] < 1e5
 
 
-def test_no_price_is_known_where_nothing_reaches_the_end():
-    """No control moves x_2, whose end is 1e-3 away."""
+@pytest.mark.parametrize(("distance", "rounding"), [(1e-3, False), (1e-11, False), (1e-14, True)])
+def test_no_price_is_known_where_nothing_reaches_the_end(distance, rounding):
+    """No control moves x_2, whose end is so far away."""
+    ends = [0.0, 1.0], [1.0, 1.0 + distance]
     problem = lfo.OptimalControlProblem(
-        lfo.LinearDynamics(np.eye(2), [[1.0], [0.0]]), 5, lfo.QuadraticCost(R=1.0), None, None, [0.0, 1.0], [1.0, 1.001]
+        lfo.LinearDynamics(np.eye(2), [[1.0], [0.0]]), 5, lfo.QuadraticCost(R=1.0), None, None, *ends
     )
     point = lfo.Trajectory(np.ones((6, 2)), np.zeros((5, 1)))
-    assert correct(problem, point, zero_multipliers(problem, 1.0)) is None
+    assert (correct(problem, point, zero_multipliers(problem, 1.0)) is not None) == rounding
 
 
 def test_a_wrong_active_row_is_found_out():

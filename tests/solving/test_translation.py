@@ -113,6 +113,45 @@ def test_what_large_gains_make_of_a_state_is_no_scale_of_its_residuals(gain):
     assert not lfo.certify(problem, np.zeros((10, 1))).feasible
 
 
+@pytest.mark.parametrize(
+    ("origin", "reference", "price"),
+    seeds([(1e6, 1e3, 0.2), (1e6, 1e3, 0.02), (1e6, -1e3, 0.02), (1e8, 1e3, 0.2), (1e8, -1e6, 0.2), (1e8, 1e6, 0.02)]),
+)
+def test_limits_that_meet_in_a_point_prove_as_much_far_from_zero(origin, reference, price):
+    """At the end 0.3, more limits meet than variables can reach once 1e6 + 0.3 is rounded, but for 1e-11."""
+    near, far = (
+        lfo.solve(
+            lfo.OptimalControlProblem(
+                lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0], [0.1]]),
+                30,
+                lfo.QuadraticCost(R=0.1) + lfo.costs.L1Cost(x=[1, price], x_ref=[place + reference, 0]),
+                lfo.Box(-1, 1),
+                initial_state=[place, 0],
+                terminal_state=[place + 0.3, 0],
+                control_spectrum=lfo.low_pass(2.0),
+            )
+        )
+        for place in (0.0, origin)
+    )
+    assert far.status == near.status == "optimal"
+    np.testing.assert_allclose(far.control, near.control, atol=1e-6)
+
+
+@pytest.mark.parametrize("origin", [0.0, 1e3])
+def test_a_trajectory_at_rest_needs_no_repair_that_controls_cannot_make(origin):
+    """One bin of controls passes, and cannot reach two ends."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1, 0.1], [0, 1]], [[0.005], [0.1]]),
+        20,
+        lfo.QuadraticCost(R=1e-3) + lfo.costs.LInfCost(x=[1.0, 0.0], x_ref=[origin, 0.0]),
+        lfo.Box(-1, 1),
+        initial_state=[origin, 0.0],
+        terminal_state=[origin, 0.0],
+        control_spectrum=lfo.low_pass(0.15),
+    )
+    assert lfo.solve(problem).status == "optimal"
+
+
 @pytest.mark.parametrize("origin", [0.0, 1e6, 1e9])
 def test_at_rest_nothing_moves_and_this_is_optimal(origin):
     result = lfo.solve(move(origin, 0.0))
