@@ -12,7 +12,7 @@ a few steps. They condition the matrix, and nothing else depends on them.
 Rounding of z + dz leaves r = M (z + dz) - b. A further solve with [0; -r] leads to a trajectory that satisfies every
 row, and prices r: the optimal cost is at most that of the corrected point plus the price.
 
-Where rounded data let more rows meet than can hold, the step has no active rows to rest on. The deviations are optimised
+Where rounded data let more rows meet than can hold, the step has no active rows to rest on. Deviations are optimised
 once more, in the unit of what is left: iterative refinement of programs (Gleixner, Steffy and Wolter 2016). There, rows
 that hold and rows that do not are apart by order one, and the optimal point is the trajectory that gives the price.
 """
