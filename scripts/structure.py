@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_754,
-    "code lines": 48_032,
-    "code lines, linear part": 22_634,
+    "shipped lines": 51_761,
+    "code lines": 48_042,
+    "code lines, linear part": 22_646,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
@@ -64,9 +64,9 @@ LIMITS: dict[str, float] = {
     "lines of a file": 533,
     "lines of a function": 63,
     "functions used once [%]": 12.0,
-    "files entered by a solve": 51,
-    "functions entered by a solve": 380,
-    "calls of a solve": 739,
+    "files entered by a solve": 50,
+    "functions entered by a solve": 378,
+    "calls of a solve": 736,
     "modules that tests import": 49,
     "modules that tests import past a door": 12,
     "exceptions of doors, missing or unused": 0,
