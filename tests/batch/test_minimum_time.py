@@ -327,9 +327,9 @@ def test_near_the_least_limit_a_point_is_found_where_there_is_an_optimum(margin)
     least = max(reading.value for reading in lfo.solve(soft).readings)
     problem = masked_move(least * (1 + margin))
     optimum, point = lfo.solve(problem, throw=False), solve_judged(problem, any_point=True)
-    assert (point.primal, point.any_point) == (optimum.primal, optimum.primal)
-    if abs(margin) > 1e-6:  # of the limit: the tolerance of its peaks
-        assert point.primal == (margin > 0)
+    assert point.primal == optimum.primal
+    if abs(margin) > 1e-6:  # of the limit: the tolerance of its peaks, within which the last of all rounds may be the point
+        assert point.any_point == point.primal == (margin > 0)
     assert point.primal or point.status == optimum.status == "infeasible"
 
 
