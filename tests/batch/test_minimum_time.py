@@ -328,7 +328,7 @@ def test_near_the_least_limit_a_point_is_found_where_there_is_an_optimum(margin)
     problem = masked_move(least * (1 + margin))
     optimum, point = lfo.solve(problem, throw=False), solve_judged(problem, any_point=True)
     assert point.primal == optimum.primal
-    if abs(margin) > 1e-6:  # of the limit, the tolerance of its peaks: within it, the last of all rounds may be the point
+    if abs(margin) > 1e-6:  # the tolerance of peaks: within it, the last of all rounds may be the point
         assert point.any_point == point.primal == (margin > 0)
     assert point.primal or point.status == optimum.status == "infeasible"
 
