@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_761,
-    "code lines": 48_042,
+    "shipped lines": 51_764,
+    "code lines": 48_045,
     "code lines, linear part": 22_646,
     "code lines, hybrid": 8_775,
     SHARE_SAID: 19.5,  # at least

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import click
 
 from lin_freq_ocp.api.generate import certify_log, generate
 from lin_freq_ocp.api.receding_horizon import RecedingHorizon
-from lin_freq_ocp.base.errors import ClosedLoopWarning, ProblemError
+from lin_freq_ocp.base.errors import ProblemError
 from lin_freq_ocp.cli import console
 from lin_freq_ocp.cli.problems import build
 from lin_freq_ocp.loop.log import LogFinding
@@ -34,9 +33,7 @@ def controller_of(problem: str, settings: Sequence[str], soft: Sequence[str], de
         except ValueError:
             got = repr(penalty) if equals else "no penalty"
             raise ProblemError(f"--soft {given}", got, "FIELD=PENALTY, such as state_set=1000") from None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClosedLoopWarning)  # README.md of the folder says so
-        return RecedingHorizon(build(problem, settings), soft=penalties, delay=delay)
+    return RecedingHorizon(build(problem, settings), soft=penalties, delay=delay)
 
 
 @click.command("generate")

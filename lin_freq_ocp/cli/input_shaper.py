@@ -21,11 +21,11 @@ OTHER_SHARE = 0.2  # of the largest power: with fewer, narrower bands
 @click.command("shaper")
 @click.option("--band", "bands", nargs=2, type=float, multiple=True, metavar="LO HI", help="Natural frequencies in Hz.")
 @click.option("--csv", "calibration", type=click.Path(path_type=Path), help="Bands from a test of resonances.")
-@click.option("--share", type=float, default=0.05, show_default=True, help="With --csv: of the largest power.")
+@click.option("--share", type=float, default=0.05, show_default=True, help="With --csv: least, of the largest power.")
 @click.option("--column", default="psd_xyz", show_default=True, help="With --csv: the power to read.")
-@click.option("--damping", nargs=2, type=float, default=(0.1, 0.1), show_default=True, metavar="LO HI")
-@click.option("--vibration", type=float, default=0.05, show_default=True, help="The largest that is left.")
-@click.option("--impulses", type=int, default=5, show_default=True, help="At most.")
+@click.option("--damping", nargs=2, type=float, default=(0.1, 0.1), show_default=True, help="Damping ratios.")
+@click.option("--vibration", type=float, default=0.05, show_default=True, help="Largest residual vibration (share).")
+@click.option("--impulses", type=int, default=5, show_default=True, help="Most impulses of the shaper.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw the vibration over frequency.")
 @console.json_option
 def shaper_command(

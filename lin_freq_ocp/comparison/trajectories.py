@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
-from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
+from lin_freq_ocp.problem.measures import Measures, measure
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
@@ -60,7 +60,7 @@ class SpectrumAxis:
     """The unit in which a spectrum is drawn: that of its limits if all are stated in one, else sums of samples."""
 
     quantity: Quantity
-    name: str  # of the signal, with its unit
+    name: str  # of the signal as it is drawn, with its unit
     at_ends: float = 1.0  # sums of samples of one unit of a level at bins 0 and N/2
     inner: float = 1.0  # the same at all others
 
@@ -161,21 +161,35 @@ class ProblemSignal:
         quantity = stated.pop() if len(stated) == 1 else Quantity("limit")
         if quantity.keyword == "energy" or quantity.of_fundamental:
             quantity = Quantity("limit" if quantity.is_sum else "amplitude")
-        at_ends, inner = quantity.sums(np.ones(self.samples), self.problem.sampling_time, self.name)
+        at_ends, inner = quantity.sums(self.window, self.problem.sampling_time, self.name)
         between = any(term.semi_infinite is not None for term in own)
-        return SpectrumAxis(quantity, self.name, inner if between else at_ends, inner)
+        window = "" if (self.window == 1).all() else "windowed "
+        return SpectrumAxis(quantity, window + self.name, inner if between else at_ends, inner)
+
+    @cached_property
+    def window(self) -> Array:
+        """The window of the drawn spectrum, (N,): that of its limits if they share one and no bin is zero; or ones."""
+        stop = self.problem.state_stop if self.is_state else self.problem.control_stop
+        own = [spectrum.window for term, spectrum in self._spectra if term.kind.of == self.kind]
+        shared = own and all(np.array_equal(window, own[0]) for window in own)
+        free = self.kind == "outputs" or not stop[:, self.index].any()
+        return own[0] if shared and free else np.ones(self.samples)
+
+    def windowed(self, trajectory: Trajectory) -> Array:
+        """Return the samples of its drawn spectrum, (N,)."""
+        return self.window * self.of(trajectory)[: self.samples]
 
     @property
     def levels(self) -> list[Line]:
         """Return the limits on the magnitude of its spectrum, in the unit of its axis."""
         lines = list[Line]()
         for term, spectrum in self._spectra:
-            if term.kind.of != self.kind or not len(spectrum.frequencies):
+            as_drawn = np.array_equal(spectrum.window, self.window)  # only then are limit and spectrum comparable
+            if term.kind.of != self.kind or not len(spectrum.frequencies) or not as_drawn:
                 continue
             match term.semi_infinite:
                 case MagnitudeMask(limits=mask):
-                    pieces = zip(mask.low, mask.high, mask.at_low, mask.at_high, strict=True)
-                    for low, high, *ends in pieces:
+                    for low, high, *ends in zip(mask.low, mask.high, mask.at_low, mask.at_high, strict=True):
                         lines.append(Line(np.array([low, high]), self._on_axis(term, np.array(ends))))
                 case _:
                     w, levels = spectrum.frequencies, self._on_axis(term, term.penalty.bounds(term.shape)[1][:, 0])
@@ -199,10 +213,8 @@ class ProblemSignal:
     @property
     def limited_beyond_bins(self) -> bool:
         """Whether it has a limit at other frequencies than bins: on its held spectrum, or on a residual vibration."""
-        maps = [
-            term.semi_infinite.map for term in self.problem.terms if term.kind.of == self.kind and term.semi_infinite
-        ]
-        return any(one.scaled and one.component == self.index for one in maps)
+        masks = [term.semi_infinite for term in self.problem.terms if term.kind.of == self.kind]
+        return any(mask is not None and mask.map.scaled and mask.map.component == self.index for mask in masks)
 
     @property
     def kind(self) -> str:
@@ -212,8 +224,8 @@ class ProblemSignal:
     def touching(self, trajectory: Trajectory) -> Line:
         """Return where its spectrum reaches the limit of a mask at every frequency, and the limits there."""
         w, levels = list[Array](), list[Array]()
-        for term, _ in self._spectra:
-            if term.semi_infinite is not None:
+        for term, spectrum in self._spectra:
+            if term.semi_infinite is not None and np.array_equal(spectrum.window, self.window):
                 peaks, ratios = peaks_above(term.semi_infinite, trajectory.x, trajectory.u, 1.0 - REACHED)
                 w.append(peaks[ratios < 1.0 + REACHED])
                 levels.append(self._on_axis(term, term.semi_infinite.limit_at(w[-1])))
@@ -425,10 +437,6 @@ class MeasuredTrajectory:
         """Return the times at which the magnitude of a signal is the largest, up to SAME_PEAK."""
         size = np.abs(signal.of(self.trajectory))
         return [int(t) for t in np.flatnonzero(size >= (1 - SAME_PEAK) * size.max())]
-
-    def stopband_peak(self, signal: ProblemSignal) -> float | None:
-        """Return the largest magnitude of the zero-padded spectrum within the stopped bins of a signal."""
-        return stopband_peak(signal.of(self.trajectory)[: signal.samples, None], signal.stop[:, None])
 
     def empties_band(self, of_states: bool) -> bool | None:
         """Return whether the stopped bins of the states, or controls, are zero; None where there are none."""

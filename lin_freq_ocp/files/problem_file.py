@@ -8,6 +8,7 @@ CSV file, ``{csv = "response.csv"}``. Before a problem is solved, its facts, its
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -367,20 +368,21 @@ def about_function(function: Callable[..., object]) -> str:
 
 def parameters_of_file(path: Path, settings: Mapping[str, FileValue]) -> list[Parameter]:
     """Return the keys of a problem file with their values, and those that it could have without a value."""
-    tables, given = read_tables(path), leaves(settings)
-    defaults = {key: value for key, value in leaves(tables).items() if key != "schema"}
+    tables, given = read_tables(path), leaves(settings, toml=True)
+    defaults = {key: value for key, value in leaves(tables, toml=True).items() if key != "schema"}
     known = (*PROBLEM.optional, *CUTOFFS)
     absent = [key for key in known if key not in tables and not isinstance(settings.get(key), dict)]
     keys = dict.fromkeys([*defaults, *absent, *given])
     return [Parameter(key, defaults.get(key), given.get(key, defaults.get(key)), MEANINGS.get(key, "")) for key in keys]
 
 
-def leaves(tables: Mapping[str, FileValue], within: str = "") -> FileTable:
-    """Return every value of nested tables under its key with dots; a list of tables is one value."""
+def leaves(tables: Mapping[str, FileValue], within: str = "", toml: bool = False) -> FileTable:
+    """Return every value of nested tables under its key with dots (and quotes of TOML); lists of tables are values."""
     found: FileTable = {}
-    for key, value in tables.items():
+    for name, value in tables.items():
+        key = json.dumps(name, ensure_ascii=False) if toml and not re.fullmatch(r"[A-Za-z0-9_-]+", name) else name
         if isinstance(value, Mapping) and set(value) != ARRAY_REFERENCE and value:
-            found |= leaves(value, f"{within}{key}.")
+            found |= leaves(value, f"{within}{key}.", toml)
         else:
             found[within + key] = value
     return found

@@ -46,7 +46,7 @@ class Options:
             solver_named(self.backend)
         for name in ("time_limit", "tolerance", "gap", "node_limit"):
             value = getattr(self, name)
-            if value is not None and not value > 0:
+            if value is not None and not (hasattr(value, "__float__") and value > 0):
                 raise UnsupportedError(f"{name}: got {value!r}; expected a number above zero, or None.")
 
 

@@ -135,6 +135,12 @@ def test_bad_call(case):
         (lambda: lfo.solve(problem(), method="magic"), lfo.errors.UnsupportedError, "method: got 'magic'"),
         (lambda: lfo.solve(problem(), backend="magic"), lfo.errors.UnsupportedError, "backend: got 'magic'"),
         (lambda: lfo.solve(problem(), time_limit=-1.0), lfo.errors.UnsupportedError, "time_limit: got -1.0"),
+        (
+            lambda: problem(control_set=(-5, 5)),
+            lfo.errors.ProblemError,
+            "one per time. Bounds are lfo.Box(lower, upper)",
+        ),
+        (lambda: lfo.solve(problem(), time_limit="3"), lfo.errors.UnsupportedError, "time_limit: got '3'"),
         (lambda: lfo.solve(problem(), tolerance=np.nan), lfo.errors.UnsupportedError, "tolerance: got nan"),
         (lambda: lfo.solve(problem(cost=lfo.QuadraticCost(Q=-3.0))), lfo.errors.UnsupportedError, "eigenvalue -3"),
         (

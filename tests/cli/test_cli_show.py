@@ -84,6 +84,18 @@ def test_keys_of_a_file_are_those_that_can_be_set(tmp_path, monkeypatch):
             assert shown("cart.toml", "--set", f"{name}={raw}")["states"] == shown("cart.toml")["states"]
 
 
+def test_a_name_with_a_space_has_quotes_in_its_key(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("init", "cart.toml")[0] == 0
+    words = ("cart.toml", "--set", 'dynamics.state_names=["load position [m]", "speed [m/s]"]')
+    summary = shown(*words, "--set", 'initial_state={"load position" = 0.5, speed = 0.0}')
+    parameters = {one["name"]: one["value"] for one in summary["parameters"]}
+    key = 'initial_state."load position"'
+    assert parameters[key] == 0.5
+    low = shown(*words, "--set", "initial_state.speed=0.0", "--set", f"{key}=0.25")["states"][0]["initial"]
+    assert low == [0.25, 0.25]
+
+
 @pytest.mark.parametrize(
     "value",
     [1, 2.5, True, "text", None, [0.0, float("inf")], [[1.0, 2.0], [3.0, 4.0]], [{"kind": "low_pass", "bins": [1, 2]}]],

@@ -8,7 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from scipy.signal import get_window
 
 import lin_freq_ocp as lfo
 from helpers.compared_pages import case, price_axes
@@ -66,6 +69,34 @@ def test_panels_draw_the_data():
     assert lines["None"].get_ydata().max() == between.max()
     curve = next(line for line in portrait.lines if line.get_color() == blue)
     np.testing.assert_array_equal(curve.get_xydata(), trajectory.x[:, [0, 2]])
+
+
+def test_a_limit_with_a_window_is_drawn_with_the_windowed_spectrum():
+    """Without the window, a spectrum that satisfies its mask is drawn far above it."""
+
+    def drawn(*spectrum: object) -> tuple[np.ndarray, Axes, list[Line2D]]:
+        """Return the control, the panel of its spectrum, and the limits in the panel."""
+        dynamics = LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], control_names="force [N]")
+        problem = OptimalControlProblem(
+            dynamics, 40, QuadraticCost(R=1.0), initial_state=[0, 0], terminal_state=[1, 0], control_spectrum=spectrum
+        )
+        result = solve(problem)
+        axes = result_figure(result).axes[1]
+        return result.control[:, 0], axes, [line for line in axes.lines if line.get_linewidth() == 1.6]  # limits
+
+    band, weights = lfo.low_pass(1.0), get_window("hann", 40, fftbins=False)
+    hann = lfo.MagnitudeBound(amplitude=0.02, band=band, window="hann")
+    control, axes, (limit,) = drawn(hann)
+    assert axes.get_ylabel() == "amplitude of windowed force [N]"
+    assert limit.get_ydata() == pytest.approx(0.02)
+    (bins,) = (line for line in axes.lines if line.get_marker() == "o")
+    inner = bins.get_xdata() > 0
+    at = np.rint(bins.get_xdata()[inner] * 40 / (2 * np.pi)).astype(int)
+    values = np.abs(np.fft.rfft(weights * control)) / (weights.sum() / 2)
+    assert bins.get_ydata()[inner][at < 20] == pytest.approx(values[at[at < 20]])
+    # Limits of different windows cannot share a picture, and zero bins are zero without a window.
+    assert not drawn(hann, lfo.low_pass(2.0))[2]
+    assert len(drawn(hann, lfo.MagnitudeBound(amplitude=0.5, band=band))[2]) == 1
 
 
 def test_a_trajectory_that_flies_off_does_not_squeeze_the_others():

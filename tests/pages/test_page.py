@@ -18,7 +18,7 @@ from helpers.compared_pages import CASES, blanks, case, drawings, page, price_ax
 from helpers.pages import double_integrator, parsed
 from helpers.replacing import substitute
 from helpers.seeds import expensive
-from lin_freq_ocp import Trajectory, compare, stop_band
+from lin_freq_ocp import MagnitudeBound, Trajectory, compare, library, low_pass, stop_band
 from lin_freq_ocp.base import NOTHING, number
 from lin_freq_ocp.certificate import judge
 from lin_freq_ocp.errors import ProblemError
@@ -198,6 +198,15 @@ def test_state_stop_bands_have_their_spectra():
     assert "Stop band of the controls" not in text("state band")
     (figure_axes,) = price_axes(comparison)
     assert figure_axes.get_title(loc="left") == "Price of each removed state bin"
+
+
+def test_bins_under_a_mask_are_no_stop_band():
+    problem = library.double_integrator(cutoff_hz=None)
+    mask = MagnitudeBound(1000.0, band=low_pass(1.0))
+    comparison = compare(replace(problem, control_spectrum=mask), filters=["brickwall"])
+    titles = [group.title for group in comparison_rows(comparison).groups]
+    assert "Bounded bins of the controls" in titles
+    assert "Stop band of the controls" not in titles
 
 
 def test_cells_fail_where_a_constraint_does():

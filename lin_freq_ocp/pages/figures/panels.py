@@ -17,7 +17,7 @@ from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
 from lin_freq_ocp.pages.figures.plot_data import JointRow, Obstacle, PlotData, View, view
-from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
+from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
 
 LABEL_CHARACTERS = 30  # a longer name is cut off in a legend of several
 DECADES = 5  # decades of a spectrum below its largest value; smaller values are drawn at the lower edge
@@ -162,10 +162,8 @@ def shade_obstacle(ax: Axes, obstacle: Obstacle, views: Sequence[View]) -> None:
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw the spectrum of a component: its DFT bins as points, the zero-padded spectrum between them as a line."""
     traces = data.showing(component)
-    axis, padded = component.axis, list[tuple[Array, Array]]()
-    for trace in traces:
-        omega, sums = padded_spectrum(trace.of(component)[: component.samples, None])
-        padded.append((omega, axis.of_sums(omega, sums[:, 0])))
+    axis, signals = component.axis, [component.windowed(trace.trajectory)[:, None] for trace in traces]
+    padded = [(omega, axis.of_sums(omega, sums[:, 0])) for omega, sums in map(padded_spectrum, signals)]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
     length, factor = component.samples, data.frequency.factor
@@ -176,18 +174,17 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
         shape |= {"marker": "_" if len(line.at) == 1 else "", "color": look.BOUND, "zorder": 2.5}
         look.draw_line(ax, factor * line.at, np.maximum(line.values, floor), **shape)
         highest = max(highest, float(line.values[line.values <= HIDDEN_LIMIT * top].max(initial=0.0)))
-    for trace, (omega, magnitude) in zip(traces, padded, strict=True):
+    at_bins = 2 * np.pi * np.arange(length // 2 + 1) / length
+    for trace, signal, (omega, magnitude) in zip(traces, signals, padded, strict=True):
         style = trace.style
         gaps = (len(omega) - 1) // ZERO_PADDING
         if gaps > FEW_BINS:  # the lobes would fill the panel: draw the top of each
             lobes = magnitude[: gaps * ZERO_PADDING].reshape(gaps, ZERO_PADDING)
             omega, magnitude = omega[np.arange(gaps) * ZERO_PADDING + lobes.argmax(1)], lobes.max(1)
-        between = style.of_line(0.65) | {"linestyle": "-"}
-        look.draw_line(ax, factor * omega, np.maximum(magnitude, floor), **between)
+        look.draw_line(ax, factor * omega, np.maximum(magnitude, floor), **style.of_line(0.65) | {"linestyle": "-"})
         # Bins are points; those too small for the axis are hollow triangles at its lower edge.
-        at_bins = 2 * np.pi * np.arange(length // 2 + 1) / length
         frequency, order = factor * at_bins, style.order
-        bins = axis.of_sums(at_bins, np.abs(np.fft.rfft(trace.of(component)[:length])))
+        bins = axis.of_sums(at_bins, np.abs(np.fft.rfft(signal[:, 0])))
         low = bins < floor
         hollow: dict[str, object] = {"markersize": 4, "markerfacecolor": "none", "linestyle": "none"}
         filled = hollow | {"markersize": 2.6, "markerfacecolor": style.color, "markeredgewidth": 0}
@@ -200,10 +197,10 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
         )
         touching = component.touching(trace.trajectory)
         if len(touching.at):  # frequencies at which the spectrum reaches a mask at every frequency
-            at = factor * touching.at
-            look.draw_line(ax, at, touching.values, marker="o", color=style.color, zorder=order + 2, **hollow)
+            look.draw_line(
+                ax, factor * touching.at, touching.values, marker="o", color=style.color, zorder=order + 2, **hollow
+            )
     if data.largest is not None and not component.is_state and component in data.controls:
-        at_bins = 2 * np.pi * np.arange(length // 2 + 1) / length
         most = axis.of_sums(at_bins, data.largest[:, component.index])
         look.draw_line(ax, factor * at_bins, most, color=look.MUTED, linestyle=look.REFERENCE_LINE, linewidth=1.2)
         highest = max(highest, float(most.max()))
@@ -213,7 +210,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     if axis.in_decibels:
         ax.yaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{20 * np.log10(level):g}"))
     if component.stop.any():  # the largest magnitude between the bins of the stop band
-        peaks = [(trace.measured.stopband_peak(component) or 0.0) / axis.inner for trace in traces]
+        peaks = [(stopband_peak(signal, component.stop[:, None]) or 0.0) / axis.inner for signal in signals]
         shown = [float(axis.quantity.stated(np.asarray(peak))) for peak in peaks]
         named = [f"{number(peak, 3)} {trace.label}" for peak, trace in zip(shown, traces, strict=True)]
         note = f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}"

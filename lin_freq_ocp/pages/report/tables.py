@@ -163,8 +163,9 @@ def _stop_band_group(problem: OptimalControlProblem, columns: Columns, of_states
         return _measured_cell(trajectory, value, None if i else trajectory.empties_band(of_states))
 
     rows = ["energy at its bins", "peak between its bins"]
-    banded = (problem.state_band if of_states else problem.control_band).any()
-    return _group(f"Stop band of the {'states' if of_states else 'controls'}", rows if banded else [], columns, cell)
+    band, stop = (problem.state_band, problem.state_stop) if of_states else (problem.control_band, problem.control_stop)
+    title = f"{'Stop band' if stop.any() else 'Bounded bins'} of the {'states' if of_states else 'controls'}"
+    return _group(title, rows if band.any() else [], columns, cell)
 
 
 def stop_band_figures(measures: Measures, of_states: bool) -> tuple[float | None, float | None]:

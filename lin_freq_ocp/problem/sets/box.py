@@ -264,7 +264,7 @@ def bounds_over_time(field: str, given: SetOrSets, dimension: int, times: int) -
     if isinstance(given, Sequence) and not isinstance(given, str):
         expected = f"one set, or a sequence of {times} sets, one per time"
         if len(given) != times:
-            raise ProblemError(field, f"a sequence of {len(given)}", expected)
+            raise ProblemError(field, f"a sequence of {len(given)}", expected, "Bounds are lfo.Box(lower, upper).")
         for t, convex_set in enumerate(given):
             if not isinstance(convex_set, ConvexSet):
                 raise ProblemError(field, f"{brief(convex_set)} at place {t}", expected)
