@@ -154,8 +154,7 @@ class DeviationProgram:
         left = linear.sparse.scaled(self.scaling).outside(np.zeros(len(z)))
         if left <= EPSILON**2:  # no digit that a correction has
             return
-        rounding = ROW_ULPS * EPSILON * self._terms(trajectory) * self.program.alone
-        for width in (0.0 * rounding, rounding):
+        for width in np.outer((0.0, ROW_ULPS * EPSILON), self._terms(trajectory) * self.program.alone):
             unit = max(left, float(width.max(initial=0.0)))  # rows wider than FAR_ROW would be left out
             scaling = Scaling(unit * self.scaling.columns, self.scaling.rows / unit, self.scaling.cost / unit)
             refined = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), self.frequencies)
