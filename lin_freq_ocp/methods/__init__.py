@@ -5,7 +5,7 @@ from lin_freq_ocp.base import lazy_exports
 # fmt: off
 __all__, __getattr__ = lazy_exports(__name__, {
     "absorbed_cost": "absorb_cost", "candidate": "Candidate SOLVED_TOLERANCE SolveOptions zero_multipliers",
-    "condensed.native": "NativeKernel library", "correction": "corrections",
+    "condensed.native": "NativeKernel library", "correction": "corrections deviations_from",
     "condensed.plans": "Budget CondensedSolver extremals_of unsettled_plan", "repair": "repair_trajectory",
     "condensed.tables": "CondensedTables GRADIENT_DEPENDENCE INFEASIBLE LIMIT ROW_TOLERANCE SOLVED condense",
     "condensed.windows": "ControlWindows",

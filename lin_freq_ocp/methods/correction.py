@@ -39,7 +39,7 @@ from lin_freq_ocp.transform.simulation import simulate
 from lin_freq_ocp.transform.sizes import stated_sizes
 
 FAR_ROW = 1e6  # of a solve in the unit of what another leaves: farther bounds play no part, and would cost it digits
-CONTRACTION = 0.1  # part of the residual that the solve which prices it may leave
+CONTRACTION = 0.1  # part of the residual, or of the unit, that the solve which prices it may leave, also in far rows
 RESTING_CONTROL = 1e-6  # unit of a control that rests, relative to its size in the data
 MOVED_STEPS = 4  # steps per state in which controls move the states by their units
 ROW_ULPS = 64.0  # rounding errors of its own terms that a row may miss where equations depend on each other
@@ -148,21 +148,21 @@ class DeviationProgram:
         """Yield answers of solves in the unit of what a point violates.
 
         In the second, each row may miss ROW_ULPS rounding errors of its terms: equations that depend on each other
-        contradict each other by rounding.
+        contradict each other by rounding. The largest of these is the unit if it is larger.
         """
         trajectory, linear = self._around(z)
         left = linear.sparse.scaled(self.scaling).outside(np.zeros(len(z)))
         if left <= EPSILON**2:  # no digit that a correction has
             return
-        scaling = Scaling(left * self.scaling.columns, self.scaling.rows / left, self.scaling.cost / left)
-        refined = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), self.frequencies)
-        rounding = ROW_ULPS * EPSILON * refined._terms(trajectory) * refined.program.alone
-        for width in (0.0 * rounding, rounding):
-            program = refined.program.widened(width)
+        for width in np.outer((0.0, ROW_ULPS * EPSILON), self._terms(trajectory) * self.program.alone):
+            unit = max(left, float(width.max(initial=0.0)))  # rows wider than FAR_ROW would be left out
+            scaling = Scaling(unit * self.scaling.columns, self.scaling.rows / unit, self.scaling.cost / unit)
+            refined = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), self.frequencies)
+            program = refined.program.widened(width / unit)
             solution = backend("clarabel")(program.without_bounds_beyond(FAR_ROW) or program, DEFAULT_TOLERANCE, None)
             if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
                 corrected, after = refined._around(solution.z)
-                after = after.sparse.scaled(scaling).widened(width)
+                after = after.sparse.scaled(scaling).widened(width / unit)
                 rest = solution.z - scaling.scaled_primal(linear.point(corrected.extended))
                 price = _price(after, rest) if after.outside(rest) <= CONTRACTION else np.inf
                 yield refined._correction(corrected, solution.y, price)

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 import lin_freq_ocp as lfo
-from lin_freq_ocp.methods import corrections, solve_convex, zero_multipliers
+from lin_freq_ocp.methods import corrections, deviations_from, solve_convex, zero_multipliers
 from lin_freq_ocp.program import Program, solve_active
 
 DYNAMICS = lfo.LinearDynamics([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], sampling_time=0.1)
@@ -104,6 +104,38 @@ def test_a_wrong_active_row_is_found_out():
     )
     result = lfo.solve(problem, "convex")
     assert (result.status, round(result.cost, 9)) == ("optimal", round(lfo.solve(problem, "structured").cost, 9))
+
+
+@pytest.mark.parametrize("miss", [1e-7, 3e-7])
+def test_a_row_too_far_to_play_a_part_has_no_price_where_the_answer_violates_it(miss):
+    """u >= -1 is beyond FAR_ROW in the unit of what dynamics miss, and u = -2 would cost least."""
+    cost, row = lfo.QuadraticCost(R=0.5, r=[1.0]), lfo.StageRows(D=[[-1.0]], e=[1.0])
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0]], [[1.0]]), 4, cost, initial_state=[0.0], stage_rows=row
+    )
+    point = lfo.Trajectory(np.append(0.0, np.full(4, miss))[:, None], np.zeros((4, 1)))
+    deviations, z, _ = next(iter(deviations_from(problem, point, zero_multipliers(problem, 1.0))))
+    refined = list(deviations.refinements(z))
+    assert refined
+    for one in refined:
+        np.testing.assert_allclose(one.trajectory.u, -2.0, atol=1e-3)
+        assert one.price == np.inf
+
+
+@pytest.mark.parametrize("band", [None, 1.0])
+def test_rounding_far_larger_than_what_is_left_is_the_unit_of_the_solve_that_allows_for_it(band):
+    """Two rows leave rest alone: position 1.0 has rounding errors far larger than what controls at rest move."""
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics([[1.0, 1.0], [0.0, 0.9]], [[0.0], [1.0]]),
+        10,
+        lfo.QuadraticCost(R=0.1) + lfo.costs.LInfCost(x=[2.3, 1.5], x_ref=[2.2, 0.0]) + lfo.costs.L1Cost(u=4.0),
+        lfo.Box(-0.5, 0.5),
+        initial_state=[1.0, 0.0],
+        terminal_state=[1.0, 0.0],
+        control_spectrum=None if band is None else lfo.low_pass(band),
+        stage_rows=lfo.StageRows(C=[[0.0, 1.0], [0.0, -1.0]], e=[0.0, 0.0]),
+    )
+    assert lfo.solve(problem).status == "optimal"
 
 
 TERMS = {
