@@ -51,10 +51,10 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_764,
-    "code lines": 48_045,
-    "code lines, linear part": 22_646,
-    "code lines, hybrid": 8_775,
+    "shipped lines": 51_754,
+    "code lines": 48_035,
+    "code lines, linear part": 22_643,
+    "code lines, hybrid": 8_773,
     SHARE_SAID: 19.5,  # at least
     "files": 342,
     "folders": 44,

@@ -70,9 +70,7 @@ def generate(
     >>> lfo.generate(controller, tempfile.mkdtemp(), real="float", memory="64k").unknowns
     20
     """
-    if not isinstance(folder, (str, PathLike)):
-        raise ProblemError("folder", brief(folder), "the path of a folder")
-    given = _require_controller(controller)
+    given = _require_controller(controller, "folder", folder)
     return embedded.generate(given.problem, given.soft, given.delay, Path(folder), real, changes, memory, references)
 
 
@@ -111,14 +109,14 @@ def certify_log(controller: RecedingHorizon, path: str | PathLike[str], toleranc
     Traceback (most recent call last):
     lin_freq_ocp.base.errors.ProblemError: yesterday.csv: got No such file or directory; expected a log that can be ...
     """
-    if not isinstance(path, (str, PathLike)):
-        raise ProblemError("path", brief(path), "the path of a log")
-    given = _require_controller(controller)
+    given = _require_controller(controller, "path", path)
     allowed = positive_number("tolerance", tolerance)
     return log.certify_log(given.problem, given.soft, given.delay, Path(path), allowed)
 
 
-def _require_controller(given: object) -> RecedingHorizon:
+def _require_controller(given: object, field: str, path: object) -> RecedingHorizon:
+    if not isinstance(path, (str, PathLike)):
+        raise ProblemError(field, brief(path), "the path of a folder" if field == "folder" else "the path of a log")
     if not isinstance(given, RecedingHorizon):
         advice = "Of a problem: lfo.RecedingHorizon(problem)."
         raise ProblemError("controller", brief(given), "a RecedingHorizon", advice)

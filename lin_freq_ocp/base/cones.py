@@ -122,11 +122,6 @@ def steepest(ends: Ends, lam: Array, direction: Array) -> float:
     return slope
 
 
-def clip_change(values: Array, low: float, high: float) -> Array:
-    """Return the changes that take values into low .. high; none falls by more than ``high``."""
-    return np.maximum(np.clip(values, low, high) - values, -high)
-
-
 class Cone:
     """The cone of points (N, p) whose members lie along the rows; entries may not be ``present``, and are zero then.
 
@@ -213,9 +208,9 @@ class Cone:
         return np.where(self.present, v, 0.0)
 
     def clip_change(self, v: Array, low: float, high: float) -> Array:
-        """Return the change of v that takes its spectral values into low .. high, as ``clip_change`` does."""
+        """Return the change of v that takes its spectral values into low .. high; none falls by more than ``high``."""
         values, k, out = spectral_values(self._ends, v.T), self._ends[0], np.empty_like(v)
-        changes = clip_change(values, low, high)
+        changes = np.maximum(np.clip(values, low, high) - values, -high)
         out[:, self.orthant] = changes[:k].T
         for block, lower, upper in zip(self.blocks, changes[k::2], changes[k + 1 :: 2], strict=True):
             size = tail_norms(v.T, block.start, block.stop)

@@ -107,8 +107,9 @@ class Condition:
 def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
     """Judge all conditions, in the order of the paper, with these least scales."""
     problem, (x, u) = extremal.problem, (extremal.trajectory.x, extremal.trajectory.u)
+    eta_C = extremal.multipliers.eta_C
     return (
-        non_negativity(extremal),
+        Condition("C-i", "eta_C is 0 or 1", min(abs(eta_C), abs(eta_C - 1)), 1.0, 0.0),
         non_triviality(extremal),
         state_equation(extremal.residual.astype(np.float64), problem.equations.motion_sizes(x, u), least),
         *stationarity(extremal, least),
@@ -123,12 +124,6 @@ def all_conditions(extremal: Extremal, least: Floors) -> tuple[Condition, ...]:
             for condition in term_conditions(priced, least.level, size, precise)
         ),
     )
-
-
-def non_negativity(extremal: Extremal) -> Condition:
-    """C-i: eta_C is 0 or 1."""
-    eta_C = extremal.multipliers.eta_C
-    return Condition("C-i", "eta_C is 0 or 1", min(abs(eta_C), abs(eta_C - 1)), 1.0, 0.0)
 
 
 def non_triviality(extremal: Extremal) -> Condition:

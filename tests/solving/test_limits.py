@@ -19,7 +19,7 @@ from lin_freq_ocp.base import use_clock
 from lin_freq_ocp.certificate.hybrid import TreeBound, tree_bound
 from lin_freq_ocp.methods import SolveOptions, solve_convex
 from lin_freq_ocp.methods.hybrid import SearchLimits, TreeSearch
-from lin_freq_ocp.methods.spectral import LARGEST_BORDERED, BorderedQp, interior_point
+from lin_freq_ocp.methods.spectral import LARGEST_BORDERED, BorderedQp, RowQp, interior_point
 from lin_freq_ocp.problem.hybrid import ModeTree
 from lin_freq_ocp.program import LinearProgram, dense_rows
 from lin_freq_ocp.program import solve as clarabel_solve
@@ -100,7 +100,7 @@ def test_small_quadratic_programs_stop_when_told_to() -> None:
         calls.append(1)
         return "time limit"
 
-    _, content = interior_point(A, b, np.full(40, np.inf), *np.zeros((2, 40)), stop)
+    _, content = interior_point(RowQp(A, b, np.full(40, np.inf), *np.zeros((2, 40))), np.zeros(40), stop)
     assert not content
     assert len(calls) == 1
     K, C = np.eye(3), rng.standard_normal((3, 40))

@@ -54,7 +54,7 @@ from lin_freq_ocp.base import lazy_exports
 __all__, __getattr__ = lazy_exports(__name__, {
     "exchange": "Exchange deadline first_working_set", "kkt": "LARGEST_BORDERED", "recovery": "recover",
     "model": "Lti LtiUnits lti_problem natural_units", "reductions": "SoftBounds priced_bounds row_form soft_bins",
-    "qp": "BorderedQp PIVOTING_STEPS STEPS_OF_ALL block_pivoting bounded_qp interior_point predictor_corrector",
-    "rows": "Rows Violations WorkingSet", "shortcuts": "MOST_VALUES NEIGHBOURHOOD_HORIZON WholeHorizon",
-    "spaces": "BinSpaces CirculantKernels SMALL_TABLE", "structure": "Data Structure verified_ray",
+    "qp": "BorderedQp PIVOTING_STEPS RowQp STEPS_OF_ALL block_pivoting bounded_qp interior_point predictor_corrector",
+    "rows": "Rows Violations WorkingSet", "spaces": "BinSpaces CirculantKernels SMALL_TABLE",
+    "shortcuts": "NEIGHBOURHOOD_HORIZON", "structure": "Data MOST_VALUES Structure WholeHorizon verified_ray",
 })

@@ -23,19 +23,15 @@ from lin_freq_ocp.base.errors import UnsupportedError
 from lin_freq_ocp.methods.spectral.model import Lti
 from lin_freq_ocp.methods.spectral.qp import BorderedQp, Stop, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, bounded_rows
-from lin_freq_ocp.methods.spectral.shortcuts import (
-    LOCAL_ROWS,
-    WholeHorizon,
-    cheaper_problem,
-    exchange_values,
-    neighbourhood_of,
-)
+from lin_freq_ocp.methods.spectral.shortcuts import LOCAL_ROWS, cheaper_problem, exchange_values, neighbourhood_of
 from lin_freq_ocp.methods.spectral.structure import (
     RAY_TOLERANCE,
     Data,
     Ray,
     Signals,
     Structure,
+    WholeHorizon,
+    eliminate,
     equation_ray,
     regularised_ray,
     row_ray,
@@ -185,20 +181,17 @@ class Exchange:
         In theta and zeta it is K^{-1} (defects - C (l - l_0)), for weights l_0 before it. The slacks then change to
         slack_0 - C'step + S_W (l - l_0) = S l + delta. An inaccurate QP leads to a search for a ray.
         """
-        working, inverse = self.working, self.kkt.inverse
-        change = inverse @ self.at.defects
+        working, inverse, defects = self.working, self.kkt.inverse, self.at.defects
         if not len(working):
-            return change, working.weights, None
-        through, S = working.eliminated(inverse)
-        delta = self.at.slack - working.coupling.T @ change - S @ working.weights
-        diagonal_bound = self.data.lti.diagonal_bound[working.f] * working.inner
-        new, accurate = bounded_qp(S, delta, guess, working.prices, diagonal_bound, working.free_response(), self.stop)
+            return inverse @ defects, working.weights, None
+        eliminated = eliminate(working, inverse, defects, self.at.slack, working.weights)
+        new, accurate = bounded_qp(eliminated.rows, guess, self.stop)
         combine = (want_ray or not accurate) and self.stop() is None
         tolerance = self.stalling.ray_tolerance
-        ray = row_ray(self.data, working, S, delta, through, combine, tolerance, self.stop)
+        ray = row_ray(self.data, working, eliminated, combine, tolerance, self.stop)
         if ray is None and combine:
             ray = regularised_ray(self.data, working, tolerance, self.stop)
-        return change - through @ (new - working.weights), new, ray
+        return eliminated.step - eliminated.through @ (new - working.weights), new, ray
 
     # A first reader may go on with Iterate. These steps save time, or digits of compliant unknowns.
 

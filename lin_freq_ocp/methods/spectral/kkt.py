@@ -38,25 +38,90 @@ HESSIAN_ROUNDING = 1e-15  # curvature of a bordering unknown, relative to the la
 SHORTEST_PROXIMAL = 1e-16  # smallest proximal weight on compliant unknowns, relative to the curvature of a control
 
 
-class BorderedSystem:
-    """Bordering unknowns, equations, and the pseudo-inverse of K.
+class BorderingUnknowns:
+    """The unknowns theta, ``size`` numbers, and their responses Y.
 
-    theta, ``size`` numbers:
-        the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They move the
-        jump w = x_0 - x_T by ``end_jumps`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins);
-        then a coordinate j for each real or imaginary part of a bordering direction, the ``first`` of each direction
-        being real. It moves y_k by amplitude[j] vectors[:, j] at the bin bins[j].
-    equations, in this order:
-        values F_f y_t at (point_t, point_f): x(0) = x_0, then those that bounds fix;
+    First come the components free_start of x_0, at_start; then free_end of x_T, at_end: ``ends_count`` in all. They
+    move the jump w = x_0 - x_T by ``end_jumps`` (n, ends_count), and y_k by ``end_responses`` (n+m, ends_count, bins).
+    Then comes a coordinate j for each real or imaginary part of a bordering direction, the ``first`` of each direction
+    being real. It moves y_k by amplitude[j] vectors[:, j] at the bin bins[j]. Periodic ends give none: w = 0.
+    """
+
+    def __init__(self, lti: Lti, spaces: BinSpaces):
+        self.lti, self.spaces, T, n = lti, spaces, lti.horizon, lti.state_dim
+        free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
+        self.free_start, self.free_end = map(np.flatnonzero, free)
+        ends = len(self.free_start) + len(self.free_end)
+        self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
+        self.end_jumps = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
+        self.end_responses = np.zeros((len(lti.M), 0, len(spaces.z)), dtype=np.complex128)
+        self.end_signals = np.zeros((len(lti.M), 0, T))
+        if ends:
+            self.end_responses = spaces.particular(spaces.z * self.end_jumps[:, :, None].astype(np.complex128))
+            self.end_signals = np.fft.irfft(self.end_responses, T)
+        # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
+        k, directions = spaces.bordering_bin, spaces.bordering_vector
+        counts = spaces.multiplicity[k].astype(int)
+        direction = np.repeat(np.arange(len(k)), counts)
+        self.first, self.bins = ends + np.cumsum(counts) - counts, k[direction]
+        self.ends_count, self.size = ends, ends + len(self.bins)
+        self.vectors = directions[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
+        self.amplitude = T / spaces.multiplicity[self.bins]  # of a spectrum whose signal has unit amplitude
+
+    def hessian(self) -> Array:
+        """Return H_ab = 1/T sum_k multiplicity_k Re(Y_a^* M Y_b), and P for the free end."""
+        lti, ends, Y, vectors = self.lti, self.ends_count, self.end_responses, self.vectors
+        H = np.zeros((self.size, self.size))
+        if ends:
+            MY, repeated = times_columns(lti.M, Y), Y.conj() * self.spaces.multiplicity
+            H[:ends, :ends] = np.einsum("iak,ibk->ab", repeated, MY, optimize=True).real / lti.horizon
+            H[ends:, :ends] = np.einsum("ij,iaj->ja", vectors.conj(), MY[:, :, self.bins]).real
+            H[:ends, ends:] = H[ends:, :ends].T
+        same = self.bins[:, None] == self.bins
+        H[ends:, ends:] = np.where(same, (vectors.conj().T @ lti.M @ vectors).real * self.amplitude, 0.0)
+        H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
+        return H
+
+    def signals(self) -> Array:
+        """Return the signals of all unknowns at 1, (n+m, size, T)."""
+        T = self.lti.horizon
+        phase = np.exp((2j * np.pi / T) * np.arange(T))[np.outer(self.bins, np.arange(T)) % T]
+        return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
+
+    def gradient(self, spectrum: ComplexArray) -> Array:
+        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
+        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.multiplicity).real
+        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
+        return np.concatenate([over_bins / self.lti.horizon, at_bins])
+
+    def derivatives(self, t: Indices, f: Indices) -> Array:
+        """Return d (F_f y_t) / d theta, shape (size, len(t)), for t < T."""
+        rows, T = self.lti.F[f], self.lti.horizon
+        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
+        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
+        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real]).T
+
+    def add(self, theta: Array, spectrum: ComplexArray) -> None:
+        """Add Y_k theta to the spectrum (n+m, bins), in place."""
+        for a in range(self.ends_count):
+            spectrum += theta[a] * self.end_responses[:, a]
+        along = self.amplitude * theta[self.ends_count :]
+        np.add.at(spectrum.T, self.bins, along[:, None] * self.vectors.T)
+
+
+class BorderedSystem:
+    """Equations of the bordering unknowns and the signals, and the pseudo-inverse of K.
+
+    The equations are, in this order:
+        values F_f y_t at (point_t, point_f): x(0) = x_0 but for periodic ends, then those that bounds fix;
         compatibility, scaled by compatibility_scale;
         rows ``bands`` (count, T+1) of the DFT, of states ``band_component`` (count,); their spectra are ``band_hat``.
-
-    With periodic ends there are no unknowns of ends and no x(0) = x_0: w = 0.
     """
 
     def __init__(self, lti: Lti, spaces: BinSpaces, kernels: CirculantKernels):
         self.lti, self.spaces, self.kernels = lti, spaces, kernels
-        self._set_variables()
+        self.unknowns = unknowns = BorderingUnknowns(lti, spaces)
+        self.size = unknowns.size
         fixed, bands = len(lti.fixed_points[0]), 2 * int(lti.state_stop.sum())
         compatibility = int(sum(spaces.multiplicity[equation.k] for equation in spaces.compatibility))
         equations = lti.state_dim + fixed + compatibility + bands
@@ -65,63 +130,25 @@ class BorderedSystem:
                 f"method 'spectral': {self.size} bordering unknowns and {equations} equations that fix points "
                 f"({fixed} by bounds) or bins of states; it takes {LARGEST_BORDERED} together. Use method 'convex'."
             )
-        self._set_hessian()
+        self.H = unknowns.hessian()
         # x(0) = x_0, with its free components on the left side, and values that bounds fix
         n, (t, f) = lti.start_points, lti.fixed_points
         self.point_t, self.point_f = np.concatenate([np.zeros(n, int), t]), np.concatenate([np.arange(n), f])
-        point_rows = self.derivatives(self.point_t, self.point_f).T
-        point_rows[self.free_start, self.at_start] -= 1.0
+        point_rows = unknowns.derivatives(self.point_t, self.point_f).T
+        point_rows[unknowns.free_start, unknowns.at_start] -= 1.0
         self._set_compatibility_rows()
         self._set_band_rows()
         self.E = np.vstack([point_rows, self.compatibility_rows, self.band_rows])
         self._decompose()
 
-    def _set_variables(self) -> None:
-        """Free components of x_0 and x_T with their responses, then real coordinates of the bordering directions."""
-        lti, T, n = self.lti, self.lti.horizon, self.lti.state_dim
-        free = (~np.array([lti.periodic]) & np.isnan(part) for part in (lti.start, lti.end))
-        self.free_start, self.free_end = map(np.flatnonzero, free)
-        ends = len(self.free_start) + len(self.free_end)
-        self.at_start, self.at_end = np.arange(len(self.free_start)), np.arange(len(self.free_start), ends)
-        self.end_jumps = np.hstack([np.eye(n)[:, self.free_start], -np.eye(n)[:, self.free_end]])
-        self.end_responses = np.zeros((len(lti.M), 0, len(self.spaces.z)), dtype=np.complex128)
-        self.end_signals = np.zeros((len(lti.M), 0, T))
-        if ends:
-            self.end_responses = self.spaces.particular(
-                self.spaces.z * self.end_jumps[:, :, None].astype(np.complex128)
-            )
-            self.end_signals = np.fft.irfft(self.end_responses, T)
-        # a direction has two real coordinates, one after the other; at the real bins 0 and T/2 it has one
-        k, directions = self.spaces.bordering_bin, self.spaces.bordering_vector
-        counts = self.spaces.multiplicity[k].astype(int)
-        direction = np.repeat(np.arange(len(k)), counts)
-        self.first, self.bins = ends + np.cumsum(counts) - counts, k[direction]
-        self.ends_count, self.size = ends, ends + len(self.bins)
-        self.vectors = directions[:, direction] * np.where(np.arange(ends, self.size) == self.first[direction], 1, 1j)
-        self.amplitude = T / self.spaces.multiplicity[self.bins]  # of a spectrum whose signal has unit amplitude
-
-    def _set_hessian(self) -> None:
-        """H_ab = 1/T sum_k multiplicity_k Re(Y_a^* M Y_b) over the responses Y of theta, and P for the free end."""
-        lti, ends = self.lti, self.ends_count
-        Y, vectors = self.end_responses, self.vectors
-        self.H = np.zeros((self.size, self.size))
-        if ends:
-            MY, repeated = times_columns(lti.M, Y), Y.conj() * self.spaces.multiplicity
-            self.H[:ends, :ends] = np.einsum("iak,ibk->ab", repeated, MY, optimize=True).real / lti.horizon
-            self.H[ends:, :ends] = np.einsum("ij,iaj->ja", vectors.conj(), MY[:, :, self.bins]).real
-            self.H[:ends, ends:] = self.H[ends:, :ends].T
-        same = self.bins[:, None] == self.bins
-        self.H[ends:, ends:] = np.where(same, (vectors.conj().T @ lti.M @ vectors).real * self.amplitude, 0.0)
-        self.H[self.at_end[:, None], self.at_end] += lti.P[self.free_end[:, None], self.free_end]
-
     def _set_compatibility_rows(self) -> None:
         """Rows (T/multiplicity) sigma (theta_re + i theta_im) - U_j^* z end_jumps theta, Re and Im, scaled to 1."""
-        spaces, rows = self.spaces, list[Array]()
+        spaces, unknowns, rows = self.spaces, self.unknowns, list[Array]()
         self.compatibility_scale = np.ones(len(spaces.compatibility))
         for j, equation in enumerate(spaces.compatibility):
             row = np.zeros(self.size, dtype=np.complex128)
-            row[: self.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ self.end_jumps)
-            column, amplitude = self.first[equation.direction], self.lti.horizon / spaces.multiplicity[equation.k]
+            row[: unknowns.ends_count] = -spaces.z[equation.k] * (equation.left.conj() @ unknowns.end_jumps)
+            column, amplitude = unknowns.first[equation.direction], self.lti.horizon / spaces.multiplicity[equation.k]
             row[column] = equation.sigma * amplitude
             if spaces.multiplicity[equation.k] == 2:
                 row[column + 1] = 1j * equation.sigma * amplitude
@@ -150,17 +177,11 @@ class BorderedSystem:
             force = np.zeros((len(self.lti.M), count, len(self.spaces.z)), dtype=np.complex128)
             force[self.band_component, np.arange(count)] = self.band_hat
             self.band_responses = np.fft.irfft(self.spaces.project(force), T)
-            signals = self._unit_signals()
+            signals = self.unknowns.signals()
             for i, rows in parts:
                 self.band_rows[self.band_component == i] = rows[:, :T] @ signals[i].T
-            at_free = self.free_end[:, None] == self.band_component
-            self.band_rows[:, self.at_end] += (at_free * self.bands[:, -1]).T
-
-    def _unit_signals(self) -> Array:
-        """Return the signals of unit free ends and of unit coordinates of the bordering directions, (n+m, size, T)."""
-        T = self.lti.horizon
-        phase = np.exp((2j * np.pi / T) * np.arange(T))[np.outer(self.bins, np.arange(T)) % T]
-        return np.concatenate([self.end_signals, (self.vectors[:, :, None] * phase).real], axis=1)
+            at_free = self.unknowns.free_end[:, None] == self.band_component
+            self.band_rows[:, self.unknowns.at_end] += (at_free * self.bands[:, -1]).T
 
     def _decompose(self) -> None:
         """Set K (``matrix``), its ``inverse``, and a basis of the ``dependent`` equations; see ``compliant`` below."""
@@ -181,8 +202,8 @@ class BorderedSystem:
         # compliant: the response of an unknown to a force is NaN, or so large that digits of other responses are lost.
         # It then stays in the small QP, and the inverse has the least proximal weight.
         response = np.abs(self.inverse.diagonal()[: self.size])
-        of_ends = response[: self.ends_count].max(initial=0.0)
-        of_directions = response[self.ends_count :].max(initial=0.0)
+        of_ends = response[: self.unknowns.ends_count].max(initial=0.0)
+        of_directions = response[self.unknowns.ends_count :].max(initial=0.0)
         stiff_ends = of_ends <= min(COMPLIANT_END / unit, 0.1 / self.least_proximal)
         self.compliant = not (stiff_ends and of_directions <= COMPLIANT_RESPONSE / unit)
         if self.compliant:
@@ -217,12 +238,6 @@ class BorderedSystem:
         inverse[zeta, zeta] += self.lti.curvature_unit * onto
         return (inverse + inverse.T) / 2
 
-    def gradient(self, spectrum: ComplexArray) -> Array:
-        """Return the derivative in theta of a cost whose gradient in y has this spectrum (n+m, bins)."""
-        over_bins = np.einsum("iak,ik->a", self.end_responses.conj(), spectrum * self.spaces.multiplicity).real
-        at_bins = (self.vectors.conj() * spectrum[:, self.bins]).sum(0).real
-        return np.concatenate([over_bins / self.lti.horizon, at_bins])
-
     def right_hand_side(self, lti: Lti, jump: ComplexArray) -> Array:
         """Return e, (equations,), for the data of ``lti``, with z w + d_k of the fixed ends, (n, bins)."""
         spaces, n, (start, end) = self.spaces, lti.start_points, lti.ends
@@ -233,19 +248,12 @@ class BorderedSystem:
         ]
         return np.concatenate([*points, *compatibility, -self.bands[:, -1] * end[self.band_component]])
 
-    def derivatives(self, t: Indices, f: Indices) -> Array:
-        """Return d (F_f y_t) / d theta, shape (size, len(t)), for t < T."""
-        rows, T = self.lti.F[f], self.lti.horizon
-        at_ends = np.einsum("ri,iar->ra", rows, self.end_signals[:, :, t])
-        phase = np.exp((2j * np.pi / T) * (t[:, None] * self.bins % T))
-        return np.hstack([at_ends, ((rows @ self.vectors) * phase).real]).T
-
     def coupling_at_all_times(self, rows: Indices) -> Array:
         """Return the ``coupling`` of F_f y_t at all t < T: (size + equations, len(rows), T)."""
         F = self.lti.F[rows]
         response = np.zeros((len(rows), len(self.matrix), self.lti.horizon))
         if self.size:
-            response[:, : self.size] = np.tensordot(F, self._unit_signals(), 1)
+            response[:, : self.size] = np.tensordot(F, self.unknowns.signals(), 1)
         by_points = self.kernels.table[rows[:, None], self.point_f]  # unit forces at t = 0, (len(rows), points, T) ...
         for i in np.flatnonzero(self.point_t):  # ... which act later at the other points
             by_points[:, i] = np.roll(by_points[:, i], self.point_t[i], axis=-1)
@@ -258,9 +266,9 @@ class BorderedSystem:
         """Return C, (size + equations, len(t)), of F_f y_t, and of component f of x_T at t = T: see WorkingSet."""
         inner, last = t < self.lti.horizon, np.flatnonzero(t == self.lti.horizon)
         columns = np.zeros((len(self.matrix), len(t)))
-        columns[: self.size, inner] = self.derivatives(t[inner], f[inner])
+        columns[: self.size, inner] = self.unknowns.derivatives(t[inner], f[inner])
         columns[self.size :, inner] = -self.responses(t[inner], f[inner])
-        columns[self.at_end[np.searchsorted(self.free_end, f[last])], last] = 1.0
+        columns[self.unknowns.at_end[np.searchsorted(self.unknowns.free_end, f[last])], last] = 1.0
         return columns
 
     def responses(self, t: Indices, f: Indices) -> Array:
@@ -268,13 +276,6 @@ class BorderedSystem:
         at_points = self.kernels.gram(self.point_t, self.point_f, t, f)
         at_bands = np.einsum("ri,idr->dr", self.lti.F[f], self.band_responses[:, :, t])
         return np.vstack([at_points, np.zeros((len(self.compatibility_rows), len(t))), at_bands])
-
-    def add(self, theta: Array, spectrum: ComplexArray) -> None:
-        """Add Y_k theta to the spectrum (n+m, bins), in place."""
-        for a in range(self.ends_count):
-            spectrum += theta[a] * self.end_responses[:, a]
-        along = self.amplitude * theta[self.ends_count :]
-        np.add.at(spectrum.T, self.bins, along[:, None] * self.vectors.T)
 
 
 def _null_space(rows: Array, gram: Array) -> Array:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -59,43 +60,48 @@ IDLE_WEIGHT = 1e-9  # weight, relative to slacks and weights, that it leaves on 
 Stop = Callable[..., str | None]  # returns the reason to stop, the time limit or Ctrl-C, or None
 
 
-def bounded_qp(
-    S: Array,
-    delta: Array,
-    start: Array,
-    prices: Array,
-    diagonal_bound: Array,
-    response: Array,
-    stop: Stop = lambda: None,
-) -> tuple[Array, bool]:
+class RowQp(NamedTuple):
+    """The small QP of some rows.
+
+    ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows, else 0. ``response`` has the
+    response of each row to a unit force on it without equations, relative to which its entry of S may be rounding.
+    """
+
+    S: Array
+    delta: Array
+    prices: Array
+    diagonal_bound: Array
+    response: Array
+
+
+def bounded_qp(qp: RowQp, start: Array, stop: Stop = lambda: None) -> tuple[Array, bool]:
     """Return (l, whether it is accurate) from a warm start >= 0; not accurate if ``stop`` ends it early.
 
-    ``diagonal_bound`` is a diagonal with diag - S >= 0 of low rank: 1/R for control rows, else 0. If equations decide a
-    soft row, it is saturated iff it is violated: its entry of S is a rounding error, relative to its ``response``
-    without equations.
+    If equations decide a soft row, it is saturated iff it is violated: its entry of S is a rounding error.
     """
+    S, delta, prices, diagonal_bound, response = qp
     decided = np.isfinite(prices) & (np.diagonal(S) < DECIDED_SOFT * response)
     if decided.any():  # they are at a bound of their multipliers
         weights, free, accurate = np.where(decided & (delta < 0), prices, 0.0), ~decided, True
         if free.any():
             delta = delta[free] + S[np.ix_(free, decided)] @ weights[decided]
-            rows = start[free], prices[free], diagonal_bound[free], response[free]
-            weights[free], accurate = bounded_qp(S[np.ix_(free, free)], delta, *rows, stop)
+            rest = RowQp(S[np.ix_(free, free)], delta, prices[free], diagonal_bound[free], response[free])
+            weights[free], accurate = bounded_qp(rest, start[free], stop)
         return weights, accurate
     # units in which S has a diagonal of 1 and delta a largest entry of 1: all tolerances below are relative to these
     unit = 1 / np.sqrt(np.maximum(np.diagonal(S), TINY))
     size = max(float((np.abs(delta) * unit).max()), TINY)
     S, delta, start = S * unit[:, None], delta * unit / size, start / unit / size
     S *= unit
-    scaled_prices = prices / unit / size
-    weights, accurate = block_pivoting(S, delta, start, scaled_prices) if len(S) <= PIVOTING_ROWS else None, True
+    scaled = RowQp(S, delta, prices / unit / size, diagonal_bound * unit**2, response * unit**2)
+    weights, accurate = block_pivoting(scaled, start) if len(S) <= PIVOTING_ROWS else None, True
     if weights is None:
-        weights, accurate = interior_point(S, delta, scaled_prices, diagonal_bound * unit**2, start, stop)
+        weights, accurate = interior_point(scaled, start, stop)
     # a saturated row has exactly its price: the exchange compares the two
-    return np.where(weights >= scaled_prices, prices, weights * unit * size), accurate
+    return np.where(weights >= scaled.prices, prices, weights * unit * size), accurate
 
 
-def block_pivoting(S: Array, delta: Array, start: Array, prices: Array) -> Array | None:
+def block_pivoting(qp: RowQp, start: Array) -> Array | None:
     """Exchange all wrong rows at once, later the worst ones; None if that cycles, or if rows are nearly dependent.
 
     Rows are active (0 < l < price, slope 0), saturated (l = price), or neither (l = 0). For each such guess, l follows
@@ -104,6 +110,7 @@ def block_pivoting(S: Array, delta: Array, start: Array, prices: Array) -> Array
     An exchange of all rows is fast, but cycles on some programs. Most cycles end if only rows with at least half of the
     worst error are exchanged. Judice and Pires (1994) exchange a single row instead, which takes longer.
     """
+    S, delta, prices, *_ = qp
     slope, saturated, soft = S @ start + delta, start >= prices, np.isfinite(prices).any()
     active = ((start > 0) | (slope < 0)) & ~saturated
     for step in range(PIVOTING_STEPS):
@@ -136,9 +143,7 @@ def block_pivoting(S: Array, delta: Array, start: Array, prices: Array) -> Array
 # A first reader may stop here. The rest is for rows that are nearly dependent, and for compliant unknowns.
 
 
-def interior_point(
-    S: Array, delta: Array, prices: Array, diagonal_bound: Array, start: Array, stop: Stop = lambda: None
-) -> tuple[Array, bool]:
+def interior_point(qp: RowQp, start: Array, stop: Stop = lambda: None) -> tuple[Array, bool]:
     """Return (l, whether it is accurate) by Mehrotra's predictor-corrector; arguments as in ``bounded_qp``.
 
     On saturated control arcs S has eigenvalues near 0 and 1, and multipliers are not unique: active-set methods cycle.
@@ -147,6 +152,7 @@ def interior_point(
 
     Mehrotra (1992), On the implementation of a primal-dual interior point method.
     """
+    S, delta, prices, diagonal_bound, _ = qp
     system, ridge, count = _thin_factor(S, diagonal_bound) or _Dense(S), INTERIOR_RIDGE, len(delta)
     weights, least = (start, WARM) if start.any() else (np.ones(count), 1.0)
     pairs = Pairs(prices)

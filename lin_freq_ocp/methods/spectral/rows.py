@@ -144,8 +144,6 @@ def _select_bounds(bounds: Array, rows: Indices) -> Array:
 
 def _largest_finite(bounds: Array) -> Array:
     """Return the largest finite |bound| of every row, 0 where there is none; bounds (rows, T)."""
-    if bounds.size and bounds.strides[1] == 0:
-        bounds = bounds[:, :1]
     return np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(1, initial=0.0)
 
 
@@ -159,7 +157,7 @@ class WorkingSet:
     """
 
     def __init__(self, kkt: BorderedSystem, lti: Lti):
-        self._kkt, self._lti, none = kkt, lti, np.zeros(0, dtype=np.intp)
+        self.kkt, self.lti, none = kkt, lti, np.zeros(0, dtype=np.intp)
         self.t, self.f, self.sign = none, none, np.zeros(0)
         self.present = np.zeros((2, len(lti.F), lti.horizon + 1), dtype=bool)
         self.replace(Rows(none, none, np.zeros(0)), np.zeros((len(kkt.matrix), 0)))
@@ -170,7 +168,7 @@ class WorkingSet:
     @property
     def inner(self) -> Mask:
         """Which rows act at t < T."""
-        return self.t < self._lti.horizon
+        return self.t < self.lti.horizon
 
     def rows(self) -> Rows:
         """Return the rows with their weights."""
@@ -190,7 +188,7 @@ class WorkingSet:
             return 0
         indices, signs = (np.append(self.t, t), np.append(self.f, f)), np.append(self.sign, sign)
         rows = Rows(*indices, signs, np.append(self.weights, np.zeros(len(t))))
-        self.replace(rows, np.hstack([self.coupling, self._kkt.coupling(t, f) * sign]))
+        self.replace(rows, np.hstack([self.coupling, self.kkt.coupling(t, f) * sign]))
         return len(t)
 
     def keep(self, chosen: Mask) -> None:
@@ -207,8 +205,8 @@ class WorkingSet:
         self.weights = np.zeros(len(rows.t)) if rows.weights is None else rows.weights
         self.present[(self.sign > 0).astype(np.intp), self.f, self.t] = True
         self.coupling = coupling
-        self.limits = self.sign * self._lti.bounds.at(self.t, self.f, self.sign)
-        self.prices = self._lti.price_of(self.t, self.f, self.sign)
+        self.limits = self.sign * self.lti.bounds.at(self.t, self.f, self.sign)
+        self.prices = self.lti.price_of(self.t, self.f, self.sign)
         self._cached_gram: Array | None = None
 
     @property
@@ -220,26 +218,14 @@ class WorkingSet:
                 8.0 * COPIES * len(self) ** 2,
                 "Choose a coarser grid or a shorter horizon.",
             )
-            self._cached_gram = self._kkt.kernels.gram_of_rows(self.t, self.f)
+            self._cached_gram = self.kkt.kernels.gram_of_rows(self.t, self.f)
             self._cached_gram *= self.sign[:, None]
             self._cached_gram *= self.sign
         return self._cached_gram
 
-    def eliminated(self, inverse: Array) -> tuple[Array, Array]:
-        """Return K^{-1} C and S for an inverse of K; S is exactly symmetric: else the QP stalls at rounding."""
-        gram, through = self.gram, inverse @ self.coupling  # the first refuses rows that do not fit into memory
-        half = self.coupling.T @ (through / 2)
-        S = half + half.T
-        S += gram
-        return through, S
-
     def slacks(self, y: Array, last: Array) -> Array:
         """Return limit - sign F_f y_t of the rows, shape (count,), for y (n+m, T) and last = x_T."""
         at_end = np.flatnonzero(~self.inner)
-        values = self._lti.row_values(y, np.minimum(self.t, self._lti.horizon - 1), self.f)
+        values = self.lti.row_values(y, np.minimum(self.t, self.lti.horizon - 1), self.f)
         values[at_end] = last[self.f[at_end]]
         return self.limits - self.sign * values
-
-    def free_response(self) -> Array:
-        """Return the decrease of each row by a unit force on it, without equations, (count,)."""
-        return self._kkt.kernels.free_response(self.t, self.f)

@@ -1,8 +1,9 @@
 """What saves time in the exchange; the method is complete without it (docs/spectral.md, 7 and 11).
 
-On short horizons, the effect of each bounded value on all others is computed once (WholeHorizon), and the exchange runs
-on these values (exchange_values). On long ones, kernels give the values near the working rows (Neighbourhood). The
-signals of all bins verify the result of either. The first working set of a long horizon is that of a cheaper problem.
+On short horizons, the effect of each bounded value on all others is computed once (WholeHorizon in ``structure``), and
+the exchange runs on these values (exchange_values). On long ones, kernels give the values near the working rows
+(Neighbourhood). The signals of all bins verify the result of either. The first working set of a long horizon is that
+of a cheaper problem.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ import numpy as np
 from lin_freq_ocp.base.arrays import Array, Indices, Mask
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import Stop, bounded_qp
+from lin_freq_ocp.methods.spectral.qp import RowQp, Stop, bounded_qp
 from lin_freq_ocp.methods.spectral.rows import Rows, Violations, WorkingSet, entering_violation
+from lin_freq_ocp.methods.spectral.structure import WholeHorizon
 
 LOCAL_ROWS = 300  # working rows beyond which the small QP costs more than the signals of all samples
 NEIGHBOURHOOD_HORIZON = 10_000  # horizon from which kernels cost less than FFTs
 NEIGHBOURHOOD_WINDOW = 24  # samples on each side of a working row
 MOST_NEIGHBOURS = 20_000  # of a neighbourhood; with more, FFTs are cheaper
-MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
 MODEL_ROUNDS = 12  # rounds on couplings, after which the true signals are evaluated
 GUESSED_HORIZON = 600  # horizon from which a first guess costs less than the rounds that it saves
 HOLD_FACTOR = 8  # samples of a control that are equal in the coarse problem
@@ -82,54 +83,6 @@ class Neighbourhood:
         return self.t[chosen], self.f[chosen], np.where(above[chosen] >= below[chosen], 1.0, -1.0)
 
 
-class WholeHorizon:
-    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
-
-    ``coupling`` (size + equations, values) and ``free_response`` (values,) are as in WorkingSet, ``through`` is
-    K^{-1} C.
-    """
-
-    def __init__(self, kkt: BorderedSystem, rows: Indices):
-        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
-        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
-        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
-        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
-        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
-        self._row_index[rows] = np.arange(len(rows))
-        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
-        self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
-        self.coupling[kkt.at_end, self._inner + kkt.free_end] = 1.0
-        self.through = kkt.inverse @ self.coupling
-        self.free_response = kkt.kernels.free_response(self.t, self.f)
-        self._spaces = kkt.kernels.of_rows(rows)
-
-    def flat_indices(self, t: Indices, f: Indices) -> Indices:
-        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
-        T = self.kernels.lti.horizon
-        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
-
-    def distinct(self, rows: Rows) -> tuple[Indices, Array, Array]:
-        """Return the flat indices of rows, each once, with signs and weights."""
-        index, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
-        return index, rows.sign[once], np.zeros(len(index)) if rows.weights is None else rows.weights[once]
-
-    def gram(self, index: Indices) -> Array:
-        """Return S of some values."""
-        S = self.coupling[:, index].T @ self.through[:, index]
-        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
-
-    def response(self, index: Indices, mu: Array) -> Array:
-        """Return S mu of all values, for multipliers mu of the values ``index``."""
-        pulses = np.zeros(len(self.t))
-        pulses[index] = mu
-        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
-        acting = pulses.any(1)
-        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
-        values = (self.through[:, index] @ mu) @ self.coupling
-        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
-        return values
-
-
 def exchange_values(
     whole: WholeHorizon, violations: Violations, start: Rows, base: Array, tolerance: float, stop: Stop
 ) -> tuple[Rows, int, bool]:
@@ -148,7 +101,8 @@ def exchange_values(
             delta = sign * (lti.bounds.at(t, f, sign) - base[index])
             price, diagonal_bound = lti.price_of(t, f, sign), lti.diagonal_bound[f] * (t < lti.horizon)
             S = whole.gram(index) * sign * sign[:, None]
-            weights, accurate = bounded_qp(S, delta, weights, price, diagonal_bound, whole.free_response[index], stop)
+            qp = RowQp(S, delta, price, diagonal_bound, whole.free_response[index])
+            weights, accurate = bounded_qp(qp, weights, stop)
             solved, rounds = Rows(t, f, sign, weights), count
             if not accurate:
                 return solved, rounds, False

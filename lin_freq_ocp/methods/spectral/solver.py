@@ -223,23 +223,32 @@ class SpectralSolver:
         """Return the changed problem, if not given, and its form in ``units``; ProblemError for another structure."""
         if change.disturbance is not None and self._end_rows:  # on x_T: rows on the step before, in which it acts
             raise UnsupportedError("method 'spectral': a disturbance moves the rows of a polyhedron at the end.")
-        problem, own, units = known or change.apply(self.problem), self._set_up.lti, self._set_up.units
+        problem = known or change.apply(self.problem)
         if problem is self.problem:
-            return problem, own
-        initial_state, terminal_state = change.initial_state, change.terminal_state
-        ends = ((initial_state, problem.initial_state), (terminal_state, problem.terminal_state))
+            return problem, self.lti
+        ends = ((change.initial_state, problem.initial_state), (change.terminal_state, problem.terminal_state))
         new_sets = [entry for sets in (change.bounds or {}).values() for entry in entries_of(sets)]
         for entry in (*new_sets, *(end for given, end in ends if given is not None)):
             if entry is not None and not all(member.soft for member in entry.members):
                 raise UnsupportedError(f"method 'spectral': {type(entry).__name__}: only boxes. Use method 'convex'.")
+        lti = self._changed_lti(change, problem)
+        self._require_same_structure(change, lti)
+        return problem, lti
+
+    def _changed_lti(self, change: Change, problem: OptimalControlProblem) -> Lti:
+        """Return the changed problem in ``units``; of other ends alone, all other arrays are the same."""
         data = change.bounds or change.references or change.disturbance is not None
+        initial_state, terminal_state = change.initial_state, change.terminal_state
         all_data = data or (initial_state is None and terminal_state is None)
-        ends_only = not (all_data or (terminal_state is not None and own.soft))
-        lti = own.with_ends(problem.ends, units.x) if ends_only else None
-        lti = lti or lti_problem(problem, units)
+        ends_only = not (all_data or (terminal_state is not None and self.lti.soft))
+        lti = self.lti.with_ends(problem.ends, self.units.x) if ends_only else None
+        return lti or lti_problem(problem, self.units)
+
+    def _require_same_structure(self, change: Change, lti: Lti) -> None:
+        own = self.lti
         if lti.periodic != own.periodic:
-            expected = "None: the ends are periodic"
-            raise ProblemError("terminal_state", brief(terminal_state), expected, "Make a new SpectralSolver.")
+            got, expected = brief(change.terminal_state), "None: the ends are periodic"
+            raise ProblemError("terminal_state", got, expected, "Make a new SpectralSolver.")
         for field, old, new in (("initial_state", own.start, lti.start), ("terminal_state", own.end, lti.end)):
             if not np.array_equal(np.isnan(old), np.isnan(new)):
                 got = "other fixed components than in the problem"
@@ -248,7 +257,6 @@ class SpectralSolver:
         if not all(old is new or np.array_equal(old, new) for old, new in points):
             got = "other values fixed by lower == upper"
             raise ProblemError("bounds", got, "the same ones", "Make a new SpectralSolver.")
-        return problem, lti
 
     def _require_same_shape(self, warm_start: SpectralSolution) -> None:
         if not isinstance(warm_start, SpectralSolution):

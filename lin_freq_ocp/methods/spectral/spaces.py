@@ -111,11 +111,8 @@ class NearBins:
             V[:, passed] = right.conj().swapaxes(1, 2)
             self.right[members], null = V[:, :, :n], V[:, :, n:]
             columns, cost = null.shape[2], null.conj().swapaxes(1, 2) @ lti.M @ null
-            if columns == 1:
-                self.null[members, :, :1], self.cost[members, :1] = null, cost.real[:, 0]
-            else:
-                self.cost[members, :columns], vectors = np.linalg.eigh(cost)
-                self.null[members, :, :columns] = null @ vectors
+            self.cost[members, :columns], vectors = np.linalg.eigh(cost)
+            self.null[members, :, :columns] = null @ vectors
         largest = np.maximum(1.0, self.sigma[:, :1])
         self.sigma[self.sigma < ZERO_SINGULAR_VALUE * largest] = 0.0
         resolved = lti.horizon * distance[k, None] > RESOLVED_PHASE

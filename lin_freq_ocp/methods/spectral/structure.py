@@ -2,12 +2,13 @@
 
 Data return the signals that are optimal for given theta, zeta and weights, and their residual in the equations
 (docs/spectral.md, 2 to 5). From the same forces follow Farkas rays, which prove that data are infeasible (10). A first
-reader may skip the estimates of memory, and stop after Data.
+reader may skip the estimates of memory, and stop after Data and ``eliminate``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from lin_freq_ocp.base.arrays import Array, ComplexArray, Indices, Mask
 from lin_freq_ocp.base.resources import require_memory
 from lin_freq_ocp.methods.spectral.kkt import BorderedSystem
 from lin_freq_ocp.methods.spectral.model import Lti
-from lin_freq_ocp.methods.spectral.qp import Stop, bounded_qp
-from lin_freq_ocp.methods.spectral.rows import WorkingSet
-from lin_freq_ocp.methods.spectral.shortcuts import MOST_VALUES, WholeHorizon
+from lin_freq_ocp.methods.spectral.qp import RowQp, Stop, bounded_qp
+from lin_freq_ocp.methods.spectral.rows import Rows, WorkingSet
 from lin_freq_ocp.methods.spectral.spaces import BinSpaces, CirculantKernels
 
 TEMPORARIES = 2.0  # memory at the peak over that of the arrays that are kept; 1.9 was measured
@@ -26,6 +26,7 @@ RAY_VALUE = 100.0  # times that, its least value: less may be rounding
 DECIDED_RESPONSE = 1e-11  # part of a row's own response left by the equations below which they alone decide the row
 DECIDED_VIOLATION = 1e-8  # violation, relative to the bound, of a row that the equations decide
 CONFLICT_TAU = 1e-4  # tau of the homogeneous dual (1: rows are consistent, 0: they conflict) below which they conflict
+MOST_VALUES = 10_000  # bounded values up to which the effect of bordering unknowns on all of them is computed at once
 TINY_SQUARED = 1e-150  # keeps the scale of a violation of exactly zero finite when squared
 
 
@@ -97,8 +98,8 @@ class Data:
         self.linear = None if lti.linear is None else np.fft.rfft(lti.linear)
         self.base = spaces.particular(jump[:, None])[:, 0]
         # responses to theta are M-orthogonal to N: the part of c_k along N, which follows, does not change h_theta
-        self.h_theta = kkt.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
-        self.h_theta[kkt.at_end] += (lti.P @ end + lti.p)[kkt.free_end]
+        self.h_theta = kkt.unknowns.gradient(lti.M @ self.base + (0 if self.linear is None else self.linear))
+        self.h_theta[kkt.unknowns.at_end] += (lti.P @ end + lti.p)[kkt.unknowns.free_end]
         if self.linear is not None:
             self.base -= spaces.project(self.linear[:, None])[:, 0]
         self.e = kkt.right_hand_side(lti, jump)
@@ -111,11 +112,11 @@ class Data:
         lti, kkt, spectrum = self.lti, self.structure.kkt, self.base.copy()
         if len(working) or zeta.any():
             self.structure.spaces.respond(*self.forces(zeta, working), spectrum)
-        kkt.add(theta, spectrum)
+        kkt.unknowns.add(theta, spectrum)
         y, last = np.fft.irfft(spectrum, lti.horizon), lti.end.copy()
         if lti.periodic:
             last[:] = y[: lti.state_dim, 0]
-        last[kkt.free_end] = theta[kkt.at_end]
+        last[kkt.unknowns.free_end] = theta[kkt.unknowns.at_end]
         return Signals(y, last, spectrum)
 
     def forces(self, zeta: Array, working: WorkingSet) -> tuple[ComplexArray, Mask]:
@@ -145,7 +146,7 @@ class Data:
         kkt, points = self.structure.kkt, len(self.structure.kkt.point_t)
         residual = self.e - kkt.E @ theta
         residual[:points] = self.e[:points] - at.y[kkt.point_f, kkt.point_t]
-        residual[kkt.free_start] += theta[kkt.at_start]
+        residual[kkt.unknowns.free_start] += theta[kkt.unknowns.at_start]
         if len(kkt.bands):
             before_end = np.einsum("dt,dt->d", kkt.bands[:, :-1], at.y[kkt.band_component])
             residual[-len(kkt.bands) :] = -before_end - kkt.bands[:, -1] * at.last[kkt.band_component]
@@ -200,16 +201,38 @@ def equation_ray(data: Data, residual: Array) -> Ray | None:
     return None if largest == 0 else verified_ray(data, WorkingSet(kkt, data.lti), zeta / largest)
 
 
+class EliminatedQp(NamedTuple):
+    """The small QP of the working rows, with theta and zeta eliminated: docs/spectral.md, (4)."""
+
+    step: Array  # K^{-1} defects, that of theta and zeta for unchanged weights
+    through: Array  # K^{-1} C
+    rows: RowQp
+
+
+def eliminate(working: WorkingSet, inverse: Array, defects: Array, slack: Array, weights: Array) -> EliminatedQp:
+    """Return the small QP for an inverse of K, and the defects and slacks that these weights leave."""
+    gram = working.gram  # first: it refuses rows that do not fit into memory
+    step, through = inverse @ defects, inverse @ working.coupling
+    half = working.coupling.T @ (through / 2)
+    S = half + half.T  # exactly symmetric: else the QP stalls at rounding
+    S += gram
+    delta = slack - working.coupling.T @ step - S @ weights
+    diagonal_bound = working.lti.diagonal_bound[working.f] * working.inner
+    response = working.kkt.kernels.free_response(working.t, working.f)
+    return EliminatedQp(step, through, RowQp(S, delta, working.prices, diagonal_bound, response))
+
+
 def row_ray(
-    data: Data, working: WorkingSet, S: Array, delta: Array, through: Array, combine: bool, tolerance: float, stop: Stop
+    data: Data, working: WorkingSet, eliminated: EliminatedQp, combine: bool, tolerance: float, stop: Stop
 ) -> Ray | None:
     """Return a ray of working rows: a row that the equations decide, or (``combine``) a combination of many.
 
-    S, delta and ``through`` = K^{-1} C are those of the small QP. Its homogeneous form
-    min 1/2 l'S l + delta'l + squared/2 (delta'l)^2 is bounded; tau = 1 + squared delta'l vanishes where rows conflict.
+    The homogeneous form min 1/2 l'S l + delta'l + squared/2 (delta'l)^2 of the small QP is bounded;
+    tau = 1 + squared delta'l vanishes where rows conflict.
     """
-    hard, violated = np.isinf(working.prices), delta < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
-    decided = hard & violated & (np.diagonal(S) < DECIDED_RESPONSE * working.free_response())
+    S, delta, prices, _, response = eliminated.rows
+    hard, violated = np.isinf(prices), delta < -DECIDED_VIOLATION * (1 + np.abs(working.limits))
+    decided = hard & violated & (np.diagonal(S) < DECIDED_RESPONSE * response)
     weights = np.zeros(len(delta))
     if decided.any():
         weights[np.argmin(np.where(decided, delta, np.inf))] = 1.0
@@ -218,14 +241,14 @@ def row_ray(
         size = np.abs(on_hard) / np.sqrt(np.maximum(np.diagonal(S), TINY_SQUARED))
         squared = max(float(size.max()), TINY_SQUARED) ** -2
         none, free = np.zeros(len(on_hard)), np.full(len(on_hard), np.inf)
-        homogeneous = S + squared * np.outer(on_hard, on_hard)
-        weights[hard], _ = bounded_qp(homogeneous, on_hard, none, free, none, none, stop)
+        homogeneous = RowQp(S + squared * np.outer(on_hard, on_hard), on_hard, free, none, none)
+        weights[hard], _ = bounded_qp(homogeneous, none, stop)
         if not weights.any() or 1 + squared * float(delta @ weights) >= CONFLICT_TAU:
             return None
     else:
         return None
     weights /= weights.max()
-    zeta = -(through @ weights)[data.structure.kkt.size :]
+    zeta = -(eliminated.through @ weights)[data.structure.kkt.size :]
     return verified_ray(data, working.weighted(weights), zeta, tolerance)
 
 
@@ -235,7 +258,54 @@ def regularised_ray(data: Data, working: WorkingSet, tolerance: float, stop: Sto
     Feasibility does not depend on the cost.
     """
     kkt, (c, residual) = data.structure.kkt, data.without_forces()
-    step = kkt.regularised @ np.concatenate([np.zeros(kkt.size), residual])
-    through, S = working.eliminated(kkt.regularised)
-    delta = working.slacks(c.y, c.last) - working.coupling.T @ step
-    return row_ray(data, working, S, delta, through, True, tolerance, stop)
+    defects, slack = np.concatenate([np.zeros(kkt.size), residual]), working.slacks(c.y, c.last)
+    eliminated = eliminate(working, kkt.regularised, defects, slack, np.zeros(len(slack)))
+    return row_ray(data, working, eliminated, True, tolerance, stop)
+
+
+class WholeHorizon:
+    """All bounded values under one flat index: the bounded ``rows`` of F at all t < T, then the components of x_T.
+
+    ``coupling`` (size + equations, values) and ``free_response`` (values,) are as in WorkingSet, ``through`` is
+    K^{-1} C.
+    """
+
+    def __init__(self, kkt: BorderedSystem, rows: Indices):
+        lti, T, n = kkt.lti, kkt.lti.horizon, kkt.lti.state_dim
+        self.kernels, self.rows, self._inner = kkt.kernels, rows, len(rows) * T
+        self.t = np.concatenate([np.arange(self._inner) % T, np.full(n, T)])
+        self.f = np.concatenate([np.repeat(rows, T), np.arange(n)])
+        self._row_index = np.zeros(len(lti.F), dtype=np.intp)
+        self._row_index[rows] = np.arange(len(rows))
+        self.coupling = np.zeros((len(kkt.matrix), len(self.t)))
+        self.coupling[:, : self._inner] = kkt.coupling_at_all_times(rows).reshape(-1, self._inner)
+        self.coupling[kkt.unknowns.at_end, self._inner + kkt.unknowns.free_end] = 1.0
+        self.through = kkt.inverse @ self.coupling
+        self.free_response = kkt.kernels.free_response(self.t, self.f)
+        self._spaces = kkt.kernels.of_rows(rows)
+
+    def flat_indices(self, t: Indices, f: Indices) -> Indices:
+        """Return the flat indices of rows f at times t; at t = T, of component f of x_T."""
+        T = self.kernels.lti.horizon
+        return np.where(t < T, self._row_index[f] * T + t, self._inner + f)
+
+    def distinct(self, rows: Rows) -> tuple[Indices, Array, Array]:
+        """Return the flat indices of rows, each once, with signs and weights."""
+        index, once = np.unique(self.flat_indices(rows.t, rows.f), return_index=True)
+        return index, rows.sign[once], np.zeros(len(index)) if rows.weights is None else rows.weights[once]
+
+    def gram(self, index: Indices) -> Array:
+        """Return S of some values."""
+        S = self.coupling[:, index].T @ self.through[:, index]
+        return (S + S.T) / 2 + self.kernels.gram_of_rows(self.t[index], self.f[index])
+
+    def response(self, index: Indices, mu: Array) -> Array:
+        """Return S mu of all values, for multipliers mu of the values ``index``."""
+        pulses = np.zeros(len(self.t))
+        pulses[index] = mu
+        pulses = pulses[: self._inner].reshape(len(self.rows), -1)
+        acting = pulses.any(1)
+        answer = (self._spaces[acting].conj() * np.fft.rfft(pulses[acting])[:, None]).sum(0)
+        values = (self.through[:, index] @ mu) @ self.coupling
+        values[: self._inner] += np.fft.irfft((self._spaces * answer).sum(1), self.kernels.lti.horizon).ravel()
+        return values

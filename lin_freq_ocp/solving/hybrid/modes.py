@@ -142,7 +142,8 @@ class _Search:
         """
         require_convex(problem)
         end, found, tried = now() + request.time_limit, list[Outcome](), set[float]()
-        rest = _at_rest(problem)
+        T, n, m = problem.horizon, problem.state_dim, problem.control_dim
+        rest = trajectory_at_rest(problem, Trajectory(np.zeros((T + 1, n)), np.zeros((T, m))))
         most = np.inf if rest is None else FALL * LEVEL_MARGIN * problem.value(rest.x, rest.u)
         known = [] if request.tree is None else [one for one in request.tree.levels if one <= most or one == np.inf]
         for level in chain(known, _levels(problem, rest, found, end)):
@@ -290,11 +291,6 @@ class MixedInteger:
             message = f"{backend} ended with {claimed} ('{claim.message}'), the optimum is {proven}"
             return replace(result, message=message)
         return result
-
-
-def _at_rest(problem: OptimalControlProblem) -> Trajectory | None:
-    signals = np.zeros((problem.horizon + 1, problem.state_dim)), np.zeros((problem.horizon, problem.control_dim))
-    return trajectory_at_rest(problem, Trajectory(*signals))
 
 
 def _levels(

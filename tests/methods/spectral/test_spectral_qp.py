@@ -14,6 +14,7 @@ from helpers.replacing import substitute
 from lin_freq_ocp.methods.spectral import (
     PIVOTING_STEPS,
     BorderedQp,
+    RowQp,
     block_pivoting,
     bounded_qp,
     interior_point,
@@ -99,12 +100,17 @@ def independent_value(qp: Qp) -> float:
     return value(qp, lam)
 
 
+def row_qp(S: np.ndarray, d: np.ndarray, upper: np.ndarray) -> RowQp:
+    """Return the QP without a bound of low rank, of rows that no equations decide."""
+    return RowQp(S, d, upper, *np.zeros((2, len(d))))
+
+
 def solved(
     S: np.ndarray, d: np.ndarray, start: np.ndarray, upper: float | np.ndarray = np.inf, diagonal_bound: float = 0.0
 ) -> tuple[np.ndarray, bool]:
     """Solve a QP whose rows no equations decide."""
     upper, diagonal_bound = np.broadcast_to(upper, len(d)), np.full(len(d), diagonal_bound)
-    return bounded_qp(S, d, start, upper, diagonal_bound, np.zeros(len(d)))
+    return bounded_qp(RowQp(S, d, upper, diagonal_bound, np.zeros(len(d))), start)
 
 
 @pytest.mark.parametrize("count", [5, 70, 130, 320])
@@ -159,19 +165,19 @@ def test_rows_that_nothing_restricts_get_exact_zeros():
 
 def test_block_pivoting_settles_or_gives_up():
     qp = well_conditioned(60)
-    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
+    lam = block_pivoting(row_qp(*qp, np.full(60, np.inf)), np.zeros(60))
     assert max(errors(qp, lam)) < 1e-12
-    assert block_pivoting(*nearly_parallel(60), np.ones(60), np.full(60, np.inf)) is None
+    assert block_pivoting(row_qp(*nearly_parallel(60), np.full(60, np.inf)), np.ones(60)) is None
 
 
 @pytest.mark.parametrize("seed", [6, 21, 40])
 def test_block_pivoting_leaves_a_cycle_by_the_worst_rows(seed, monkeypatch):
     qp = smooth(60, seed)
-    lam = block_pivoting(*qp, np.zeros(60), np.full(60, np.inf))
+    lam = block_pivoting(row_qp(*qp, np.full(60, np.inf)), np.zeros(60))
     assert max(errors(qp, lam)) < 1e-11
-    assert block_pivoting(*qp, np.zeros(60), np.full(60, 1e9)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
+    assert block_pivoting(row_qp(*qp, np.full(60, 1e9)), np.zeros(60)) == pytest.approx(lam, rel=1e-9, abs=1e-12)
     substitute(monkeypatch, "methods.spectral.STEPS_OF_ALL", PIVOTING_STEPS)
-    assert block_pivoting(*qp, np.zeros(60), np.full(60, np.inf)) is None
+    assert block_pivoting(row_qp(*qp, np.full(60, np.inf)), np.zeros(60)) is None
 
 
 def test_a_conflict_is_no_answer():
@@ -184,7 +190,7 @@ def test_a_conflict_is_no_answer():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_interior_point_is_polished_to_rounding(family):
     qp = FAMILIES[family](150)
-    lam, accurate = interior_point(*qp, np.full(150, np.inf), *np.zeros((2, 150)))
+    lam, accurate = interior_point(row_qp(*qp, np.full(150, np.inf)), np.zeros(150))
     assert accurate
     assert max(errors(qp, lam)) < 1e-7
 
@@ -206,7 +212,7 @@ def test_the_factor_of_low_rank_gives_the_same_answer(share):
     qp = S, -S @ (np.random.default_rng(0).standard_normal(300) + 0.5)
     assert np.linalg.matrix_rank(np.eye(300) - S if share > 0.5 else S, tol=1e-12) < 150
     for diagonal_bound in (np.ones(300), np.zeros(300)):
-        lam, accurate = interior_point(*qp, np.full(300, np.inf), diagonal_bound, np.zeros(300))
+        lam, accurate = interior_point(RowQp(*qp, np.full(300, np.inf), diagonal_bound, np.zeros(300)), np.zeros(300))
         assert accurate
         assert max(errors(qp, lam)) < 1e-9
     cheap, _ = solved(*qp, np.zeros(300), diagonal_bound=1.0)
@@ -236,10 +242,8 @@ def test_an_answer_with_upper_bounds_is_optimal(family, count, most):
 @pytest.mark.parametrize("method", [block_pivoting, None])
 def test_a_textbook_answer_with_upper_bounds(method):
     S, d, upper = np.diag([2.0, 4.0, 1.0]), np.array([-2.0, 3.0, -5.0]), np.array([np.inf, 1.0, 2.0])
-    if method is None:
-        lam = interior_point(S, d, upper, *np.zeros((2, 3)))[0]
-    else:
-        lam = method(S, d, np.zeros(3), upper)
+    qp = row_qp(S, d, upper)
+    lam = interior_point(qp, np.zeros(3))[0] if method is None else method(qp, np.zeros(3))
     np.testing.assert_allclose(lam, [1, 0, 2], rtol=1e-12)
 
 
