@@ -51,8 +51,8 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_757,
-    "code lines": 48_038,
+    "shipped lines": 51_759,
+    "code lines": 48_040,
     "code lines, linear part": 22_643,
     "code lines, hybrid": 8_773,
     SHARE_SAID: 19.5,  # at least

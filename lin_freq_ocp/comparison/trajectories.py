@@ -20,7 +20,7 @@ from lin_freq_ocp.certificate.hybrid.smooth import judged_modes
 from lin_freq_ocp.certificate.tolerances import CONDITION_TOLERANCE, PEAK_TOLERANCE, SCALE_FLOOR
 from lin_freq_ocp.problem import measures
 from lin_freq_ocp.problem.hybrid.affine_mode import FACET_TOLERANCE
-from lin_freq_ocp.problem.measures import Measures, measure
+from lin_freq_ocp.problem.measures import Measures, measure, stopband_peak
 from lin_freq_ocp.problem.ocp import OptimalControlProblem
 from lin_freq_ocp.problem.sets.box import Box
 from lin_freq_ocp.problem.spectrum.base import OutputSpectrum, entries_of
@@ -178,6 +178,10 @@ class ProblemSignal:
     def windowed(self, trajectory: Trajectory) -> Array:
         """Return the samples of its drawn spectrum, (N,)."""
         return self.window * self.of(trajectory)[: self.samples]
+
+    def stopband_peak(self, trajectory: Trajectory) -> float | None:
+        """Return the largest magnitude of its drawn spectrum, zero-padded, within the stopped bins."""
+        return stopband_peak(self.windowed(trajectory)[:, None], self.stop[:, None])
 
     @property
     def levels(self) -> list[Line]:

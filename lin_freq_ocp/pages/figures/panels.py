@@ -17,7 +17,7 @@ from lin_freq_ocp.comparison.trajectories import ProblemSignal
 from lin_freq_ocp.pages.figures import look
 from lin_freq_ocp.pages.figures.modes import shade_modes
 from lin_freq_ocp.pages.figures.plot_data import JointRow, Obstacle, PlotData, View, view
-from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopband_peak, stopped_runs
+from lin_freq_ocp.problem.measures import ZERO_PADDING, padded_spectrum, stopped_runs
 
 LABEL_CHARACTERS = 30  # a longer name is cut off in a legend of several
 DECADES = 5  # decades of a spectrum below its largest value; smaller values are drawn at the lower edge
@@ -210,7 +210,7 @@ def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: s
     if axis.in_decibels:
         ax.yaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{20 * np.log10(level):g}"))
     if component.stop.any():  # the largest magnitude between the bins of the stop band
-        peaks = [(stopband_peak(signal, component.stop[:, None]) or 0.0) / axis.inner for signal in signals]
+        peaks = [(component.stopband_peak(trace.trajectory) or 0.0) / axis.inner for trace in traces]
         shown = [float(axis.quantity.stated(np.asarray(peak))) for peak in peaks]
         named = [f"{number(peak, 3)} {trace.label}" for peak, trace in zip(shown, traces, strict=True)]
         note = f"{'peak among the bounded bins' if component.levels else 'stop-band peak'}: {', '.join(named)}"
