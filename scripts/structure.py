@@ -51,9 +51,9 @@ FLOORS = ("problem", "transform", "program", "methods", "certificate", "solving"
 SHARE_SAID = "docstrings and comments [% of lines]"
 
 LIMITS: dict[str, float] = {
-    "shipped lines": 51_759,
-    "code lines": 48_040,
-    "code lines, linear part": 22_643,
+    "shipped lines": 51_760,
+    "code lines": 48_041,
+    "code lines, linear part": 22_644,
     "code lines, hybrid": 8_773,
     SHARE_SAID: 19.5,  # at least
     "files": 342,

@@ -161,9 +161,11 @@ class DeviationProgram:
             program = refined.program.widened(width / unit)
             solution = backend("clarabel")(program.without_bounds_beyond(FAR_ROW) or program, DEFAULT_TOLERANCE, None)
             if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
-                corrected, after = refined._around(solution.z)
-                after = after.sparse.scaled(scaling).widened(width / unit)
-                rest = solution.z - scaling.scaled_primal(linear.point(corrected.extended))
+                corrected, near = refined._around(solution.z)
+                after, point = near.sparse.scaled(scaling).widened(width / unit), linear.point(corrected.extended)
+                slacks = np.concatenate([np.zeros(0), *(rows.origin for rows in near.of_terms)])
+                point[linear.signals :] -= 2 * np.spacing(slacks)  # larger slacks satisfy rows, at their price
+                rest = solution.z - scaling.scaled_primal(point)
                 price = _price(after, rest) if after.outside(rest) <= CONTRACTION else np.inf
                 yield refined._correction(corrected, solution.y, price)
 

@@ -240,9 +240,8 @@ class LinearProgram:
 
     def multipliers(self, y: Array, eta_C: float) -> Multipliers:
         """Return the theorem's multipliers from the duals of all rows of ``sparse``; eta_C = 0 for a Farkas ray."""
-        eta, *parts = np.split(
-            y, np.cumsum([self.problem.horizon * self.problem.state_dim, *(len(rows.lower) for rows in self.rows)])[:-1]
-        )
+        ends = np.cumsum([self.problem.horizon * self.problem.state_dim, *(len(rows.lower) for rows in self.rows)])
+        eta, *parts = np.split(y, ends[:-1])
         if eta_C:
             parts = [rows.priced_duals(part) for rows, part in zip(self.rows, parts, strict=True)]
         targets = np.concatenate([rows.targets for rows in self.rows])

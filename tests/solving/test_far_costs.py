@@ -122,3 +122,20 @@ def test_a_state_bound_that_stands_for_none_is_no_unit_of_modes(name, bound):
     assert max(stated_sizes(problem)[0]) < 100
     unbounded = lfo.solve(replace(problem, state_set=None))
     assert result.cost == pytest.approx(unbounded.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize(("n", "steps", "weights"), [(2, 25, [1.9, 2.3]), (3, 10, [1.7, 2.7, 3.0])])
+def test_rounding_of_far_slacks_is_no_violation_where_rows_force_rest(n, steps, weights):
+    """Slacks near 2e5 are rounded by more than what opposed rows leave of a rest at 1."""
+    A, first, last = np.eye(n) + np.eye(n, k=1), np.eye(n)[0], np.eye(n)[-1]
+    A[-1, -1] = 0.9
+    problem = lfo.OptimalControlProblem(
+        lfo.LinearDynamics(A, last[:, None]),
+        steps,
+        lfo.QuadraticCost(R=0.1) + lfo.costs.LInfCost(x=weights, x_ref=(1 + 1e5) * first) + lfo.costs.L1Cost(u=4.0),
+        lfo.Box(-0.5, 0.5),
+        initial_state=first,
+        terminal_state=first,
+        stage_rows=lfo.StageRows([last, -last], None, [0.0, 0.0]),
+    )
+    assert lfo.solve(problem).status == "optimal"
