@@ -79,7 +79,8 @@ class ExactPoint:
 
     def multipliers_of(self, y: Array) -> Multipliers:
         """Return multipliers, or changes of them, from duals in scaled units."""
-        return self.deviations.linear.multipliers(self.deviations.scaling.dual(y), 1.0)
+        # those of an optimum pay for slacks; changes of them pay for changes of prices, and stay as they are
+        return replace(self.deviations.linear.multipliers(self.deviations.scaling.dual(y), 0.0), eta_C=1.0)
 
     @cached_property
     def responses(self) -> tuple[Array, Array, Array, Mask]:
