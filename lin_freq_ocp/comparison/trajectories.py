@@ -175,13 +175,13 @@ class ProblemSignal:
         free = self.kind == "outputs" or not stop[:, self.index].any()
         return own[0] if shared and free else np.ones(self.samples)
 
-    def windowed(self, trajectory: Trajectory) -> Array:
+    def drawn_samples(self, trajectory: Trajectory) -> Array:
         """Return the samples of its drawn spectrum, (N,)."""
         return self.window * self.of(trajectory)[: self.samples]
 
     def stopband_peak(self, trajectory: Trajectory) -> float | None:
         """Return the largest magnitude of its drawn spectrum, zero-padded, within the stopped bins."""
-        return stopband_peak(self.windowed(trajectory)[:, None], self.stop[:, None])
+        return stopband_peak(self.drawn_samples(trajectory)[:, None], self.stop[:, None])
 
     @property
     def levels(self) -> list[Line]:

@@ -158,11 +158,11 @@ class DeviationProgram:
             unit = max(left, float(width.max(initial=0.0)))  # rows wider than FAR_ROW would be left out
             scaling = Scaling(unit * self.scaling.columns, self.scaling.rows / unit, self.scaling.cost / unit)
             refined = DeviationProgram(linear, trajectory, scaling, linear.sparse.scaled(scaling), self.frequencies)
-            program = refined.program.widened(width / unit)
+            program = refined.program.relax_limits(width / unit)
             solution = backend("clarabel")(program.without_bounds_beyond(FAR_ROW) or program, DEFAULT_TOLERANCE, None)
             if solution.claim is Claim.SOLVED and solution.z is not None and solution.y is not None:
                 corrected, near = refined._around(solution.z)
-                after, point = near.sparse.scaled(scaling).widened(width / unit), linear.point(corrected.extended)
+                after, point = near.sparse.scaled(scaling).relax_limits(width / unit), linear.point(corrected.extended)
                 slacks = np.concatenate([np.zeros(0), *(rows.origin for rows in near.of_terms)])
                 point[linear.signals :] -= 2 * np.spacing(slacks)  # larger slacks satisfy rows, at their price
                 rest = solution.z - scaling.scaled_primal(point)

@@ -175,7 +175,7 @@ class Program:
             return None
         return replace(self, lower=np.where(below, -np.inf, self.lower), upper=np.where(above, np.inf, self.upper))
 
-    def widened(self, by: Array) -> Program:
+    def relax_limits(self, by: Array) -> Program:
         """Return the program with limits that are farther apart by this on each side, (rows,)."""
         return replace(self, lower=self.lower - by, upper=self.upper + by)
 

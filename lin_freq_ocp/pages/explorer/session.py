@@ -290,7 +290,7 @@ def trajectory_data(problem: OptimalControlProblem, trajectory: Trajectory) -> D
     spectra = list[Array]()
     for signal in _frequency_signals(problem):
         w = 2 * np.pi * np.arange(signal.samples // 2 + 1) / signal.samples
-        sums = np.abs(np.fft.rfft(signal.windowed(trajectory)))
+        sums = np.abs(np.fft.rfft(signal.drawn_samples(trajectory)))
         spectra.append(signal.axis.of_sums(w, sums))
     return {
         "signals": [round_values(signal.of(trajectory)) for signal in _time_signals(problem)],

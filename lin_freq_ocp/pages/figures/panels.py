@@ -162,7 +162,7 @@ def shade_obstacle(ax: Axes, obstacle: Obstacle, views: Sequence[View]) -> None:
 def spectrum_panel(ax: Axes, data: PlotData, component: ProblemSignal, letter: str = "") -> None:
     """Draw the spectrum of a component: its DFT bins as points, the zero-padded spectrum between them as a line."""
     traces = data.showing(component)
-    axis, signals = component.axis, [component.windowed(trace.trajectory)[:, None] for trace in traces]
+    axis, signals = component.axis, [component.drawn_samples(trace.trajectory)[:, None] for trace in traces]
     padded = [(omega, axis.of_sums(omega, sums[:, 0])) for omega, sums in map(padded_spectrum, signals)]
     top = max(float(magnitude.max()) for _, magnitude in padded) or 1.0
     floor = float(10.0 ** (np.ceil(np.log10(top)) - DECADES))
